@@ -1,0 +1,333 @@
+"""The Model: what a `.gb` file means, in sympy. Immutable; every part knows its place in the text.
+
+All symbols are `sympy.Symbol(name, real=True)`, one a name (see `symbol`). An application of an unknown is an undefined
+sympy function of the unknown's name: `sympy.Function("phi", real=True)(x1, x2, Da)` (see `unknown_function`); what it
+means is `Unknown.postulate`. Intermediates (`let`, process rates) stay symbols in balances and observations and are
+listed in an order in which each depends only on earlier ones; `Model.inlined` replaces them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import sympy
+
+from gbspec.diagnostics import Span
+
+Expr = sympy.Expr
+
+
+def symbol(name: str) -> sympy.Symbol:
+    """The one symbol that stands for a name in every expression of a Model."""
+    return sympy.Symbol(name, real=True)
+
+
+def unknown_function(name: str) -> type[sympy.Function]:
+    """The undefined function whose applications stand for the unknown of that name."""
+    return sympy.Function(name, real=True)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Range:
+    """A closed interval; either end may be infinite."""
+
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def bounded(self) -> bool:
+        """Whether both ends are finite."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What every declared name has. `unit` is the text of its unit (canonical form), None where there is none."""
+
+    name: str
+    unit: str | None = field(default=None, kw_only=True)
+    description: str = field(default="", kw_only=True)
+    span: Span | None = field(default=None, kw_only=True, compare=False, repr=False)
+
+    @property
+    def symbol(self) -> sympy.Symbol:
+        """The symbol that stands for it."""
+        return symbol(self.name)
+
+
+@dataclass(frozen=True)
+class Time(Declared):
+    """The independent variable. `start` None: every trajectory starts at its first row."""
+
+    start: float | None = None
+
+
+@dataclass(frozen=True)
+class Initial:
+    """How a state starts.
+
+    `expression`: known, `value` in constants, learnables, conditions and the symbols of other states (their starts).
+    `learned`: a trainable number for each trajectory. `measured`: the first measured value if the state itself is
+    measured at the trajectory's first row, else learned (the default).
+    """
+
+    kind: Literal["expression", "learned", "measured"]
+    value: Expr | None = None
+    span: Span | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class State(Declared):
+    """An unknown over time. `range` is plausible, for scaling and warnings; `start` guesses where it begins."""
+
+    range: Range | None = None
+    start: float | None = None
+    initial: Initial = Initial("measured")
+
+
+@dataclass(frozen=True)
+class Condition(Declared):
+    """Known, constant within a trajectory; `column` is its name in the data."""
+
+    range: Range | None = None
+    default: float | None = None
+    column: str = ""
+
+
+@dataclass(frozen=True)
+class Input(Declared):
+    """Known signal of time; its symbol in an expression is its current value."""
+
+    interpolation: Literal["held", "linear"] = "held"
+    range: Range | None = None
+    default: float | None = None
+    column: str = ""
+
+
+@dataclass(frozen=True)
+class Constant(Declared):
+    """A known number."""
+
+    value: float = 0.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """`normal(mean, sd)` or `lognormal(median, cv)` of a learnable."""
+
+    kind: Literal["normal", "lognormal"]
+    location: float
+    scale: float
+
+
+@dataclass(frozen=True)
+class Learnable(Declared):
+    """A constant to be learned, inside `range` (open ends where a bound is strict; infinite where there is none)."""
+
+    start: float = 1.0
+    range: Range = Range()
+    prior: Prior | None = None
+    per_trajectory: bool = False
+
+
+@dataclass(frozen=True)
+class Argument:
+    """A formal argument of a network: the declared name, its unit and range."""
+
+    name: str
+    unit: str | None = None
+    range: Range | None = None
+
+    @property
+    def symbol(self) -> sympy.Symbol:
+        """The formal in postulates and contracts."""
+        return symbol(self.name)
+
+
+@dataclass(frozen=True)
+class Contract:
+    """A guarantee on one output: `lower`/`upper` bound by `value`; `zero` at argument = value; `increasing`/`decreasing`."""
+
+    kind: Literal["lower", "upper", "zero", "increasing", "decreasing"]
+    value: Expr | None = None
+    argument: str | None = None
+    span: Span | None = field(default=None, compare=False, repr=False)
+
+
+NN = symbol("nn")
+"""The network's raw output in `Unknown.postulate`; `nn` is refused as a name, so it cannot clash."""
+
+
+@dataclass(frozen=True)
+class Unknown(Declared):
+    """One function to be learned: output `output` of network `network` of the Model.
+
+    Its value is `postulate` with `NN` the network's output and the formals its arguments; `postulate == NN` where the
+    user gave none. `neutral` is what `nn` is when the correction does nothing (1 where multiplied, else 0).
+    """
+
+    network: int = 0
+    output: int = 0
+    postulate: Expr = NN
+    neutral: float = 0.0
+    contracts: tuple[Contract, ...] = ()
+
+
+Activation = Literal["silu", "tanh", "softplus", "relu", "gelu", "sigmoid", "elu", "sin"]
+
+
+@dataclass(frozen=True)
+class Network:
+    """A multilayer perceptron shared by the outputs `outputs` (names of unknowns, in order)."""
+
+    outputs: tuple[str, ...]
+    arguments: tuple[Argument, ...]
+    hidden: tuple[int, ...] = (32, 32)
+    activation: Activation = "silu"
+
+    @property
+    def name(self) -> str:
+        """Names the network in weights files: its outputs joined by `_`."""
+        return "_".join(self.outputs)
+
+    @property
+    def parameters(self) -> int:
+        """Number of weights and biases."""
+        sizes = (len(self.arguments), *self.hidden, len(self.outputs))
+        return sum((a + 1) * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+
+
+@dataclass(frozen=True)
+class Intermediate(Declared):
+    """A named expression: a `let`, or the rate of a process under the process's name."""
+
+    value: Expr = sympy.S.Zero
+    kind: Literal["let", "rate"] = "let"
+
+
+@dataclass(frozen=True)
+class Process(Declared):
+    """A conversion: net stoichiometric coefficients (produced minus consumed) by state name; its rate is the symbol."""
+
+    stoichiometry: tuple[tuple[str, Expr], ...] = ()
+
+
+@dataclass(frozen=True)
+class Noise:
+    """`normal(sd)` in the channel's unit, or `lognormal(cv)`."""
+
+    kind: Literal["normal", "lognormal"]
+    scale: float
+
+
+@dataclass(frozen=True)
+class Channel(Declared):
+    """A measured quantity; `state` is the index of the state that it is, None where it is a proper expression."""
+
+    value: Expr = sympy.S.Zero
+    state: int | None = None
+    noise: Noise | None = None
+    column: str = ""
+
+
+@dataclass(frozen=True)
+class Dose:
+    """Additions to a state, from the column `dose_STATE` of the data: amount times `fraction`, `lag` later."""
+
+    state: str
+    fraction: Expr = sympy.S.One
+    lag: Expr = sympy.S.Zero
+    span: Span | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class Claim(Declared):
+    """`conserve`: a quantity whose rate of change is claimed to be `rate`."""
+
+    value: Expr = sympy.S.Zero
+    rate: Expr = sympy.S.Zero
+
+
+@dataclass(frozen=True)
+class TruthConstant:
+    """The reference value of a learnable."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class TruthFunction:
+    """The reference of an unknown; `value` in `parameters`, constants and (meaning their truths) learnables."""
+
+    name: str
+    parameters: tuple[str, ...]
+    value: Expr
+
+
+@dataclass(frozen=True)
+class Model:
+    """A whole model. Vectors (states, balances; channels; constants) are in the order of these tuples."""
+
+    name: str
+    title: str = ""
+    time: Time = Time("t")
+    states: tuple[State, ...] = ()
+    conditions: tuple[Condition, ...] = ()
+    inputs: tuple[Input, ...] = ()
+    constants: tuple[Constant, ...] = ()
+    learnables: tuple[Learnable, ...] = ()
+    networks: tuple[Network, ...] = ()
+    unknowns: tuple[Unknown, ...] = ()
+    intermediates: tuple[Intermediate, ...] = ()
+    processes: tuple[Process, ...] = ()
+    balances: tuple[Expr, ...] = ()
+    channels: tuple[Channel, ...] = ()
+    doses: tuple[Dose, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    truth_constants: tuple[TruthConstant, ...] = ()
+    truth_functions: tuple[TruthFunction, ...] = ()
+    text: str = ""
+    """The model as one `.gb` text, `extends` resolved; what a run directory keeps."""
+
+    @property
+    def class_name(self) -> str:
+        """The generated module's class: the model's name in CamelCase."""
+        return "".join(part[:1].upper() + part[1:] for part in self.name.split("_") if part) or "Model"
+
+    @property
+    def constant_names(self) -> tuple[str, ...]:
+        """Names of all constants, known then learnable: the order of the constants' vector everywhere."""
+        return (*(c.name for c in self.constants), *(k.name for k in self.learnables))
+
+    @cached_property
+    def state_index(self) -> Mapping[str, int]:
+        """Index of each state by name."""
+        return {state.name: i for i, state in enumerate(self.states)}
+
+    @cached_property
+    def unknown_names(self) -> frozenset[str]:
+        """Names of the unknowns."""
+        return frozenset(u.name for u in self.unknowns)
+
+    @property
+    def complete(self) -> bool:
+        """Whether it can be evaluated without weights: it has no unknown function."""
+        return not self.unknowns
+
+    @cached_property
+    def has_truth(self) -> bool:
+        """Whether every unknown has a truth (learnables without one stand at their start)."""
+        known = {truth.name for truth in self.truth_functions}
+        return all(unknown.name in known for unknown in self.unknowns)
+
+    def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
+        """The expressions with every intermediate replaced by what it stands for."""
+        table: dict[sympy.Symbol, Expr] = {}
+        for item in self.intermediates:
+            table[item.symbol] = item.value.xreplace(table)
+        return tuple(expression.xreplace(table) for expression in expressions)
