@@ -1,0 +1,145 @@
+"""Measures of error: the norms of the paper's appendix, and RMSE, NRMSE, MAE and R2 on data.
+
+The norms follow Appendix "Metrics Used" of the paper, in which N_n is the number of test points and N_v of variables:
+
+    L1   = 1/(N_n N_v) sum_j sum_i |e_ij|
+    L2   = 1/(N_n N_v) sum_j sqrt(sum_i e_ij^2)          (the 1/N_v stands outside of the root, as printed)
+    Linf = 1/N_n sum_j max_i |e_ij|
+
+with e the difference between truth and prediction, each scaled per variable by the minimum and the maximum of the
+*truth* (as the text says; the printed formula for the prediction has a slip). A variable whose truth does not vary is
+divided by a fallback scale instead, and the result says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FLAT = 1e-9
+"""A variable whose truth varies by less than this part of its fallback scale (or of its size) counts as constant."""
+
+
+def finite(value: float) -> float | None:
+    """A number for JSON: `null` where it is not finite, since JSON has no NaN."""
+    return float(value) if math.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class Norms:
+    """The appendix's three norms over `points` test points.
+
+    `failed` points could not be computed (the integration broke down): they are not in the norms, so a number above
+    zero makes the norms incomparable. `fallback` names the variables whose truth does not vary, scaled by the fallback.
+    """
+
+    L1: float
+    L2: float
+    Linf: float
+    points: int
+    failed: int = 0
+    fallback: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, object]:
+        """Keys L1, L2, Linf, and then how many points they rest on."""
+        document: dict[str, object] = {"L1": finite(self.L1), "L2": finite(self.L2), "Linf": finite(self.Linf)}
+        document["points"] = self.points
+        document["failed"] = self.failed
+        if self.fallback:
+            document["fallback"] = list(self.fallback)
+        return document
+
+    def __str__(self) -> str:
+        failed = f" ({self.failed} of {self.points + self.failed} points failed)" if self.failed else ""
+        return f"L1 {self.L1:.3g}  L2 {self.L2:.3g}  Linf {self.Linf:.3g}{failed}"
+
+
+def truth_scale(truth: Array, fallback: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Range of each variable of `truth` [N, V], and which variables take `fallback` [V] since theirs is zero."""
+    width = truth.max(axis=0) - truth.min(axis=0)
+    reference = np.maximum(fallback, np.abs(truth).max(axis=0))
+    flat = width <= FLAT * reference
+    return np.where(flat, fallback, width), flat
+
+
+def norms(truth: Array, predicted: Array, fallback: Array, names: Sequence[str]) -> Norms:
+    """The norms of `truth` against `predicted`, both [N, V]; `fallback` [V] scales variables without a range.
+
+    Points (rows) at which either is not finite are counted as failed and left out.
+    """
+    good = np.isfinite(truth).all(axis=1) & np.isfinite(predicted).all(axis=1)
+    failed = int(np.sum(~good))
+    if not good.any():
+        return Norms(math.nan, math.nan, math.nan, 0, failed)
+    scale, flat = truth_scale(truth[good], fallback)
+    error = np.abs((predicted[good] - truth[good]) / scale)
+    points, variables = error.shape
+    return Norms(
+        L1=float(error.sum() / (points * variables)),
+        L2=float(np.sqrt((error**2).sum(axis=1)).sum() / (points * variables)),
+        Linf=float(error.max(axis=1).mean()),
+        points=points,
+        failed=failed,
+        fallback=tuple(name for name, is_flat in zip(names, flat, strict=True) if is_flat),
+    )
+
+
+def relative_errors(truth: Mapping[str, float], learned: Mapping[str, float]) -> dict[str, float]:
+    """|learned - truth| / |truth| of each constant; the plain difference where the truth is zero."""
+    return {name: abs(learned[name] - value) / (abs(value) if value != 0.0 else 1.0) for name, value in truth.items()}
+
+
+@dataclass(frozen=True)
+class ChannelErrors:
+    """Errors of one channel over `n` measured values, in the channel's unit.
+
+    `nrmse` is the RMSE over the standard deviation of the measured values (their size, where they do not vary), so
+    that `r2 = 1 - nrmse**2`; `r2` is NaN where the values do not vary.
+    """
+
+    n: int
+    rmse: float
+    nrmse: float
+    mae: float
+    r2: float
+
+    def to_json(self) -> dict[str, object]:
+        """Keys n, rmse, nrmse, mae, r2; null where there is no such number."""
+        return {
+            "n": self.n,
+            "rmse": finite(self.rmse),
+            "nrmse": finite(self.nrmse),
+            "mae": finite(self.mae),
+            "r2": finite(self.r2),
+        }
+
+
+def spread(values: Array) -> float:
+    """The standard deviation of measured values (NaN left out); their size, then 1, where they do not vary."""
+    measured = values[np.isfinite(values)]
+    if not measured.size:
+        return 1.0
+    deviation, size = float(measured.std()), float(np.abs(measured).max())
+    if deviation > FLAT * size:
+        return deviation
+    return size or 1.0
+
+
+def channel_errors(measured: Array, predicted: Array) -> ChannelErrors:
+    """Errors of one channel; both arrays of the same shape, NaN where there is no value to compare."""
+    compared = np.isfinite(measured) & np.isfinite(predicted)
+    n = int(compared.sum())
+    if n == 0:
+        return ChannelErrors(0, math.nan, math.nan, math.nan, math.nan)
+    values, error = measured[compared], predicted[compared] - measured[compared]
+    rmse = float(np.sqrt(np.mean(error**2)))
+    total = float(np.sum((values - values.mean()) ** 2))
+    varies = total > (FLAT * float(np.abs(values).max())) ** 2 * n
+    r2 = 1.0 - float(np.sum(error**2)) / total if varies else math.nan
+    return ChannelErrors(n, rmse, rmse / spread(values), float(np.mean(np.abs(error))), r2)
