@@ -1,1 +1,1 @@
-"""TODO"""
+"""Figures of fits, learned functions, constants, histories, residuals and phase planes."""

@@ -1,0 +1,84 @@
+"""The application: the table of commands, each imported only when it is called, and the entry point."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from gbspec import __version__
+
+COMMANDS = {
+    "new": "gbspec.cli.commands.new",
+    "check": "gbspec.cli.commands.check",
+    "fmt": "gbspec.cli.commands.fmt",
+    "compile": "gbspec.cli.commands.compile",
+    "explain": "gbspec.cli.commands.explain",
+    "simulate": "gbspec.cli.commands.simulate",
+    "train": "gbspec.cli.commands.train",
+    "validate": "gbspec.cli.commands.validate",
+    "eigen": "gbspec.cli.commands.eigen",
+    "plot": "gbspec.cli.commands.plot",
+    "demo": "gbspec.cli.commands.demo",
+}
+"""Name of each command and the module whose `run` it is, in the order in which the help lists them."""
+
+HELP = """A compiler for gray-box dynamical models.
+
+A `.gb` file says which balances are known and which functions are not. gbspec checks it, makes a Python module of it,
+learns what is unknown from data, and shows what was learned.
+
+Start with `gbspec demo`, or with `gbspec new my_model`.
+"""
+
+
+def build(names: Sequence[str] = tuple(COMMANDS)) -> typer.Typer:
+    """The typer application with the commands of those names."""
+    app = typer.Typer(
+        name="gbspec",
+        help=HELP,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    )
+
+    @app.callback()
+    def options(
+        version: Annotated[
+            bool, typer.Option("--version", help="Show the version.", is_eager=True, callback=_version)
+        ] = False,
+    ) -> None:
+        """Options of gbspec itself."""
+
+    options.__doc__ = HELP
+    for name in names:
+        command = importlib.import_module(COMMANDS[name]).run
+        app.command(command.name, help=command.help, epilog=command.epilog)(command.call)
+    return app
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"gbspec {__version__}")
+        raise typer.Exit
+
+
+def needed(arguments: Sequence[str]) -> tuple[str, ...]:
+    """The commands to import for these arguments: the one they name, all where they name none (help, a slip)."""
+    first = next((argument for argument in arguments if not argument.startswith("-")), None)
+    return (first,) if first in COMMANDS else tuple(COMMANDS)
+
+
+def main(arguments: Sequence[str] | None = None) -> Any:
+    """The entry point of the `gbspec` command; leaves by `SystemExit` with the status of `gbspec.cli.frame`."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        build(needed(given))(args=given, prog_name="gbspec")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise SystemExit(130) from None

@@ -1,0 +1,57 @@
+"""`gbspec fmt FILE...`: writes model files in the standard form."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
+from gbspec.cli.output import Output
+
+
+@command("fmt", "gbspec fmt my_model.gb", "gbspec fmt --check models/*.gb")
+def run(
+    output: Output,
+    files: Annotated[list[str], typer.Argument(help="Model files.", metavar="FILE...")],
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit 1 if a file is not in form.")] = False,
+    diff: Annotated[bool, typer.Option("--diff", help="Write nothing; show what would change, exit 1 if any.")] = False,
+) -> None:
+    """Write model files in the standard form: clauses in order, spacing and line breaks; comments are kept."""
+    from gbspec import driver
+    from gbspec.diagnostics import Diagnostic, UserError
+    from gbspec.files import write_text
+    from gbspec.syntax.formatter import format_text
+
+    found: list[Diagnostic] = []
+    changed: list[str] = []
+    for name in files:
+        try:
+            source = driver.read_source(name)
+            formatted = format_text(source)
+        except UserError as error:  # the other files are formatted all the same
+            found.extend(error.diagnostics)
+            continue
+        # the bytes as they are: a BOM or CRLF counts as out of form
+        if formatted.encode() == Path(source.path).read_bytes():
+            continue
+        changed.append(source.path)
+        if diff:
+            output.result(_difference(source.text, formatted, source.path))
+        elif check:
+            output.result(f"{source.path} is not in form")
+        else:
+            write_text(source.path, formatted)
+            output.say(f"wrote {source.path}")
+    if found:
+        raise UserError(found)
+    output.document({"files": [str(name) for name in files], "changed": changed})
+    if changed and (check or diff):
+        raise ExitWith(WRONG_INPUT)
+
+
+def _difference(before: str, after: str, name: str) -> str:
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, f"{name} (in form)", lineterm="")
+    return "\n".join(lines)

@@ -1,0 +1,96 @@
+"""Flags made from frozen option dataclasses, so that each option is declared once: name, type, default, help.
+
+A field becomes `--name-with-dashes`. Its metadata may say more: `help`, `flag` (another spelling), `metavar`, and
+`cli: False` for a field that has no flag. A field whose type has no simple text form (a mapping of boxes, say) gives
+`metadata["parse"]`: a function from the texts given to the value; the flag may then be repeated.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import types
+import typing
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal, Union
+
+import typer
+
+Collect = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+def expand(parameters: Sequence[inspect.Parameter]) -> tuple[list[inspect.Parameter], Collect]:
+    """The parameters with option dataclasses replaced by their flags, and what puts the values together again."""
+    shown: list[inspect.Parameter] = []
+    groups: dict[str, type[Any]] = {}
+    for parameter in parameters:
+        if dataclasses.is_dataclass(parameter.annotation) and isinstance(parameter.annotation, type):
+            groups[parameter.name] = parameter.annotation
+            shown += [flag(field, hints(parameter.annotation)[field.name]) for field in flagged(parameter.annotation)]
+        else:
+            shown.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    def collect(given: dict[str, Any]) -> dict[str, Any]:
+        rest = dict(given)
+        for name, options in groups.items():
+            values = {field.name: read(field, rest.pop(field.name)) for field in flagged(options)}
+            rest[name] = options(**values)
+        return rest
+
+    return shown, collect
+
+
+def hints(options: type[Any]) -> dict[str, Any]:
+    """The field types of a dataclass, resolved."""
+    return typing.get_type_hints(options)
+
+
+def flagged(options: type[Any]) -> list[dataclasses.Field[Any]]:
+    """The fields that have a flag."""
+    return [field for field in dataclasses.fields(options) if field.metadata.get("cli", True)]
+
+
+def default(field: dataclasses.Field[Any]) -> Any:
+    """A field's default value."""
+    if field.default is not dataclasses.MISSING:
+        return field.default
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    raise TypeError(f"the option {field.name} has no default")
+
+
+def flag(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
+    """The command-line parameter for one field."""
+    meta = field.metadata
+    spelling = meta.get("flag", "--" + field.name.replace("_", "-"))
+    kind, value = _simple(hint), default(field)
+    if "parse" in meta:
+        kind, value = list[str], []
+    elif kind is bool and not value:
+        spelling = spelling.split("/")[0]
+    shown = value not in (None, [], ())
+    option = typer.Option(spelling, help=meta.get("help"), metavar=meta.get("metavar"), show_default=shown)
+    return inspect.Parameter(
+        field.name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, option], default=value
+    )
+
+
+def read(field: dataclasses.Field[Any], given: Any) -> Any:
+    """The field's value from what typer gives."""
+    if "parse" in field.metadata:
+        return field.metadata["parse"](given) if given else default(field)
+    return tuple(given) if isinstance(given, list) else given
+
+
+def _simple(hint: Any) -> Any:
+    """The type as typer takes it: literals stay, tuples of one type become lists, unions with None stay optional."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (Union, types.UnionType):
+        rest = [a for a in arguments if a is not type(None)]
+        inner = _simple(rest[0]) if len(rest) == 1 else str
+        return inner | None if type(None) in arguments else inner
+    if origin is Literal:
+        return hint
+    if origin is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
+        return list[arguments[0]]  # type: ignore[valid-type]  # made at run time
+    return hint

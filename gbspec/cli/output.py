@@ -1,0 +1,112 @@
+"""What a command says, and where: results on standard output, everything else on standard error."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gbspec.diagnostics import Diagnostic
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def jsonable(value: Any) -> Any:
+    """The value in JSON's own types; arrays become lists, and what is not finite becomes null (JSON has no NaN)."""
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, Enum):
+        return jsonable(value.value)
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # NumPy's arrays and scalars
+        return jsonable(value.tolist())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: jsonable(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Iterable):
+        return [jsonable(item) for item in value]
+    raise TypeError(f"{type(value).__name__} has no JSON form")
+
+
+class Output:
+    """Where a command writes. `quiet`: nothing but results and errors; `json`: results as one document."""
+
+    def __init__(self, *, quiet: bool = False, json: bool = False) -> None:
+        self.quiet, self.json = quiet, json
+        self.answered = False
+
+    def console(self) -> Console:
+        """A rich console on standard error, silent with `--quiet`."""
+        from rich.console import Console
+
+        return Console(stderr=True, quiet=self.quiet, highlight=False)
+
+    def say(self, text: str = "") -> None:
+        """A remark for a person: standard error, left out with `--quiet`."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def result(self, text: str) -> None:
+        """What was asked for, as text: standard output, left out with `--json`."""
+        if not self.json:
+            print(text, flush=True)
+
+    def summary(self, text: str) -> None:
+        """A result that `--quiet` leaves out (the exit status says as much)."""
+        if not self.quiet:
+            self.result(text)
+
+    def document(self, value: Any) -> None:
+        """What was asked for, as the one JSON document on standard output; nothing without `--json`."""
+        if self.json and not self.answered:
+            self.answered = True
+            print(json.dumps(jsonable(value), indent=2, ensure_ascii=False, allow_nan=False), flush=True)
+
+    def findings(self, diagnostics: Iterable[Diagnostic], *, errors_only: bool = False) -> None:
+        """Diagnostics with excerpts on standard error; with `errors_only` (or `--quiet`) the errors alone."""
+        from gbspec.diagnostics import Severity
+        from gbspec.diagnostics.render import render_text
+
+        shown = [d for d in diagnostics if d.severity is Severity.ERROR or not (self.quiet or errors_only)]
+        if shown:
+            color = sys.stderr.isatty() and not _no_color()
+            print(render_text(shown, color).rstrip("\n"), file=sys.stderr, flush=True)
+
+
+def _no_color() -> bool:
+    import os
+
+    return bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number for a table: `digits` significant ones, a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{digits}g}"
+    return f"{value:.{max(digits - 2, 1)}e}"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A plain text table: the first column to the left, the others to the right, two blanks between."""
+    lines = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    shown = []
+    for line in lines:
+        first, *others = zip(line, widths, strict=True)
+        cells = [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)]
+        shown.append("  ".join(cells).rstrip())
+    return "\n".join([shown[0], "  ".join("-" * width for width in widths), *shown[1:]])

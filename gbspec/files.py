@@ -1,0 +1,75 @@
+"""Reading and writing of text files, with the user's mistakes as diagnostics."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from gbspec.diagnostics import Diagnostic, UserError
+
+
+def existing(path: str | Path, *, kind: str = "file") -> Path:
+    """The path, if it is a file that exists; raises `UserError` (GB801, GB802) otherwise. `kind` words the message."""
+    found = Path(path)
+    if not found.exists():
+        raise UserError([Diagnostic("GB801", f"the {kind} `{path}` does not exist", None, help=_nearby(found))])
+    if found.is_dir():
+        message = f"`{path}` is a directory; a {kind} is wanted"
+        raise UserError([Diagnostic("GB802", message, None, help=f"name the {kind} itself")])
+    return found
+
+
+def writable(path: str | Path) -> Path:
+    """The path, if a file can be written there; raises `UserError` (GB802, GB803) otherwise. Writes nothing."""
+    target = Path(path)
+    if target.is_dir():
+        message = f"`{path}` is a directory; a file name is wanted"
+        raise UserError([Diagnostic("GB802", message, None, help="name the file to write in it")])
+    folder = target.parent
+    if not folder.is_dir():
+        message = f"`{path}` cannot be written: there is no folder `{folder}`"
+        raise UserError([Diagnostic("GB803", message, None, help=f"make it first: mkdir -p {folder}")])
+    if not os.access(target if target.exists() else folder, os.W_OK):
+        message = f"`{path}` cannot be written: permission denied"
+        raise UserError([Diagnostic("GB803", message, None, help="choose another path")])
+    return target
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Writes a text (UTF-8, LF) at once: a reader sees the old file or the new one, never a half."""
+    target = writable(path)
+    if target.exists() and not target.is_file():  # /dev/stdout and the like are written to, not replaced
+        target.write_text(text, encoding="utf-8", newline="\n")
+        return
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
+        os.chmod(name, mode)
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    """The process's mask; it can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _nearby(path: Path) -> str:
+    """A help line: the most similar name in the same folder, where there is one."""
+    import difflib
+
+    try:
+        names = [entry.name for entry in path.parent.iterdir()]
+    except OSError:
+        return f"there is no folder `{path.parent}` either; paths are relative to {Path.cwd()}"
+    close = difflib.get_close_matches(path.name, names, n=1)
+    if close:
+        return f"did you mean `{path.parent / close[0]}`?"
+    return f"paths are relative to {Path.cwd()}"

@@ -1,0 +1,120 @@
+"""What the figures show: plain arrays, whatever they were computed by. All float64."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChannelFit:
+    """One channel of one trajectory.
+
+    Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one a member of the
+    ensemble (their mean is drawn, their spread shaded), and the `truth` [G] where there is one.
+    """
+
+    name: str
+    times: Array
+    measured: Array
+    grid: Array
+    members: Array
+    truth: Array | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class TrajectoryFit:
+    """One trajectory: its label, its condition in words, and its channels."""
+
+    label: str
+    condition: str
+    channels: tuple[ChannelFit, ...]
+
+
+@dataclass(frozen=True)
+class LearnedFunction:
+    """One unknown over the states that the data visit.
+
+    `points` [P, A] are its arguments along the fitted trajectories, `members` [M, P] its values there, `truth` [P] the
+    reference. Each of `slices` varies one argument over the range of the points while the others stand still.
+    """
+
+    name: str
+    arguments: tuple[str, ...]
+    points: Array
+    members: Array
+    truth: Array | None
+    slices: tuple[Slice, ...]
+    plane: Plane | None = None
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A function of one argument: `x` [G], `members` [M, G], `truth` [G] or None; `label` says what is held fixed."""
+
+    argument: str
+    x: Array
+    members: Array
+    truth: Array | None
+    label: str
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A function of its two leading arguments on a grid: `learned` [Y, X], `truth` [Y, X] or None, the rest fixed."""
+
+    x_name: str
+    y_name: str
+    x: Array
+    y: Array
+    learned: Array
+    truth: Array | None
+    label: str
+
+
+@dataclass(frozen=True)
+class LearnedConstant:
+    """A learned constant: its value, an interval, one value a member, where it started, and the truth."""
+
+    name: str
+    value: float
+    interval: tuple[float, float] | None
+    members: tuple[float, ...]
+    start: float | None = None
+    truth: float | None = None
+
+
+@dataclass(frozen=True)
+class History:
+    """How one member's loss fell: `seconds` [N] (cumulative), `loss` [N], `stage` one name each, constants over it."""
+
+    member: int
+    stage: tuple[str, ...]
+    seconds: Array
+    loss: Array
+    constants: dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Measured minus fitted of one channel, in standard deviations of the channel: at `times` [N], all trajectories."""
+
+    name: str
+    times: Array
+    fitted: Array
+    residual: Array
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """One trajectory in the plane of two states: `learned` [G, 2], `truth` [G, 2] or None, `measured` [N, 2]."""
+
+    label: str
+    learned: Array
+    truth: Array | None
+    measured: Array

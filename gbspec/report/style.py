@@ -1,0 +1,108 @@
+"""The look of all figures: one palette, one set of matplotlib settings, and how they are saved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.files import writable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LEARNED, TRUTH, MEASURED, MUTED = "#1f5fa8", "#2b2b2b", "#d9622b", "#8a8f98"
+"""Learned curves, the truth, measurements, and what is secondary. Distinct in grey and to the colour-blind."""
+MEMBERS = ("#1f5fa8", "#3a8f5c", "#8e5ea2", "#c2872b", "#4aa3b8", "#b14a5b")
+"""One colour a member, or a state, where several are drawn."""
+DASHED: Any = {"color": TRUTH, "linestyle": (0, (3.2, 2.2)), "linewidth": 1.2}
+"""How a truth is drawn."""
+FORMS = (".png", ".svg", ".pdf")
+
+_SETTINGS: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9,
+    "axes.labelcolor": "#333333",
+    "axes.edgecolor": "#9aa0a8",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e8eaed",
+    "grid.linewidth": 0.7,
+    "axes.axisbelow": True,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "lines.linewidth": 1.7,
+    "lines.solid_capstyle": "round",
+    "figure.dpi": 110,
+    "savefig.dpi": 160,
+    "figure.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "gbspec",
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Settings for the figures made inside; nothing global is changed."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(_SETTINGS):
+        yield
+
+
+def figure(width: float, height: float) -> Figure:
+    """An empty figure (inches), bound to no window."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(made)
+    return made
+
+
+def form_of(path: str | Path) -> Path:
+    """The path, if a figure can be written there; raises `UserError` (GB812 for the suffix, GB802, GB803)."""
+    target = Path(path)
+    if target.suffix.lower() not in FORMS:
+        message = f"`{path}` does not say in which form the figure is to be written"
+        raise UserError([Diagnostic("GB812", message, None, help=f"end the name in one of {', '.join(FORMS)}")])
+    return writable(target)
+
+
+def save(made: Figure, path: str | Path) -> None:
+    """Writes the figure in the form its suffix says. Nothing of the clock goes in: the same figure, the same bytes."""
+    target = form_of(path)
+    clocks: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    metadata = clocks.get(target.suffix.lower(), {})
+    made.savefig(target, metadata=metadata)
+
+
+def band(axes: Axes, x: Any, members: Any, label: str = "learned", color: str = LEARNED) -> None:
+    """A curve for the mean of members [M, G], and a shade from the smallest to the largest where there are several."""
+    axes.plot(x, members.mean(axis=0), color=color, label=label, zorder=3)
+    if len(members) > 1:
+        axes.fill_between(x, members.min(axis=0), members.max(axis=0), color=color, alpha=0.18, linewidth=0, zorder=2)
+
+
+def truth_line(axes: Axes, x: Any, y: Any, label: str = "truth") -> None:
+    """The reference: dashed, over the learned curve, so that agreement is seen as the dashes lying on it."""
+    axes.plot(x, y, label=label, zorder=4, **DASHED)
+
+
+def points(axes: Axes, x: Any, y: Any, label: str = "measured") -> None:
+    """Measurements."""
+    look: Any = {"color": MEASURED, "markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.6}
+    axes.plot(x, y, "o", label=label, zorder=5, **look)
