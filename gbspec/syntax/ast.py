@@ -1,6 +1,10 @@
 """The abstract syntax of a `.gb` file: what was written, with the place of every part.
 
 Nothing here knows what a name means. Numbers keep their text so that the formatter writes them as they were.
+
+Nesting (brackets, signs, powers) is limited to `MAX_DEPTH` by the parser, but a sum or product may have thousands of
+terms, each `Binary` holding the terms before it on its left: go through trees with `gbspec.syntax.walk` (`walk`,
+`fold`, `same`), not by recursion into `Binary.left`.
 """
 
 from __future__ import annotations
@@ -9,6 +13,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gbspec.diagnostics import Span
+
+MAX_DEPTH = 100
+"""How deep expressions may nest, the terms of a sum and the factors of a product not counted."""
 
 
 @dataclass(frozen=True)
@@ -482,6 +489,11 @@ Statement = (
 
 @dataclass(frozen=True)
 class File(Node):
-    """All statements of one file, in the order of the text."""
+    """All statements of one file that could be read, in the order of the text.
+
+    `uncertain` are the names that stand in statements which could not be read (they are reported already): whether and
+    as what these are declared is not known, so that nothing should be said of them.
+    """
 
     statements: tuple[Statement, ...]
+    uncertain: frozenset[str] = frozenset()

@@ -1,0 +1,162 @@
+"""The characters of a statement, before its grammar: signs from word processors, invisible characters, open strings.
+
+`clean` gives the text that the parser reads: of the same length as the statement, comments blanked, signs that have a
+plain spelling replaced by it (and reported), so that the rest of the statement is checked too.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+from gbspec.diagnostics import Diagnostic, Label, Span
+from gbspec.syntax.statements import Chunk
+
+_PIECE = re.compile(
+    r'(?P<string>"[^"\n]*")|(?P<curly>[“”„«»][^“”„«»"\n]*[“”„«»"])|(?P<open>"[^\n]*)|(?P<comment>#[^\n]*)'
+)
+_STRING = re.compile(r'"[^"\n]*"')
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
+_UNUSUAL = re.compile(r"[^\x20-\x7e\n\t]")
+
+# What the sign is written as, and the character that stands for it while the statement is parsed.
+_PLAIN = {
+    **dict.fromkeys("·⋅∙×∗⨯•", ("*", "*")),
+    **dict.fromkeys("−–—‐‑﹣－", ("-", "-")),
+    **dict.fromkeys("÷∕⁄", ("/", "/")),
+    **dict.fromkeys("’‘′ʹ´ʼ", ("'", "'")),
+    **dict.fromkeys("→⟶➝", ("->", "→")),
+    **dict.fromkeys("≤⩽≦", ("<=", "≤")),
+    **dict.fromkeys("≥⩾≧", (">=", "≥")),
+    "＝": ("=", "="),
+    "，": (",", ","),
+    "：": (":", ":"),
+    "（": ("(", "("),
+    "）": (")", ")"),
+    "［": ("[", "["),
+    "］": ("]", "]"),
+    "＋": ("+", "+"),
+    "＊": ("*", "*"),
+    "／": ("/", "/"),
+}
+_HINTS = {
+    "√": "write `sqrt(…)`",
+    "∞": "leave the bound out where there is none",
+    "≠": "write `not a == b`",
+    "°": "write the unit's name, e.g. `degC` for degrees Celsius",
+    "∂": "a balance is written `x' = …`",
+    "∆": "use the Greek letter `Δ` (capital delta) or a word",
+    "∑": "write the terms out, or `sum(c)` for an array of states",
+    "∏": "write the factors out",
+    "±": "noise is written `noise normal(sd)`",
+    "½": "write `1/2`",
+    "¼": "write `1/4`",
+    "¾": "write `3/4`",
+    "⇌": "write two processes, one for each direction",
+    "⇄": "write two processes, one for each direction",
+    "←": "turn it round: consumed `->` produced",
+}
+
+
+def clean(chunk: Chunk) -> tuple[str | None, list[Diagnostic]]:
+    """The text to parse, and what is wrong with its characters; no text where parsing it would make no sense."""
+    text = chunk.source.text[chunk.start : chunk.end]
+    if text.isascii() and '"' not in text and "#" not in text and not _UNUSUAL.search(text):
+        return text, []
+    parts: list[str] = []
+    findings: list[Diagnostic] = []
+    place = 0
+    readable = True
+    for piece in _PIECE.finditer(text):
+        parts.append(text[place : piece.start()])
+        place = piece.end()
+        span = Span(chunk.source, chunk.start + piece.start(), chunk.start + piece.end())
+        match piece.lastgroup:
+            case "comment":
+                parts.append(" " * len(piece[0]))
+            case "open":
+                findings.append(_open_string(span))
+                readable = False
+            case "curly":
+                findings.append(_curly_quotes(span))
+                parts.append(f'"{piece[0][1:-1]}"')
+            case _:
+                parts.append(piece[0])
+    parts.append(text[place:])
+    joined = "".join(parts)
+    if not readable:
+        return None, findings
+    replaced, unusual = _replace(chunk, joined)
+    return replaced, findings + unusual
+
+
+def _open_string(span: Span) -> Diagnostic:
+    start = Span(span.source, span.start, span.start + 1)
+    return Diagnostic(
+        "GB108",
+        "this text is not closed",
+        start,
+        label="begins here",
+        help='close it with `"` on the same line; a text cannot go over several lines',
+    )
+
+
+def _curly_quotes(span: Span) -> Diagnostic:
+    return Diagnostic(
+        "GB005",
+        f"`{span.text[0]}` and `{span.text[-1]}` are typographic quotation marks",
+        span,
+        label="this text",
+        help=f'write `"{span.text[1:-1]}"`',
+    )
+
+
+def _replace(chunk: Chunk, text: str) -> tuple[str | None, list[Diagnostic]]:
+    """Handles unusual characters outside strings; the same character is reported once a statement."""
+    if text.isascii() and not _UNUSUAL.search(text):
+        return text, []
+    letters = list(text)
+    places: dict[str, list[int]] = {}
+    outside = _STRING.sub(lambda found: " " * len(found[0]), text)
+    for found in _UNUSUAL.finditer(outside):
+        at, character = found.start(), found[0]
+        if character in _PLAIN:
+            letters[at] = _PLAIN[character][1]
+        elif unicodedata.category(character) == "Zs":
+            letters[at] = " "
+            continue
+        elif ("a" + character).isidentifier():
+            continue
+        places.setdefault(character, []).append(at)
+    for string in _STRING.finditer(text):
+        for control in _CONTROL.finditer(text, *string.span()):
+            places.setdefault(control[0], []).append(control.start())
+    findings = [_unusual(chunk, character, where) for character, where in places.items()]
+    readable = all(character in _PLAIN for character in places)
+    return ("".join(letters) if readable else None), findings
+
+
+def _unusual(chunk: Chunk, character: str, places: list[int]) -> Diagnostic:
+    spans = [Span(chunk.source, chunk.start + at, chunk.start + at + 1) for at in places]
+    again = tuple(Label(span, "and here") for span in spans[1:4])
+    if character in _PLAIN:
+        plain = _PLAIN[character][0]
+        message = f"`{character}` ({_described(character)}) is written `{plain}` here"
+        return Diagnostic("GB005", message, spans[0], labels=again, help=f"write `{plain}`")
+    if unicodedata.category(character) in ("Cc", "Cf", "Zl", "Zp", "Co", "Cn", "Cs"):
+        message = f"an invisible character (U+{ord(character):04X}, {_described(character)}) stands here"
+        return Diagnostic("GB004", message, spans[0], labels=again, help="delete it; it often comes with pasted text")
+    plain = unicodedata.normalize("NFKC", character)
+    if unicodedata.decomposition(character).startswith("<super>"):
+        message = f"`{character}` (a superscript) is not read as a power"
+        return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `^{plain.replace('−', '-')}`")
+    if unicodedata.decomposition(character).startswith("<sub>"):
+        message = f"`{character}` (a subscript) cannot stand in a name"
+        return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `{plain}` or `_{plain}`")
+    message = f"`{character}` ({_described(character)}) means nothing here"
+    hint = _HINTS.get(character, "names are letters of any script, digits and `_`; everything else is plain ASCII")
+    return Diagnostic("GB007", message, spans[0], labels=again, help=hint)
+
+
+def _described(character: str) -> str:
+    return unicodedata.name(character, f"U+{ord(character):04X}").lower()

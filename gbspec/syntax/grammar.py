@@ -1,0 +1,44 @@
+"""The grammar's files, in a checkout or in an installed package, and the parser made from them."""
+
+from __future__ import annotations
+
+import threading
+from functools import cache
+from pathlib import Path
+
+from lark import Lark
+
+from gbspec.diagnostics import Defect
+from gbspec.syntax.build import Builder
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+_FOLDERS = (_PACKAGE / "_grammar", _PACKAGE.parent / "grammar")
+_local = threading.local()
+
+
+@cache
+def grammar_file(name: str) -> Path:
+    """The path of a file of the grammar (`gb.lark`, `mistakes.toml`); `Defect` where the installation lacks it."""
+    for folder in _FOLDERS:
+        if (folder / name).is_file():
+            return folder / name
+    raise Defect(f"the installation lacks the grammar file {name}")
+
+
+def engine() -> tuple[Lark, Builder]:
+    """This thread's parser and the builder of nodes inside it (which keeps the statement's place: one a thread)."""
+    if not hasattr(_local, "engine"):
+        builder = Builder()
+        text = grammar_file("gb.lark").read_text(encoding="utf-8")
+        lark = Lark(
+            text,
+            parser="lalr",
+            lexer="contextual",
+            start=["statement", "expression", "slip"],
+            keep_all_tokens=True,
+            maybe_placeholders=False,
+            transformer=builder,
+        )
+        _local.engine = lark, builder
+    engine: tuple[Lark, Builder] = _local.engine
+    return engine

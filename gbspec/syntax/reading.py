@@ -1,0 +1,60 @@
+"""Reading a user's text file: UTF-8 with or without a byte order mark, any line ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gbspec.diagnostics import Cell, Diagnostic, Source, Span, UserError
+
+
+def read_source(path: Path | str) -> Source:
+    """Reads a `.gb` file; raises `UserError` (GB001 absent, GB002 unreadable, GB003 not UTF-8)."""
+    path = Path(path)
+    place = Cell(str(path))
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise UserError([Diagnostic("GB001", f"there is no file `{path}`", place, help=_nearest(path))]) from None
+    except IsADirectoryError:
+        message = f"`{path}` is a folder, not a file"
+        raise UserError([Diagnostic("GB002", message, place, help="name a `.gb` file in it")]) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        message = f"`{path}` cannot be read: {reason}"
+        raise UserError([Diagnostic("GB002", message, place, help="check its name and its permissions")]) from None
+    return decode(str(path), data)
+
+
+def decode(path: str, data: bytes) -> Source:
+    """The source that the bytes of a file spell; raises `UserError` (GB003) where they are not UTF-8."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        message = f"`{path}` is saved as UTF-16, and gbspec reads UTF-8"
+        raise UserError([Diagnostic("GB003", message, Cell(path), help="save it as UTF-8")])
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        source = Source(path, _lines(data.decode("utf-8", errors="replace")))
+        at = len(_lines(data[: error.start].decode("utf-8")))
+        message = f"this byte (0x{data[error.start]:02X}) is not UTF-8"
+        help = "save the file as UTF-8; it may have been saved in an older encoding such as Latin-1"
+        raise UserError([Diagnostic("GB003", message, Span(source, at, at + 1), help=help)]) from None
+    return Source(path, _lines(text))
+
+
+def _lines(text: str) -> str:
+    return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _nearest(path: Path) -> str:
+    """What else the folder has that may have been meant."""
+    from difflib import get_close_matches
+
+    folder = path.parent
+    if not folder.is_dir():
+        return f"the folder `{folder}` does not exist"
+    try:
+        names = [entry.name for entry in folder.iterdir() if entry.suffix == ".gb"]
+    except OSError:
+        return ""
+    close = get_close_matches(path.name, names, n=1) or get_close_matches(path.name + ".gb", names, n=1)
+    return f"did you mean `{folder / close[0]}`?" if close else ""
