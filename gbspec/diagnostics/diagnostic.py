@@ -56,7 +56,7 @@ class Findings:
     """Collects diagnostics while a stage runs; every stage reports all that it finds before it stops."""
 
     def __init__(self, initial: Iterable[Diagnostic] = ()) -> None:
-        self._items: list[Diagnostic] = list(initial)
+        self._items: dict[Diagnostic, None] = dict.fromkeys(initial)
 
     def error(
         self,
@@ -90,8 +90,7 @@ class Findings:
 
     def add(self, diagnostic: Diagnostic) -> None:
         """Records a finished diagnostic (once)."""
-        if diagnostic not in self._items:
-            self._items.append(diagnostic)
+        self._items.setdefault(diagnostic)
 
     def extend(self, diagnostics: Iterable[Diagnostic]) -> None:
         """Records several."""

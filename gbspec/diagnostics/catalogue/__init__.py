@@ -1,0 +1,56 @@
+"""The catalogue of codes: what each finding means, the smallest text that gets it, and the same text mended."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+
+from gbspec.diagnostics.diagnostic import Defect, Diagnostic, UserError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is known of one code; `topic` is the file of the catalogue that holds it."""
+
+    code: str
+    title: str
+    explanation: str
+    wrong: str
+    right: str
+    topic: str
+
+
+@cache
+def entries() -> Mapping[str, Entry]:
+    """Every entry by its code, in the order of the codes; `Defect` where two files hold the same code."""
+    found: dict[str, Entry] = {}
+    for resource in files(__package__).iterdir():
+        if not resource.name.endswith(".toml"):
+            continue
+        topic = resource.name.removesuffix(".toml")
+        for code, fields in tomllib.loads(resource.read_text(encoding="utf-8")).items():
+            if code in found:
+                raise Defect(f"{code} stands in the catalogue twice: {found[code].topic} and {topic}")
+            texts = {key: str(value).strip("\n") for key, value in fields.items()}
+            found[code] = Entry(code, texts["title"], texts["explanation"], texts["wrong"], texts["right"], topic)
+    return MappingProxyType(dict(sorted(found.items())))
+
+
+def all_codes() -> tuple[str, ...]:
+    """Every code, in order."""
+    return tuple(entries())
+
+
+def explain(code: str) -> Entry:
+    """The entry of a code, letter case aside; raises `UserError` (GB009) where there is none."""
+    wanted = code.strip().upper()
+    if wanted in entries():
+        return entries()[wanted]
+    close = get_close_matches(wanted, all_codes(), n=1)
+    help = f"did you mean `{close[0]}`?" if close else "codes look like `GB201`; a finding shows its code in brackets"
+    raise UserError([Diagnostic("GB009", f"there is no code `{code}`", None, help=help)])
