@@ -1,1 +1,1 @@
-"""TODO"""
+"""Tables to trajectories and back: the measurements, their inputs and doses, and the cases that describe them."""

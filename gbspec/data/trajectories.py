@@ -56,7 +56,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """A data set for one model. `channels` names the columns of `values`; `path` and `sha256` say where it came from."""
+    """A data set for one model. `channels` names the columns of `values`; `path`, `sha256` say where it came from."""
 
     items: tuple[Trajectory, ...]
     channels: tuple[str, ...]

@@ -1,0 +1,223 @@
+"""Cases beside a model: how its data are made, its errors measured and its training set up, as data.
+
+A `cases.toml` beside the model files has tables `[sampling]`, `[metrics]` and `[training]` that hold for all models in
+the folder, and a table `[case.NAME]` for each case that differs. A case named like a model (upper and lower case alike)
+is that model's own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gbspec.data.columns import similar
+from gbspec.data.overlay import Report, overlay
+from gbspec.data.sampling import Box, SimulateOptions
+from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
+
+FILE = "cases.toml"
+KEYS = ("title", "model", "sampling", "metrics", "training", "published")
+Scalar = str | int | float | bool
+
+
+@dataclass(frozen=True)
+class MetricsOptions:
+    """At which points a model is compared with its truth.
+
+    Solutions: from `conditions` sets of conditions (evenly over their ranges) times `points` points on the attractor,
+    `spacing` apart in time (None: evenly over `period`, or over a stretch of `horizon` where there is none) after
+    `settle`, integrated over `horizon`. Right-hand sides and functions: `rhs_points` trajectories drawn as in
+    `[sampling]`, one point of each at a time drawn evenly from `window`. `scales` normalises variables whose truth does
+    not vary. None means: from the sampling (`settled` below).
+    """
+
+    settle: float | None = None
+    horizon: float | None = None
+    conditions: int = 50
+    points: int = 20
+    spacing: float | None = None
+    period: float | None = None
+    window: Box | None = None
+    rhs_points: int = 1000
+    scales: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 1
+
+    def settled(self, span: float) -> MetricsOptions:
+        """The same with everything filled in: trajectories of length `span`, their first fifth dropped."""
+        horizon = span / 2 if self.horizon is None else self.horizon
+        return dataclasses.replace(
+            self,
+            settle=span / 5 if self.settle is None else self.settle,
+            horizon=horizon,
+            window=(span / 5, span) if self.window is None else self.window,
+        )
+
+
+@dataclass(frozen=True)
+class TrainingDefaults:
+    """How a case is trained: values for flags of `gbspec train`, by their names with underscores."""
+
+    max_step: float | None = None
+    effort: str = "normal"
+    members: int = 1
+    more: Mapping[str, Scalar] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case: a model, its sampling, metrics and training, and what was `published` for it (metric to number)."""
+
+    name: str
+    title: str
+    model: Path | None
+    sampling: SimulateOptions = field(default_factory=SimulateOptions)
+    metrics: MetricsOptions = field(default_factory=MetricsOptions)
+    training: TrainingDefaults = field(default_factory=TrainingDefaults)
+    published: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Cases:
+    """All cases of a folder; `base` is what holds where no case says otherwise."""
+
+    path: Path | None
+    base: Case
+    cases: tuple[Case, ...] = ()
+
+    def case(self, name: str) -> Case:
+        """The case of that name, upper and lower case alike; raises UserError (GB743) with the ones there are."""
+        for case in self.cases:
+            if case.name.casefold() == name.casefold():
+                return case
+        known = [case.name for case in self.cases]
+        meant = similar(name, known)
+        advice = f"is `{meant}` meant?" if meant else f"there are {', '.join(known) or 'none'}"
+        raise UserError([Diagnostic("GB743", f"there is no case `{name}`", _place(self.path), help=advice)])
+
+    def of_model(self, model: str) -> Case:
+        """The case named like the model, else the base."""
+        for case in self.cases:
+            if case.name.casefold() == model.casefold():
+                return case
+        return self.base
+
+
+def find_cases(model_path: str | Path) -> Cases:
+    """The cases beside a model file; without a `cases.toml` there, the defaults alone.
+
+    Raises UserError if the file is there and wrong.
+    """
+    path = Path(model_path).parent / FILE
+    if not path.is_file():
+        return Cases(None, Case("", "", None))
+    return load_cases(path)
+
+
+def load_cases(path: str | Path) -> Cases:
+    """Reads a `cases.toml`. Raises UserError with everything that is wrong in it (GB740 to GB742)."""
+    path = Path(path)
+    findings = Findings()
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UserError([Diagnostic("GB701", f"cannot read `{path}`: {error.strerror}", Cell(str(path)))]) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError([Diagnostic("GB740", f"`{path}` is not valid TOML: {error}", Cell(str(path)))]) from error
+    entries = document.pop("case", {})
+    base = _Reader(path, findings, "").case(document, Case("", "", None))
+    cases = []
+    for name in _Reader(path, findings, "").table({"case": entries}, "case"):
+        entry = _Reader(path, findings, "case.").table(entries, name)
+        cases.append(_Reader(path, findings, f"case.{name}.").case(entry, dataclasses.replace(base, name=name)))
+    findings.raise_if_failed()
+    return Cases(path, base, tuple(cases))
+
+
+def _place(path: Path | None) -> Cell | None:
+    return None if path is None else Cell(str(path))
+
+
+class _Reader:
+    """Turns tables into options; everything wrong is reported with the key's full name, which begins with `prefix`."""
+
+    def __init__(self, path: Path, findings: Findings, prefix: str) -> None:
+        self.path, self.findings, self.prefix = path, findings, prefix
+
+    def case(self, entry: Mapping[str, Any], base: Case) -> Case:
+        """A case: what `entry` says, over what `base` says."""
+        for key in entry:
+            if key not in KEYS:
+                self.report("GB741", key, f"is not known here; known are {', '.join(KEYS)}")
+        return Case(
+            name=base.name,
+            title=self.text(entry, "title", base.title),
+            model=self.model(self.text(entry, "model", base.name)) if base.name else None,
+            sampling=self.sampling(self.table(entry, "sampling"), base.sampling),
+            metrics=overlay(base.metrics, self.table(entry, "metrics"), self.within("metrics")),
+            training=self.training(self.table(entry, "training"), base.training),
+            published=overlay(_Published(), {"values": self.table(entry, "published")}, self.within("")).values,
+        )
+
+    def sampling(self, entry: dict[str, Any], base: SimulateOptions) -> SimulateOptions:
+        """`[sampling]`; `channels` may be written as a number."""
+        if isinstance(entry.get("channels"), float):
+            entry["channels"] = str(entry["channels"])
+        options = overlay(base, entry, self.within("sampling"))
+        wrong = Findings()
+        options.check(wrong)
+        for diagnostic in wrong:
+            self.report("GB742", f"sampling.{diagnostic.subject}", diagnostic.message)
+        return options
+
+    def training(self, entry: dict[str, Any], base: TrainingDefaults) -> TrainingDefaults:
+        """`[training]`; keys that are not fields of their own are kept for the training to judge."""
+        own = {field.name for field in dataclasses.fields(TrainingDefaults)} - {"more"}
+        known = {key: value for key, value in entry.items() if key.replace("-", "_") in own}
+        more = {key.replace("-", "_"): value for key, value in entry.items() if key not in known}
+        for key, value in more.items():
+            if not isinstance(value, Scalar):
+                self.report("GB742", f"training.{key}", f"must be a text, a number, true or false, not {value!r}")
+        filled = overlay(base, known, self.within("training"))
+        return dataclasses.replace(filled, more={**base.more, **more})
+
+    def model(self, name: str) -> Path | None:
+        """The case's model file, beside the cases; without `model`, the one called like the case."""
+        for file in (name, name.lower()):
+            candidate = self.path.parent / f"{file}.gb"
+            if candidate.is_file():
+                return candidate
+        self.report("GB742", "model", f"names no file: there is no `{name}.gb` beside the cases")
+        return None
+
+    def table(self, entry: Mapping[str, Any], key: str) -> dict[str, Any]:
+        """A table within `entry`, empty where there is none."""
+        value = entry.get(key, {})
+        if isinstance(value, dict):
+            return dict(value)
+        self.report("GB742", key, f"must be a table, not {value!r}")
+        return {}
+
+    def text(self, entry: Mapping[str, Any], key: str, default: str) -> str:
+        """A text within `entry`."""
+        value = entry.get(key, default)
+        if isinstance(value, str):
+            return value
+        self.report("GB742", key, f"must be a text, not {value!r}")
+        return default
+
+    def within(self, section: str) -> Report:
+        """A reporter for the keys of a section."""
+        return lambda code, key, what: self.report(code, f"{section}.{key}" if section else "published", what)
+
+    def report(self, code: str, key: str, what: str) -> None:
+        """Records an error at a key."""
+        self.findings.error(code, f"`{self.prefix}{key}` {what}", Cell(str(self.path)))
+
+
+@dataclass(frozen=True)
+class _Published:
+    values: Mapping[str, float] = field(default_factory=dict)

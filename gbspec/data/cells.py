@@ -1,0 +1,131 @@
+"""Cells to numbers and labels: what counts as not measured, and what is no number."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from gbspec.data.sheet import SHOWN, Sheet, more
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Cell, Findings
+
+MISSING = ("", "na", "n/a", "nan", "null", "none", "-", ".")
+"""What stands for *not measured*, besides the empty cell; upper and lower case are the same."""
+
+
+def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
+    """A column as float64 [n], NaN where the cell is empty or a word of `MISSING`.
+
+    Reports cells that are no numbers (GB712), infinite ones (GB713), and columns of another kind (GB730).
+    """
+    series = sheet.columns[name]
+    if series.dtype == pl.Null:
+        return np.full(len(series), np.nan)
+    if series.dtype in (pl.String, pl.Categorical):
+        values, missing, texts = _from_text(series.cast(pl.String))
+    elif series.dtype.is_numeric():
+        values = series.cast(pl.Float64).fill_null(float("nan")).to_numpy().astype(np.float64)
+        missing, texts = np.isnan(values), None
+    else:
+        findings.error(
+            "GB730",
+            f"column `{name}` holds {str(series.dtype).lower()} values where numbers are expected",
+            Cell(sheet.path, None, name),
+            help="write times and values as numbers" if series.dtype.is_temporal() else "",
+        )
+        return np.full(len(series), np.nan)
+    bad = np.flatnonzero(np.isnan(values) & ~missing)
+    infinite = np.flatnonzero(np.isinf(values))
+    _report_text(sheet, name, bad, texts, findings)
+    for position, i in enumerate(infinite[:SHOWN]):
+        row = int(sheet.rows[i])
+        findings.error(
+            "GB713",
+            f"`{name}` is infinite in row {row}",
+            Cell(sheet.path, row, name),
+            help="leave the cell empty where nothing was measured",
+            notes=more(len(infinite), position, "cells"),
+        )
+    values[infinite] = np.nan
+    return values
+
+
+def _from_text(series: pl.Series) -> tuple[Array, NDArray[np.bool_], pl.Series]:
+    """Values, which cells are marked as not measured, and the texts without blanks around them."""
+    texts = series.fill_null("").str.strip_chars()
+    missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()
+    values = texts.cast(pl.Float64, strict=False).fill_null(float("nan")).to_numpy().astype(np.float64)
+    return values, missing, texts
+
+
+def _report_text(sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Series | None, findings: Findings) -> None:
+    """Reports cells that are no numbers, with a guess at what was meant."""
+    for position, i in enumerate(bad[:SHOWN]):
+        text = "" if texts is None else str(texts[int(i)])
+        row = int(sheet.rows[i])
+        shown = text if len(text) <= 40 else text[:37] + "…"
+        findings.error(
+            "GB712",
+            f"`{shown}` in row {row} of column `{name}` is not a number",
+            Cell(sheet.path, row, name),
+            help=_meant(text),
+            notes=more(len(bad), position, "cells"),
+        )
+
+
+def _meant(text: str) -> str:
+    """A word of help for a text that is no number."""
+    if re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", text):
+        return f"write a point as the decimal sign: `{text.replace(',', '.')}`"
+    if re.fullmatch(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?", text):
+        return "write numbers without a separator of thousands"
+    if re.match(r"[<>≤≥]", text):
+        return "a value below or above a limit was not measured: leave the cell empty"
+    if match := re.match(r"[-+]?[\d.]+([eE][-+]?\d+)?", text):
+        return f"keep the number alone, `{match.group()}`, and put its unit into the model"
+    return "leave the cell empty where nothing was measured"
+
+
+def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDArray[np.int64]]:
+    """A column of labels: the different ones in the order of their first rows, and each row's index into them [n].
+
+    Numbers are written without a fraction where they are whole (`1` for 1.0), so that the kind of file does not matter.
+    Reports rows without a label (GB718).
+    """
+    series = sheet.columns[name]
+    if series.dtype.is_nested() or series.dtype in (pl.Binary, pl.Object):
+        message = f"column `{name}` holds {str(series.dtype).lower()} values where names of trajectories are expected"
+        findings.error("GB730", message, Cell(sheet.path, None, name), help="write them as texts or whole numbers")
+        return [""], np.zeros(len(series), dtype=np.int64)
+    if series.dtype.is_float():
+        whole = series.is_finite() & (series == series.round(0))
+        whole_text = series.cast(pl.Int64, strict=False).cast(pl.String)
+        frame = pl.DataFrame({"whole": whole, "whole_text": whole_text, "text": series.cast(pl.String)})
+        series = frame.select(pl.when("whole").then("whole_text").otherwise("text")).to_series()
+    texts = series.cast(pl.String).fill_null("").str.strip_chars()
+    empty = np.flatnonzero((texts == "").to_numpy())
+    for position, i in enumerate(empty[:SHOWN]):
+        row = int(sheet.rows[i])
+        findings.error(
+            "GB718",
+            f"row {row} does not say to which trajectory it belongs",
+            Cell(sheet.path, row, name),
+            help=f"fill `{name}` in every row, or leave the column out if there is one trajectory",
+            notes=more(len(empty), position, "rows"),
+        )
+    return coded(texts)
+
+
+def coded(texts: pl.Series) -> tuple[list[str], NDArray[np.int64]]:
+    """The different texts in the order in which they first occur, and each one's index into them [n]."""
+    if not len(texts):
+        return [], np.zeros(0, dtype=np.int64)
+    ranks = texts.rank("dense").to_numpy().astype(np.int64) - 1
+    _, first = np.unique(ranks, return_index=True)
+    order = np.argsort(first, kind="stable")
+    position = np.empty_like(order)
+    position[order] = np.arange(len(order))
+    return [str(texts[int(i)]) for i in first[order]], position[ranks].astype(np.int64)

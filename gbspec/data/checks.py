@@ -1,0 +1,219 @@
+"""What a table must satisfy beside being numbers: starts, constant conditions, known inputs, ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.columns import Quantity
+from gbspec.data.records import Records, Series
+from gbspec.data.sheet import SHOWN, more
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Cell, Findings
+from gbspec.ir.model import Model, Range
+
+
+def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:
+    """Reports everything that is wrong with the records; `measured`: whether a measurement is required."""
+    if model.time.start is not None:
+        _after_start(table, model.time.start, findings)
+    for quantity, cells in table.series.items():
+        _in_range(table, quantity, cells, findings)
+        if quantity.positive:
+            _positive(table, quantity, cells, findings)
+        if quantity.role == "channel":
+            _deviations(table, quantity, cells, findings)
+        elif quantity.role == "input":
+            _one_at_a_time(table, quantity, cells, findings)
+    start = first_times(table) if model.time.start is None else np.full(len(table.labels), model.time.start)
+    for quantity in wanted:
+        if quantity.role == "condition":
+            default = model.conditions[quantity.index].default
+            _constant(table, quantity, default, findings)
+        elif quantity.role == "input" and quantity in table.series and model.inputs[quantity.index].default is None:
+            _known_at_start(table, quantity, start, findings)
+    if measured:
+        _measured(table, model.time.start is not None, findings)
+
+
+def first_times(table: Records) -> Array:
+    """The time of each trajectory's first row, measured or not [trajectories]; NaN where it has none."""
+    first = np.full(len(table.labels), np.nan)
+    groups, index = np.unique(table.group, return_index=True)
+    first[groups] = table.time[index]
+    return first
+
+
+def _after_start(table: Records, start: float, findings: Findings) -> None:
+    early = np.flatnonzero(table.time < start)
+    for position, i in enumerate(early[:SHOWN]):
+        row = int(table.row[i])
+        findings.error(
+            "GB717",
+            f"row {row} lies before the start: time {table.time[i]:g}, and the model starts at {start:g}",
+            Cell(table.path, row, table.time_column),
+            help="change `from` in the model's `time` statement, or remove the row",
+            notes=more(len(early), position, "rows"),
+        )
+
+
+def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    """Warns once for a column with values outside of its declared range."""
+    bounds = quantity.range
+    if bounds is None:
+        return
+    outside = np.flatnonzero((cells.value < bounds.low) | (cells.value > bounds.high))
+    if not len(outside):
+        return
+    first = outside[np.argmin(cells.row[outside])]
+    row, value, count = int(cells.row[first]), float(cells.value[first]), len(outside)
+    others = f" (so are {count - 1:,} more)" if count > 2 else " (so is one more)" if count == 2 else ""
+    findings.warning(
+        "GB725",
+        f"`{quantity.column}` is {value:g} in row {row}, outside of its range {_interval(bounds)}{others}",
+        Cell(table.path, row, quantity.column),
+        help="widen the range in the model if such values are plausible",
+        subject=quantity.name,
+    )
+
+
+def _interval(bounds: Range) -> str:
+    return f"[{bounds.low:g}, {bounds.high:g}]"
+
+
+def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    bad = np.flatnonzero(cells.value <= 0)
+    for position, i in enumerate(bad[:SHOWN]):
+        row = int(cells.row[i])
+        findings.error(
+            "GB724",
+            f"`{quantity.column}` is {cells.value[i]:g} in row {row}, and lognormal noise needs values above zero",
+            Cell(table.path, row, quantity.column),
+            help="leave the cell empty if it means `not detected`, or choose `noise normal(…)`",
+            notes=more(len(bad), position, "cells"),
+        )
+
+
+def _deviations(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    bad = np.flatnonzero(cells.sd <= 0)
+    for position, i in enumerate(bad[:SHOWN]):
+        row = int(cells.row[i])
+        findings.error(
+            "GB723",
+            f"the standard deviation of `{quantity.name}` is {cells.sd[i]:g} in row {row}",
+            Cell(table.path, row, f"sd_{quantity.column}"),
+            help="give a number above zero, or leave the cell empty where it is not known",
+            notes=more(len(bad), position, "cells"),
+        )
+
+
+def _one_at_a_time(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    twice = np.flatnonzero((cells.key[1:] == cells.key[:-1]) & (cells.value[1:] != cells.value[:-1]))
+    for position, i in enumerate(twice[:SHOWN]):
+        row = int(cells.row[i + 1])
+        findings.error(
+            "GB722",
+            f"the input `{quantity.name}` has two values at time {table.time[cells.key[i]]:g}: "
+            f"{cells.value[i]:g} in row {cells.row[i]} and {cells.value[i + 1]:g} in row {row}",
+            Cell(table.path, row, quantity.column),
+            help="an input has one value at a time; a jump is the value from then on",
+            notes=more(len(twice), position, "times"),
+        )
+
+
+def _constant(table: Records, quantity: Quantity, default: float | None, findings: Findings) -> None:
+    """A condition has one value in each trajectory, or its default in all of those that give none."""
+    cells = table.series.get(quantity)
+    filled: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+    if cells is not None:
+        group = table.group[cells.key]
+        filled, first = np.unique(group, return_index=True)
+        expected = np.empty(len(table.labels))
+        expected[filled] = cells.value[first]
+        changed = np.flatnonzero(cells.value != expected[group])
+        _, once = np.unique(group[changed], return_index=True)
+        for position, i in enumerate(changed[once][:SHOWN]):
+            row, label = int(cells.row[i]), table.labels[group[i]]
+            findings.error(
+                "GB719",
+                f"the condition `{quantity.name}` changes within trajectory `{label}`: "
+                f"from {expected[group[i]]:g} to {cells.value[i]:g} in row {row}",
+                Cell(table.path, row, quantity.column),
+                help=f"begin a new trajectory there, or declare `input {quantity.name} held` if it does vary in time",
+                notes=more(len(once), position, "trajectories"),
+            )
+    if default is not None or (cells is None and quantity.required):
+        return  # a column that is missing altogether has been reported
+    empty = np.setdiff1d(np.unique(table.group), filled)
+    for position, g in enumerate(empty[:SHOWN]):
+        row = int(table.row[np.searchsorted(table.group, g)])
+        findings.error(
+            "GB720",
+            f"trajectory `{table.labels[g]}` gives no value of the condition `{quantity.name}`",
+            Cell(table.path, row, quantity.column),
+            help="fill it in one row of the trajectory, or give the condition a default in the model",
+            notes=more(len(empty), position, "trajectories"),
+        )
+
+
+def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: Findings) -> None:
+    """An input has a value from each trajectory's start on."""
+    cells = table.series[quantity]
+    first = np.full(len(table.labels), np.inf)
+    np.minimum.at(first, table.group[cells.key], table.time[cells.key])
+    late = [int(g) for g in np.unique(table.group) if first[g] > start[g]]
+    for position, g in enumerate(late[:SHOWN]):
+        at = int(np.searchsorted(table.group, g))
+        row = int(table.row[at])
+        known = "never" if np.isinf(first[g]) else f"first at time {first[g]:g}"
+        findings.error(
+            "GB721",
+            f"the input `{quantity.name}` has no value where trajectory `{table.labels[g]}` starts "
+            f"(time {start[g]:g}); it is given {known}",
+            Cell(table.path, row, quantity.column),
+            help="fill it in the first row"
+            if table.time[at] <= start[g]
+            else f"add a row at time {start[g]:g} with its value; the other cells may be empty",
+            notes=more(len(late), position, "trajectories"),
+        )
+
+
+def _measured(table: Records, fixed_start: bool, findings: Findings) -> None:
+    """Something was measured; trajectories with less than two measured times are pointed out."""
+    channels = {quantity: cells for quantity, cells in table.series.items() if quantity.role == "channel"}
+    hit = np.zeros(len(table.time), dtype=bool)
+    for cells in channels.values():
+        hit[cells.key] = True
+    if not hit.any():
+        if not any(d.code in ("GB710", "GB712") for d in findings.errors):
+            findings.error(
+                "GB726",
+                "nothing is measured in this table: all cells of its channels are empty",
+                Cell(table.path),
+                help="each row holds the channels that were measured at its time",
+            )
+        return
+    if findings.failed:
+        return  # what is wrong elsewhere may be why
+    count = np.bincount(table.group[hit], minlength=len(table.labels))
+    present = np.unique(table.group)
+    _point_out(table, [int(g) for g in present if count[g] == 0], "GB728", findings)
+    if not fixed_start:
+        _point_out(table, [int(g) for g in present if count[g] == 1], "GB727", findings)
+
+
+def _point_out(table: Records, groups: list[int], code: str, findings: Findings) -> None:
+    """One warning for all trajectories with no (GB728) or one (GB727) measured time."""
+    if not groups:
+        return
+    names = ", ".join(f"`{table.labels[g]}`" for g in groups[:SHOWN])
+    names += f" and {len(groups) - SHOWN:,} more" if len(groups) > SHOWN else ""
+    some = "trajectories" if len(groups) > 1 else "trajectory"
+    row = int(table.row[np.searchsorted(table.group, groups[0])])
+    if code == "GB728":
+        message = f"{some} {names}: nothing was measured; left out"
+        advice = "remove the rows, or fill in what was measured"
+    else:
+        message = f"{some} {names}: measured at one time alone, which says nothing on how it goes on"
+        advice = "a trajectory needs two times, or a known start (`time t from 0`)"
+    findings.warning(code, message, Cell(table.path, row, None), help=advice)

@@ -1,0 +1,160 @@
+"""Which column, or which name of the long layout, stands for which quantity of a model."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from gbspec.data.sheet import Sheet, cell_name
+from gbspec.diagnostics import Cell, Findings
+from gbspec.ir.model import Model, Range
+
+Role = Literal["channel", "condition", "input", "dose", "sd"]
+
+TRAJECTORY = "trajectory"
+LONG = ("name", "value")
+"""Columns that make a table one of the long layout."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that a table may hold: its `role`, its `index` among its kind in the model, and its column's name."""
+
+    role: Role
+    index: int
+    name: str
+    column: str
+    required: bool
+    range: Range | None = None
+    positive: bool = False
+    """Whether its values must be above zero (a channel with lognormal noise)."""
+
+
+def quantities(model: Model, require_channels: bool = True) -> tuple[Quantity, ...]:
+    """All that a table for the model may hold, channels first."""
+    found: list[Quantity] = []
+    for i, channel in enumerate(model.channels):
+        column = cell_name(channel.column or channel.name)
+        bounds = None if channel.state is None else model.states[channel.state].range
+        positive = channel.noise is not None and channel.noise.kind == "lognormal"
+        found.append(Quantity("channel", i, channel.name, column, require_channels, bounds, positive))
+    for i, channel in enumerate(model.channels):
+        column = "sd_" + cell_name(channel.column or channel.name)
+        found.append(Quantity("sd", i, channel.name, column, False))
+    for i, condition in enumerate(model.conditions):
+        column = cell_name(condition.column or condition.name)
+        found.append(Quantity("condition", i, condition.name, column, condition.default is None, condition.range))
+    for i, signal in enumerate(model.inputs):
+        column = cell_name(signal.column or signal.name)
+        found.append(Quantity("input", i, signal.name, column, signal.default is None, signal.range))
+    for i, dose in enumerate(model.doses):
+        found.append(Quantity("dose", i, dose.state, f"dose_{cell_name(dose.state)}", True))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a sheet is to be read: its layout, the columns of time and trajectory, and those of quantities."""
+
+    long: bool
+    time: str
+    trajectory: str | None
+    columns: tuple[Quantity, ...]
+
+
+def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings: Findings) -> Layout | None:
+    """Finds the table's layout and columns; reports missing (GB710) and surplus (GB711) ones.
+
+    None where the table cannot be read further (no column of time).
+    """
+    present = set(sheet.names)
+    taken = {quantity.column for quantity in wanted}
+    long = all(name in present and name not in taken for name in LONG)
+    time = _time(sheet, model, taken)
+    spare = [name for name in sheet.names if name not in taken and name not in (time, TRAJECTORY)]
+    if time is None:
+        _missing(sheet, model.time.name, "the time", spare, findings, ())
+        return None
+    trajectory = TRAJECTORY if TRAJECTORY in present and TRAJECTORY not in taken else None
+    if long:
+        spare = [name for name in sheet.names if name not in (time, trajectory, *LONG, "sd")]
+        _surplus(sheet, spare, (), findings)
+        return Layout(True, time, trajectory, wanted)
+    columns = tuple(quantity for quantity in wanted if quantity.column in present)
+    absent = [quantity for quantity in wanted if quantity.required and quantity.column not in present]
+    suggested: set[str] = set()
+    for quantity in absent:
+        suggested |= _missing(sheet, quantity.column, describe(quantity), spare, findings, _notes(quantity))
+    optional = [q.column for q in wanted if not q.required and q.column not in present]
+    _surplus(sheet, [name for name in spare if name not in suggested], optional, findings)
+    return Layout(False, time, trajectory, columns)
+
+
+def describe(quantity: Quantity) -> str:
+    """What a quantity is, for a message."""
+    match quantity.role:
+        case "channel":
+            return f"the channel `{quantity.name}`"
+        case "sd":
+            return f"the standard deviation of `{quantity.name}`"
+        case "dose":
+            return f"the doses to `{quantity.name}`"
+        case _:
+            return f"the {quantity.role} `{quantity.name}`"
+
+
+def _notes(quantity: Quantity) -> tuple[str, ...]:
+    if quantity.role == "channel":
+        return ("its cells may be empty where it was not measured",)
+    return ()
+
+
+def _time(sheet: Sheet, model: Model, taken: set[str]) -> str | None:
+    """The column of time: called like the model's time, else `t`."""
+    for name in (cell_name(model.time.name), "t"):
+        if name in sheet.columns and name not in taken:
+            return name
+    return None
+
+
+def similar(name: str, candidates: Iterable[str]) -> str | None:
+    """The candidate that a misspelt name most likely means; upper and lower case count little."""
+    pool = {candidate.casefold(): candidate for candidate in candidates}
+    close = difflib.get_close_matches(name.casefold(), pool, n=1, cutoff=0.7)
+    return pool[close[0]] if close else None
+
+
+def _missing(
+    sheet: Sheet, column: str, what: str, spare: list[str], findings: Findings, notes: tuple[str, ...]
+) -> set[str]:
+    """Reports a missing column; returns the surplus column that was probably meant."""
+    meant = similar(column, spare)
+    findings.error(
+        "GB710",
+        f"the table has no column `{column}` for {what}",
+        Cell(sheet.path, 1, column),
+        help=f"rename the column `{meant}`" if meant else f"its columns are {_list(sheet.names)}",
+        notes=notes,
+    )
+    return {meant} if meant else set()
+
+
+def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findings: Findings) -> None:
+    """Warns of columns that the model does not know."""
+    for name in names:
+        meant = similar(name, optional)
+        findings.warning(
+            "GB711",
+            f"column `{name}` is not used: the model knows nothing of that name",
+            Cell(sheet.path, 1, name),
+            help=f"is `{meant}` meant?" if meant else "",
+            subject=name,
+        )
+
+
+def _list(names: Iterable[str]) -> str:
+    """Names for a message, at most a dozen."""
+    shown = [f"`{name}`" for name in names]
+    return ", ".join(shown) if len(shown) <= 12 else ", ".join(shown[:12]) + f" and {len(shown) - 12} more"

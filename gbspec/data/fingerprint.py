@@ -1,0 +1,42 @@
+"""What identifies a trajectory: its content, so that labels and the order of rows do not matter."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.trajectories import Trajectories, Trajectory
+
+
+def fingerprint(trajectory: Trajectory) -> str:
+    """SHA-256 (hexadecimal) of a trajectory but for its label: start, times, values, conditions, inputs, doses.
+
+    Two trajectories have the same one if and only if they hold the same numbers for the same model (channels and
+    conditions in the same order), bit by bit; -0 counts as 0 and all NaN as one.
+    """
+    digest = hashlib.sha256()
+    parts: list[NDArray[np.float64]] = [
+        np.array([trajectory.start]),
+        trajectory.times,
+        trajectory.values,
+        trajectory.counts,
+        trajectory.sd,
+        trajectory.condition,
+    ]
+    for signal in trajectory.inputs:
+        parts += [signal.times, signal.values]
+    for events in trajectory.doses:
+        parts += [events.times, events.amounts]
+    for part in parts:
+        numbers = np.asarray(part, dtype="<f8") + 0.0
+        numbers = np.where(np.isnan(numbers), np.nan, numbers)
+        digest.update(np.array(numbers.shape, dtype="<i8").tobytes())
+        digest.update(np.ascontiguousarray(numbers).tobytes())
+    return digest.hexdigest()
+
+
+def matches(trajectories: Trajectories, known: dict[str, int]) -> list[int | None]:
+    """For each trajectory, where it stands among `known` (fingerprint to position), None where it is new."""
+    return [known.get(fingerprint(item)) for item in trajectories.items]

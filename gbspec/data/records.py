@@ -1,0 +1,194 @@
+"""A sheet of either layout as records: the keys (trajectory and time) and, for each quantity, its filled cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from gbspec.data.cells import coded, labels, numbers
+from gbspec.data.columns import Layout, Quantity, describe, similar
+from gbspec.data.sheet import SHOWN, Sheet, cell_name, more
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Cell, Findings
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Series:
+    """The filled cells of one quantity: `key` indexes the keys, `row` is the table's, `sd` NaN where not given [n]."""
+
+    key: Index
+    value: Array
+    row: Index
+    sd: Array
+
+
+@dataclass(frozen=True)
+class Records:
+    """A table, whatever its layout was.
+
+    Keys are sorted by trajectory (in the order of first rows) and time: `group` [K] indexes `labels`, `time` [K], and
+    `row` [K] is the row that a key first stands in. `series` has the filled cells of each quantity that occurs.
+    """
+
+    path: str
+    labels: list[str]
+    group: Index
+    time: Array
+    row: Index
+    series: dict[Quantity, Series]
+    time_column: str
+
+
+def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
+    """Reads the cells, reporting all that are wrong; rows without a usable time are left out (and reported)."""
+    time = numbers(sheet, layout.time, findings)
+    if layout.trajectory is None:
+        names, group = ["1"], np.zeros(len(time), dtype=np.int64)
+    else:
+        names, group = labels(sheet, layout.trajectory, findings)
+    _times_given(sheet, layout.time, time, findings)
+    if layout.long:
+        return _long(sheet, layout, names, group, time, findings)
+    return _wide(sheet, layout, names, group, time, findings)
+
+
+def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> None:
+    """Reports rows without a time, unless their cells were reported already (a time that is no number)."""
+    bad = np.flatnonzero(np.isnan(time))
+    reported = {d.place.row for d in findings.errors if isinstance(d.place, Cell) and d.place.column == column}
+    if reported:
+        return
+    for position, i in enumerate(bad[:SHOWN]):
+        row = int(sheet.rows[i])
+        findings.error(
+            "GB714",
+            f"row {row} has no time",
+            Cell(sheet.path, row, column),
+            help=f"fill `{column}` in every row",
+            notes=more(len(bad), position, "rows"),
+        )
+
+
+# ---------------------------------------------------------------------------------------------------- wide layout
+
+
+def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
+    """One row a key, one column a quantity."""
+    keep = np.flatnonzero(~np.isnan(time))
+    order = keep[np.argsort(group[keep], kind="stable")]
+    group, time, row = group[order], time[order], sheet.rows[order]
+    _increasing(sheet.path, layout.time, names, group, time, row, findings)
+    cells = {quantity: numbers(sheet, quantity.column, findings)[order] for quantity in layout.columns}
+    sds = {quantity.index: values for quantity, values in cells.items() if quantity.role == "sd"}
+    series: dict[Quantity, Series] = {}
+    for quantity, values in cells.items():
+        if quantity.role == "sd":
+            continue
+        key = np.flatnonzero(~np.isnan(values)).astype(np.int64)
+        sd = sds.get(quantity.index) if quantity.role == "channel" else None
+        series[quantity] = Series(key, values[key], row[key], np.full(len(key), np.nan) if sd is None else sd[key])
+    return Records(sheet.path, names, group, time, row, series, layout.time)
+
+
+def _increasing(
+    path: str, column: str, names: list[str], group: Index, time: Array, row: Index, findings: Findings
+) -> None:
+    """Reports times that do not increase within a trajectory (GB715) or stand twice (GB716)."""
+    same = group[1:] == group[:-1]
+    for code, bad in (
+        ("GB716", np.flatnonzero(same & (time[1:] == time[:-1]))),
+        ("GB715", np.flatnonzero(same & (time[1:] < time[:-1]))),
+    ):
+        for position, i in enumerate(bad[:SHOWN]):
+            here, before = float(time[i + 1]), float(time[i])
+            where = f"in trajectory `{names[group[i]]}`" if len(names) > 1 else "in the table"
+            twice = code == "GB716"
+            findings.error(
+                code,
+                f"time {here:g} stands twice {where}: in row {row[i]} and in row {row[i + 1]}"
+                if twice
+                else f"time goes back {where}: from {before:g} in row {row[i]} to {here:g} in row {row[i + 1]}",
+                Cell(path, int(row[i + 1]), column),
+                help="put both into one row; replicates go into the long layout (trajectory, t, name, value)"
+                if twice
+                else "sort the rows by time, or begin a new trajectory there",
+                notes=more(len(bad), position, "rows"),
+            )
+
+
+# ---------------------------------------------------------------------------------------------------- long layout
+
+
+def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
+    """One row a measurement: `name` says of what. Rows in any order; equal times are replicates."""
+    value = numbers(sheet, "value", findings)
+    sd = numbers(sheet, "sd", findings) if "sd" in sheet.columns else np.full(len(value), np.nan)
+    kinds, kind = coded(_names(sheet))
+    good = ~np.isnan(time)
+    order = np.flatnonzero(good)[np.lexsort((sheet.rows[good], time[good], group[good]))]
+    new = np.ones(len(order), dtype=bool)
+    new[1:] = (group[order][1:] != group[order][:-1]) | (time[order][1:] != time[order][:-1])
+    key_of = np.full(len(time), -1, dtype=np.int64)
+    key_of[order] = np.cumsum(new) - 1
+    first = order[new]
+    by_name = {quantity.column: quantity for quantity in layout.columns if quantity.role != "sd"}
+    series: dict[Quantity, Series] = {}
+    for index, name in enumerate(kinds):
+        here = np.flatnonzero((kind == index) & good & ~np.isnan(value))
+        quantity = by_name.get(name)
+        if quantity is None:
+            _unknown_name(sheet, name, int(sheet.rows[np.flatnonzero(kind == index)[0]]), by_name, findings)
+            continue
+        here = here[np.argsort(key_of[here], kind="stable")]
+        series[quantity] = Series(key_of[here], value[here], sheet.rows[here], sd[here])
+    unread = [name for name in kinds if name not in by_name]
+    for quantity in layout.columns:
+        if quantity.required and quantity.column not in kinds:
+            _no_rows(sheet, quantity, similar(quantity.column, unread), findings)
+    return Records(sheet.path, names, group[first], time[first], sheet.rows[first], series, layout.time)
+
+
+def _names(sheet: Sheet) -> pl.Series:
+    """The column `name`, compared as names of columns are."""
+    texts = sheet.columns["name"].cast(pl.String).fill_null("").str.strip_chars()
+    different = {text: cell_name(text) for text in texts.unique()}
+    if all(text == name for text, name in different.items()):
+        return texts
+    return texts.replace_strict(list(different), list(different.values()), return_dtype=pl.String)
+
+
+def _unknown_name(sheet: Sheet, name: str, row: int, known: dict[str, Quantity], findings: Findings) -> None:
+    meant = similar(name, known)
+    findings.warning(
+        "GB711",
+        f"rows named `{name}` are not used: the model knows nothing of that name",
+        Cell(sheet.path, row, "name"),
+        help=f"is `{meant}` meant?" if meant else "",
+        subject=name,
+    )
+
+
+def _no_rows(sheet: Sheet, quantity: Quantity, meant: str | None, findings: Findings) -> None:
+    findings.error(
+        "GB710",
+        f"no row is named `{quantity.column}` for {describe(quantity)}",
+        Cell(sheet.path, None, "name"),
+        help=f"are the rows named `{meant}` meant?"
+        if meant
+        else "conditions and inputs are rows of their own in the long layout: their name, and a value at a time",
+    )
+
+
+def kept(table: Records, keep: NDArray[np.bool_]) -> Records:
+    """The records of some keys alone."""
+    position = np.cumsum(keep) - 1
+    series = {}
+    for quantity, cells in table.series.items():
+        use = keep[cells.key]
+        series[quantity] = Series(position[cells.key[use]], cells.value[use], cells.row[use], cells.sd[use])
+    return replace(table, group=table.group[keep], time=table.time[keep], row=table.row[keep], series=series)

@@ -1,0 +1,121 @@
+"""How simulated measurements are to be taken: the options of `gbspec simulate`, and of a case's `[sampling]`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from gbspec.diagnostics import Diagnostic, Findings, UserError
+
+Box = tuple[float, float]
+
+
+def boxes(flag: str) -> Callable[[Sequence[str]], dict[str, Box]]:
+    """A reader of texts `NAME=LOW:HIGH` or `NAME=VALUE`; it raises UserError (GB750) naming the flag."""
+
+    def read(texts: Sequence[str]) -> dict[str, Box]:
+        findings, found = Findings(), dict[str, Box]()
+        for text in texts:
+            name, equals, interval = text.partition("=")
+            low, colon, high = interval.partition(":")
+            try:
+                box = (float(low), float(high if colon else low))
+            except ValueError:
+                box = (math.nan, math.nan)
+            if not (name.strip() and equals and math.isfinite(box[0]) and math.isfinite(box[1]) and box[0] <= box[1]):
+                findings.error(
+                    "GB750",
+                    f"`{flag} {text}` is not a name and its range",
+                    None,
+                    help=f"write `{flag} x1=0.2:0.95`, or `{flag} x1=0.5` for one value",
+                )
+            found[name.strip()] = box
+        findings.raise_if_failed()
+        return found
+
+    return read
+
+
+def clocks(texts: Sequence[str]) -> dict[str, float]:
+    """Texts `CHANNEL=INTERVAL`; raises UserError (GB750)."""
+    found = {}
+    for name, (low, high) in boxes("--clock")(texts).items():
+        if low != high or low <= 0:
+            message = f"`--clock {name}=…` is not a mean interval above zero"
+            raise UserError([Diagnostic("GB750", message, None, help=f"write `--clock {name}=0.5`")])
+        found[name] = low
+    return found
+
+
+def _option(default: Any, help: str, **more: Any) -> Any:
+    """A dataclass field with what the command line says of it."""
+    if isinstance(default, Mapping):
+        return field(default_factory=dict, metadata={"help": help, **more})
+    return field(default=default, metadata={"help": help, **more})
+
+
+@dataclass(frozen=True)
+class SimulateOptions:
+    """What `gbspec simulate` makes, one field a flag. Times are in the model's unit.
+
+    `initial` and `condition` are boxes by name, from which starts and conditions are drawn evenly; where they are
+    silent, the declared ranges (for a state without one, its guess) hold. `reject` are conditions such as `x2 > 4`:
+    a trajectory that meets one at any time is drawn again.
+    """
+
+    trajectories: int = _option(100, "how many trajectories")
+    span: float = _option(10.0, "how long each lasts")
+    dt: float = _option(0.5, "mean interval between measurements")
+    sampling: Literal["regular", "gamma"] = _option("regular", "equal intervals, or gamma-distributed ones (shape 4)")
+    channels: str = _option(
+        "all", "all: every channel at every time; own-clock: each on its own times; 0.67: each with that probability"
+    )
+    keep_start: bool = _option(False, "keep the row at the start")
+    noise: float = _option(0.0, "standard deviation of the noise, relative to each channel's own")
+    seed: int = _option(0, "seed of the random numbers")
+    initial: Mapping[str, Box] = _option(
+        {},
+        "range of a state's start, as x1=0.2:0.95 (repeatable)",
+        metavar="NAME=LOW:HIGH",
+        parse=boxes("--initial"),
+    )
+    condition: Mapping[str, Box] = _option(
+        {}, "range of a condition, as Da=0.2:0.5 (repeatable)", metavar="NAME=LOW:HIGH", parse=boxes("--condition")
+    )
+    clock: Mapping[str, float] = _option(
+        {}, "a channel's own mean interval, with `--channels own-clock`", metavar="NAME=INTERVAL", parse=clocks
+    )
+    reject: tuple[str, ...] = _option(
+        (), 'draw again what enters a region, as "x2 > 4" (repeatable)', metavar="CONDITION"
+    )
+
+    def check(self, findings: Findings) -> None:
+        """Reports options that cannot be (GB754)."""
+        rules = (
+            (self.trajectories >= 1, "trajectories", "at least 1"),
+            (self.span > 0 and math.isfinite(self.span), "span", "a number above zero"),
+            (self.dt > 0 and math.isfinite(self.dt), "dt", "a number above zero"),
+            (self.sampling in ("regular", "gamma"), "sampling", "`regular` or `gamma`"),
+            (self.noise >= 0 and math.isfinite(self.noise), "noise", "zero or more"),
+            (self.seed >= 0, "seed", "zero or more"),
+            (
+                self.fraction is not None or self.channels in ("all", "own-clock"),
+                "channels",
+                "`all`, `own-clock` or a number above 0 and up to 1",
+            ),
+        )
+        for holds, name, expected in rules:
+            if not holds:
+                value = getattr(self, name)
+                findings.error("GB754", f"`{name}` is {value}, and must be {expected}", None, subject=name)
+
+    @property
+    def fraction(self) -> float | None:
+        """The probability of each channel at a time, where `channels` is one."""
+        try:
+            value = float(self.channels)
+        except ValueError:
+            return None
+        return value if 0 < value <= 1 else None

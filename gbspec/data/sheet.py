@@ -1,0 +1,276 @@
+"""Reads a CSV, TSV or Parquet file into named columns, every cell traceable to the row a person counts.
+
+Text cells stay text here (what they should be is known later), so that a cell that is no number is reported where it
+stands. All work over rows is vectorised.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from gbspec.diagnostics import Cell, Findings
+
+SEPARATORS = {".csv": ",", ".tsv": "\t"}
+PARQUET = frozenset({".parquet", ".pq"})
+FORMATS = "CSV (.csv), TSV (.tsv) or Parquet (.parquet)"
+SEPARATOR_NAMES = {",": "a comma", "\t": "a tab", ";": "a semicolon", "|": "a bar"}
+SHOWN = 5
+"""How many findings of one kind in one column are shown; the last says how many more there are."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table as it is in its file: `columns` of one length, names unique, and `rows`, the row number of each record.
+
+    Rows are counted as a spreadsheet counts them: the header is row 1, and blank rows count.
+    """
+
+    path: str
+    columns: dict[str, pl.Series]
+    rows: NDArray[np.int64]
+    sha256: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the columns, in the file's order."""
+        return tuple(self.columns)
+
+
+def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
+    """The file's columns; None (and at least one error in `findings`) where it cannot be read as a table."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SEPARATORS and suffix not in PARQUET:
+        kind = f"`{path.suffix}` files" if path.suffix else "a file without an ending"
+        findings.error(
+            "GB702",
+            f"gbspec does not read {kind} as tables",
+            Cell(str(path)),
+            help=f"save the table as {FORMATS}; the file's ending says which it is",
+        )
+        return None
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        reason = "there is no such file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error))
+        findings.error("GB701", f"cannot read the table `{path}`: {reason}", Cell(str(path)))
+        return None
+    sha256 = hashlib.sha256(data).hexdigest()
+    if suffix in PARQUET:
+        return _parquet(str(path), data, sha256, findings)
+    return _delimited(str(path), data, SEPARATORS[suffix], sha256, findings)
+
+
+def cell_name(text: object) -> str:
+    """A column's name as it is compared: NFKC, without blanks around it."""
+    return unicodedata.normalize("NFKC", str(text)).strip()
+
+
+# ---------------------------------------------------------------------------------------------------------- text
+
+
+def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Findings) -> Sheet | None:
+    """A CSV or TSV file."""
+    clean = _utf8(path, data, findings)
+    if clean is None:
+        return None
+    records = _records(path, clean, separator, findings)
+    if records is None:
+        return None
+    if not len(records.rows):
+        findings.error("GB704", "the table is empty", Cell(path), help="its first row names the columns")
+        return None
+    header = next(csv.reader(io.StringIO(records.header.decode()), delimiter=separator))
+    names = [cell_name(name) for name in header]
+    if not _header_ok(path, names, separator, findings) or not _same_width(path, records, len(names), findings):
+        return None
+    rows = records.rows[1:]
+    if not len(rows):
+        findings.error("GB704", "the table has a header and no rows", Cell(path, 1), help="each row is one time")
+        return None
+    try:
+        frame = pl.read_csv(
+            records.body,
+            has_header=False,
+            separator=separator,
+            infer_schema=False,
+            new_columns=[str(i) for i in range(len(names))],
+        )
+    except pl.exceptions.PolarsError:
+        frame = pl.DataFrame()
+    if frame.shape != (len(rows), len(names)):
+        findings.error(
+            "GB709",
+            "the table cannot be read: its quotes do not pair up",
+            Cell(path),
+            help='a quoted cell begins and ends with `"`, and has `""` for each quote inside',
+        )
+        return None
+    return Sheet(path, _named(names, frame.get_columns()), rows, sha256)
+
+
+def _utf8(path: str, data: bytes, findings: Findings) -> bytes | None:
+    """The text without byte order mark, its lines ended by LF alone; None where it is not UTF-8."""
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        findings.error(
+            "GB703", "the table is written in UTF-16", Cell(path, 1), help="save it as UTF-8 (`CSV UTF-8` in Excel)"
+        )
+        return None
+    data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        row = data.count(b"\n", 0, error.start) + 1
+        findings.error(
+            "GB703",
+            f"row {row} holds a byte that is not UTF-8 (0x{data[error.start]:02x})",
+            Cell(path, row),
+            help="save the table as UTF-8 (`CSV UTF-8` in Excel)",
+        )
+        return None
+    if b"\0" in data:
+        row = data.count(b"\n", 0, data.index(b"\0")) + 1
+        findings.error("GB703", f"row {row} holds a zero byte: this is not a text file", Cell(path, row))
+        return None
+    return data
+
+
+@dataclass(frozen=True)
+class _Records:
+    """The records of a text: the header's bytes, the rest without blank rows, each record's row and width."""
+
+    header: bytes
+    body: bytes
+    rows: NDArray[np.int64]
+    widths: NDArray[np.int64]
+
+
+def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Records | None:
+    """Finds where records begin and how many cells they have; a separator or line end within quotes is neither."""
+    data = data if data.endswith(b"\n") else data + b"\n"
+    characters = np.frombuffer(data, dtype=np.uint8)
+    outside = np.ones(len(characters), dtype=bool)
+    if b'"' in data:
+        outside = (np.cumsum(characters == ord('"')) % 2) == 0
+        if not outside[-1]:
+            findings.error("GB709", "a quote is opened and never closed", Cell(path), help='quotes come in pairs: "…"')
+            return None
+    ends = np.flatnonzero((characters == ord("\n")) & outside)
+    starts = np.concatenate([[0], ends[:-1] + 1])
+    blanks = np.concatenate([[0], np.cumsum((characters != ord(" ")) & (characters != ord("\t")))])
+    filled = blanks[ends] > blanks[starts]
+    commas = np.concatenate([[0], np.cumsum((characters == ord(separator)) & outside)])
+    widths = commas[ends] - commas[starts] + 1
+    # A row of separators alone (what a spreadsheet leaves behind) is blank too.
+    visible = characters != ord(separator)
+    content = np.concatenate([[0], np.cumsum(visible & (characters != ord(" ")) & (characters != ord("\t")))])
+    filled &= content[ends] > content[starts]
+    rows = np.flatnonzero(filled) + 1
+    if not len(rows):
+        return _Records(b"", b"", rows, widths[filled])
+    first = rows[0] - 1
+    body = data[ends[first] + 1 :]
+    if not filled[first + 1 :].all():
+        keep = np.repeat(filled[first + 1 :], (ends - starts + 1)[first + 1 :])
+        body = characters[ends[first] + 1 :][keep].tobytes()
+    return _Records(data[starts[first] : ends[first]], body, rows, widths[filled])
+
+
+def _header_ok(path: str, names: list[str], separator: str, findings: Findings) -> bool:
+    """Whether the first row can be a header; reports what is wrong with it."""
+    before = len(findings.errors)
+    if len(names) == 1:
+        for other, what in SEPARATOR_NAMES.items():
+            if other != separator and other in names[0]:
+                findings.error(
+                    "GB705",
+                    f"the cells of this table seem to be separated by {what}, not by {SEPARATOR_NAMES[separator]}",
+                    Cell(path, 1),
+                    help="save it with commas as `.csv` or with tabs as `.tsv`, and with `.` as the decimal sign",
+                )
+                return False
+    if all(_is_number(name) for name in names if name) and any(names):
+        findings.error(
+            "GB706", "the first row holds numbers where names are expected", Cell(path, 1), help="name the columns"
+        )
+    for name in sorted({name for name in names if name and names.count(name) > 1}):
+        findings.error(
+            "GB707",
+            f"{names.count(name)} columns are called `{name}`",
+            Cell(path, 1, name),
+            help="give each column its own name (replicates go into the long layout)",
+        )
+    return len(findings.errors) == before
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _same_width(path: str, records: _Records, expected: int, findings: Findings) -> bool:
+    """Whether every record has as many cells as the header; reports the first few that have not."""
+    wrong = np.flatnonzero(records.widths != expected)
+    for position, i in enumerate(wrong[:SHOWN]):
+        count = int(records.widths[i])
+        findings.error(
+            "GB708",
+            f"row {records.rows[i]} has {count} cell{'s' * (count != 1)}, the header has {expected}",
+            Cell(path, int(records.rows[i])),
+            help="a decimal comma, or text with a comma and no quotes, may have split a cell"
+            if count > expected
+            else "leave a cell empty rather than out",
+            notes=more(len(wrong), position, "rows"),
+        )
+    return not len(wrong)
+
+
+def more(total: int, position: int, what: str) -> tuple[str, ...]:
+    """The note on the last finding shown that says how many there are besides."""
+    if position == SHOWN - 1 and total > SHOWN:
+        return (f"and {total - SHOWN:,} more such {what}",)
+    return ()
+
+
+def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:
+    """The columns by name; nameless ones (an index that a program wrote) get a name that says so."""
+    named: dict[str, pl.Series] = {}
+    for number, (name, column) in enumerate(zip(names, columns, strict=True), start=1):
+        named[name or f"column {number} (nameless)"] = column
+    return named
+
+
+# -------------------------------------------------------------------------------------------------------- parquet
+
+
+def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet | None:
+    """A Parquet file; its first record is called row 2, as if a header stood above it."""
+    try:
+        frame = pl.read_parquet(io.BytesIO(data))
+    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "it is damaged"
+        findings.error("GB709", f"the file is not a Parquet table that can be read: {reason}", Cell(path))
+        return None
+    names = [cell_name(name) for name in frame.columns]
+    before = len(findings.errors)
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        findings.error("GB707", f"{names.count(name)} columns are called `{name}`", Cell(path, 1, name))
+    if not names or not frame.height:
+        findings.error("GB704", "the table is empty", Cell(path), help="each row is one time")
+    if len(findings.errors) > before:
+        return None
+    rows = np.arange(2, frame.height + 2, dtype=np.int64)
+    return Sheet(path, _named(names, frame.get_columns()), rows, sha256)

@@ -1,0 +1,34 @@
+"""The models that come with gbspec: in a checkout's `models/`, or inside the installed package."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from gbspec.data.columns import similar
+from gbspec.diagnostics import Diagnostic, UserError
+
+PACKAGE = Path(__file__).resolve().parent.parent
+
+
+@cache
+def models_folder() -> Path:
+    """The folder with the shipped models: the wheel's `gbspec/_models`, else `models/` beside the package."""
+    installed = PACKAGE / "_models"
+    return installed if installed.is_dir() else PACKAGE.parent / "models"
+
+
+@cache
+def shipped_models() -> dict[str, Path]:
+    """The shipped `.gb` files by the model's name (which is the file's), in the order of names."""
+    return {path.stem: path for path in sorted(models_folder().glob("*/*.gb"), key=lambda path: path.stem)}
+
+
+def shipped_model(name: str) -> Path:
+    """The file of a shipped model, `urp_gb2` say; raises UserError (GB744) with a suggestion where there is none."""
+    known = shipped_models()
+    if name in known:
+        return known[name]
+    meant = similar(name, known)
+    advice = f"is `{meant}` meant?" if meant else f"there are {', '.join(known)}"
+    raise UserError([Diagnostic("GB744", f"gbspec ships no model `{name}`", None, help=advice)])

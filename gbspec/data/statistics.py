@@ -1,0 +1,66 @@
+"""Location and spread of each measured channel: what residuals and network inputs are scaled by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.data.trajectories import Trajectories
+
+MAD_TO_SD = 1.4826
+"""The standard deviation of a normal distribution over its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class ChannelStatistics:
+    """Of all measured values of one channel: how many, mean, standard deviation, extremes, median and robust spread.
+
+    `spread` is 1.4826 times the median absolute deviation: the standard deviation where values are normal, and little
+    moved by outliers. NaN where nothing was measured.
+    """
+
+    name: str
+    n: int
+    mean: float
+    sd: float
+    low: float
+    high: float
+    median: float
+    spread: float
+
+    @property
+    def scale(self) -> float:
+        """A positive number to divide by: the deviation, or the size where the channel does not vary, or 1."""
+        for candidate in (self.sd, abs(self.mean)):
+            if math.isfinite(candidate) and candidate > 0:
+                return candidate
+        return 1.0
+
+
+def channel_statistics(trajectories: Trajectories) -> tuple[ChannelStatistics, ...]:
+    """The statistics of each channel, in the order of `trajectories.channels`; an average of replicates counts once."""
+    if not trajectories.items:
+        return tuple(_of(name, np.zeros(0)) for name in trajectories.channels)
+    stacked = np.concatenate([item.values for item in trajectories.items])
+    return tuple(
+        _of(name, column[~np.isnan(column)]) for name, column in zip(trajectories.channels, stacked.T, strict=True)
+    )
+
+
+def _of(name: str, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> ChannelStatistics:
+    if not len(values):
+        nan = math.nan
+        return ChannelStatistics(name, 0, nan, nan, nan, nan, nan, nan)
+    median = float(np.median(values))
+    return ChannelStatistics(
+        name=name,
+        n=len(values),
+        mean=float(values.mean()),
+        sd=float(values.std()),
+        low=float(values.min()),
+        high=float(values.max()),
+        median=median,
+        spread=MAD_TO_SD * float(np.median(np.abs(values - median))),
+    )

@@ -1,0 +1,145 @@
+"""Tables of measurements: files of either layout to trajectories.
+
+`read` goes through four stages, each in its own module: `sheet` (the file's cells), `columns` (what they stand for),
+`records` (numbers by trajectory and time), `checks` (what must hold); then the records are cut into trajectories here.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.checks import check, first_times
+from gbspec.data.columns import quantities, recognise
+from gbspec.data.records import Records, records
+from gbspec.data.sheet import read_sheet
+from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.data.writing import write
+from gbspec.diagnostics import Findings, UserError
+from gbspec.ir.model import Model
+
+__all__ = ["read", "write"]
+
+
+def read(path: str | Path, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
+    """The table at `path` (CSV, TSV or Parquet; wide or long layout) as trajectories for `model`.
+
+    Cells that are empty, or say NA, NaN, null, none, `-` or `.`, mean *not measured*. With `require_channels` False (a
+    table to predict on), columns of channels may be missing and a trajectory's `times` hold every row, measured or not.
+
+    Warnings go into `findings`. Raises UserError with all findings if the table is wrong.
+    """
+    sheet = read_sheet(path, findings)
+    if sheet is None:
+        raise UserError(tuple(findings))
+    wanted = quantities(model, require_channels)
+    layout = recognise(sheet, model, wanted, findings)
+    if layout is None:
+        raise UserError(tuple(findings))
+    table = records(sheet, layout, findings)
+    check(table, model, wanted, require_channels, findings)
+    findings.raise_if_failed()
+    items = _cut(table, model, require_channels)
+    channels = tuple(channel.name for channel in model.channels)
+    kind = {"layout": "long" if layout.long else "wide"}
+    return Trajectories(items, channels, sheet.path, sheet.sha256, len(sheet.rows), kind)
+
+
+def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory, ...]:
+    """The trajectories of faultless records, in the order of their first rows."""
+    values, counts, sd = _measurements(table, len(model.channels))
+    starts = first_times(table) if model.time.start is None else np.full(len(table.labels), model.time.start)
+    edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
+    conditions = _conditions(table, model)
+    inputs = [_pieces(table, "input", i) for i in range(len(model.inputs))]
+    doses = [_pieces(table, "dose", i) for i in range(len(model.doses))]
+    hit: NDArray[np.bool_] = np.ones(len(table.time), dtype=bool)
+    if measured_only:
+        hit = np.any(counts > 0, axis=1)
+    items: list[Trajectory] = []
+    for g, label in enumerate(table.labels):
+        rows = np.arange(edges[g], edges[g + 1])
+        rows = rows[hit[rows]]
+        if not len(rows):
+            continue
+        start = float(starts[g])
+        items.append(
+            Trajectory(
+                label=label,
+                start=start,
+                times=table.time[rows],
+                values=values[rows],
+                counts=counts[rows],
+                sd=sd[rows],
+                condition=conditions[g],
+                inputs=tuple(
+                    _signal(pieces[g], start, declared.default)
+                    for pieces, declared in zip(inputs, model.inputs, strict=True)
+                ),
+                doses=tuple(DoseEvents(*pieces[g]) for pieces in doses),
+            )
+        )
+    return tuple(items)
+
+
+def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array]:
+    """Values, numbers of measurements and standard deviations at each key, [keys, channels]; replicates averaged.
+
+    The standard deviation of an average of n is sqrt(sum of squares)/n; it is given where all of them give one.
+    """
+    size = len(table.time)
+    values, counts = np.full((size, channels), np.nan), np.zeros((size, channels))
+    sd = np.full((size, channels), np.nan)
+    for quantity, cells in table.series.items():
+        if quantity.role != "channel":
+            continue
+        c = quantity.index
+        counts[:, c] = np.bincount(cells.key, minlength=size)
+        several = counts[:, c] > 1
+        values[cells.key, c] = cells.value
+        sd[cells.key, c] = cells.sd
+        if several.any():
+            mean = np.bincount(cells.key, weights=cells.value, minlength=size)
+            spread = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
+            values[several, c] = mean[several] / counts[several, c]
+            sd[several, c] = np.sqrt(spread[several]) / counts[several, c]
+    return values, counts, sd
+
+
+def _conditions(table: Records, model: Model) -> Array:
+    """The conditions of each trajectory, [trajectories, conditions]."""
+    default = [np.nan if item.default is None else item.default for item in model.conditions]
+    conditions = np.tile(np.array(default, dtype=np.float64), (len(table.labels), 1))
+    for quantity, cells in table.series.items():
+        if quantity.role == "condition":
+            conditions[table.group[cells.key], quantity.index] = cells.value
+    return conditions
+
+
+def _pieces(table: Records, role: str, index: int) -> list[tuple[Array, Array]]:
+    """The filled cells of an input or a dose by trajectory: times and values, in the order of time."""
+    number = len(table.labels)
+    found = [(q, cells) for q, cells in table.series.items() if q.role == role and q.index == index]
+    if not found:
+        return [(np.zeros(0), np.zeros(0))] * number
+    quantity, cells = found[0]
+    key, value = _once(cells.key, cells.value) if quantity.role == "input" else (cells.key, cells.value)
+    edges = np.searchsorted(table.group[key], np.arange(number + 1))
+    time = table.time[key]
+    return [(time[edges[g] : edges[g + 1]], value[edges[g] : edges[g + 1]]) for g in range(number)]
+
+
+def _once(key: NDArray[np.int64], value: Array) -> tuple[NDArray[np.int64], Array]:
+    """The first of equal repeats at one time."""
+    keys, first = np.unique(key, return_index=True)
+    return keys, value[first]
+
+
+def _signal(piece: tuple[Array, Array], start: float, default: float | None) -> Signal:
+    """An input's signal; where there is no value at the start, its default holds from there."""
+    times, values = piece
+    if default is not None and (not len(times) or times[0] > start):
+        times, values = np.concatenate([[start], times]), np.concatenate([[default], values])
+    return Signal(times, values)
