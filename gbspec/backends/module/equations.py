@@ -1,0 +1,213 @@
+"""The equations of a model as methods of the generated class."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from math import lcm
+
+import sympy
+
+from gbspec.backends.printing import (
+    Assignment,
+    Names,
+    NetworkCall,
+    Program,
+    PythonPrinter,
+    Statement,
+    identifier,
+    temporary,
+)
+from gbspec.diagnostics import Defect
+from gbspec.ir.model import NN, Expr, Model, Network, Unknown
+from gbspec.ir.tableaus import Tableau
+
+PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
+
+
+def scope(model: Model) -> Names:
+    """The identifiers of a method that sees the whole model: time, states, conditions, inputs and constants."""
+    names = Names(PARAMETERS)
+    names.claim(model.time.symbol)
+    for item in (*model.states, *model.conditions, *model.inputs, *model.constants, *model.learnables):
+        names.claim(item.symbol)
+    return names
+
+
+def method_name(network: Network) -> str:
+    """The method that evaluates a network's unknowns."""
+    return f"_unknown_{identifier(network.name)}"
+
+
+def unknown_method(model: Model, index: int) -> str:
+    """One network's unknowns, their postulates applied, as functions of the formal arguments."""
+    network = model.networks[index]
+    names = Names(("math", "constants", "networks"))
+    formals = [names.claim(argument.symbol) for argument in network.arguments]
+    table = {unknown.name: unknown for unknown in model.unknowns}
+    posed = [table[output] for output in network.outputs]
+    call = f"networks[{index}]({', '.join(formals)})"
+    parameters = ["math", "constants", "networks", *formals]
+    if all(unknown.postulate == NN for unknown in posed):
+        return _method("@staticmethod", method_name(network), parameters, _described(posed), [f"return {call}"])
+    raw = [temporary(f"nn_{unknown.name}") for unknown in posed]
+    bodies = [
+        Assignment(temporary(unknown.name), unknown.postulate.xreplace({NN: symbol}), unknown.name)
+        for unknown, symbol in zip(posed, raw, strict=True)
+    ]
+    used = {symbol for body in bodies for symbol in body.value.free_symbols} - {a.symbol for a in network.arguments}
+    strangers = used - {item.symbol for item in (*model.constants, *model.learnables)} - set(raw)
+    if strangers:
+        raise Defect(f"the postulate of `{network.name}` uses {sorted(map(str, strangers))}, no arguments or constants")
+    lines = _unpacked_constants(model, names, used)
+    lines.append(f"{_targets(names.claim(symbol) for symbol in raw)} = {call}")
+    lines += _statements(Program(model, bodies, ()).statements, names, model)
+    lines.append(f"return ({_comma(names[body.symbol] for body in bodies)})")
+    return _method("@staticmethod", method_name(network), parameters, _described(posed), lines)
+
+
+def _described(unknowns: Sequence[Unknown]) -> str:
+    """What the outputs are, for the method's docstring."""
+    return "; ".join(f"{unknown.name}: {unknown.description}" for unknown in unknowns if unknown.description)
+
+
+def rhs_method(model: Model) -> str:
+    """`_rhs`."""
+    outputs = [
+        Assignment(temporary(f"d{state.name}"), balance, f"d{state.name}")
+        for state, balance in zip(model.states, model.balances, strict=True)
+    ]
+    return _whole(model, "_rhs", outputs, "The time derivative of each state.")
+
+
+def observe_method(model: Model) -> str:
+    """`_observe`."""
+    outputs = [Assignment(temporary(c.name), c.value, c.name) for c in model.channels]
+    return _whole(model, "_observe", outputs, "The value of each channel.")
+
+
+def _whole(model: Model, name: str, outputs: Sequence[Assignment], document: str) -> str:
+    """A method of the whole state: unpack what is used, compute, pack."""
+    names = scope(model)
+    proper = [output for output in outputs if not output.value.is_Symbol or name == "_rhs"]
+    program = Program(model, outputs).statements
+    bare = {output.symbol: output.value for output in outputs if output not in proper}
+    program = [s for s in program if not (isinstance(s, Assignment) and s.symbol in bare)]
+    read = _used(program) | set(bare.values())
+    body = _unpacked(model, names, read)
+    body += _statements(program, names, model)
+    results = [names[bare.get(output.symbol, output.symbol)] for output in outputs]
+    body.append(f"return math.pack(state, ({_comma(results)}))")
+    parameters = ["math", names[model.time.symbol], "state", "condition", "inputs", "constants", "networks"]
+    return _method("@classmethod", name, ["cls", *parameters], document, body)
+
+
+def initial_method(model: Model) -> str:
+    """`_initial`: expressed starts, in an order in which each comes after those that it depends on."""
+    names = Names(PARAMETERS)
+    for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
+        names.claim(item.symbol)
+    expressed = [s for s in model.states if s.initial.kind == "expression" and s.initial.value is not None]
+    document = "The start `state` with every start put in that the model expresses."
+    parameters = ["cls", "math", "state", "condition", "constants"]
+    if not expressed:
+        return _method("@classmethod", "_initial", parameters, document, ["return state"])
+    outputs = [Assignment(s.symbol, s.initial.value, s.name) for s in expressed]
+    program = Program(model, outputs).statements
+    given = {s.symbol for s in model.states} - {s.symbol for s in expressed}
+    body = _unpacked(model, names, _used(program), given=given)
+    body += _statements(program, names, model)
+    body.append(f"return math.pack(state, ({_comma(names[s.symbol] for s in model.states)}))")
+    return _method("@classmethod", "_initial", parameters, document, body)
+
+
+def step_method(tableau: Tableau) -> str:
+    """`_step`: one step of an explicit Runge-Kutta method."""
+    nodes = sorted(set(tableau.c))
+    inputs = [f"u{nodes.index(c)}" for c in tableau.c]
+    body = [
+        "column = math.column(h)  # to multiply vectors",
+        f"{_targets(f'u{i}' for i in range(len(nodes)))} = inputs",
+    ]
+    for i, (row, c) in enumerate(zip(tableau.a, tableau.c, strict=True)):
+        time = "t" if c == 0 else f"t + {_multiple(c, 'h')}"
+        terms = [f"{_multiple(a, 'column')}*k{j + 1}" for j, a in enumerate(row) if a]
+        place = " + ".join(["state", *terms])
+        body.append(f"k{i + 1} = cls._rhs(math, {time}, {place}, condition, {inputs[i]}, constants, networks)")
+    common = lcm(*(b.denominator for b in tableau.b))
+    parts = [_multiple(b * common, f"k{i + 1}") for i, b in enumerate(tableau.b) if b]
+    body.append(f"return state + {_multiple(Fraction(1, common), 'column')}*({' + '.join(parts)})")
+    times = ", ".join("t" if c == 0 else f"t + {_multiple(c, 'h')}" for c in nodes)
+    document = f"One step of size h ({tableau.name.upper()}); `inputs` is a tuple of the inputs at {times}."
+    parameters = ["cls", "math", "t", "state", "h", "condition", "inputs", "constants", "networks"]
+    return _method("@classmethod", "_step", parameters, document, body)
+
+
+def _multiple(factor: Fraction, name: str) -> str:
+    """`h/2`, `2*h`, `h`."""
+    above = name if factor.numerator == 1 else f"{factor.numerator}*{name}"
+    return above if factor.denominator == 1 else f"{above}/{factor.denominator}"
+
+
+# ---------------------------------------------------------------------- pieces of a method
+def _statements(program: Iterable[Statement], names: Names, model: Model) -> list[str]:
+    printer = PythonPrinter(lambda symbol: names[symbol])
+    lines = []
+    for statement in program:
+        if isinstance(statement, NetworkCall):
+            arguments = ", ".join(["math", "constants", "networks", *map(printer.print, statement.arguments)])
+            targets = [
+                "_" if symbol is None else names.claim(symbol, wish)
+                for symbol, wish in zip(statement.results, statement.wishes, strict=True)
+            ]
+            method = method_name(model.networks[statement.network])
+            lines.append(f"{_targets(targets)} = cls.{method}({arguments})")
+        else:
+            text = printer.print(statement.value)
+            lines.append(f"{names.claim(statement.symbol, statement.wish)} = {text}")
+    return lines
+
+
+def _used(program: Iterable[Statement]) -> set[sympy.Symbol]:
+    used: set[sympy.Symbol] = set()
+    for statement in program:
+        values: Iterable[sympy.Basic] = [statement.value] if isinstance(statement, Assignment) else statement.arguments
+        used |= {symbol for value in values for symbol in value.free_symbols}
+    return used
+
+
+def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symbol] | None = None) -> list[str]:
+    """Lines that give the quantities in use their names."""
+    lines = []
+    for vector, items in (("state", model.states), ("condition", model.conditions), ("inputs", model.inputs)):
+        wanted = [item.symbol in (given if given is not None and vector == "state" else used) for item in items]
+        if any(wanted):
+            targets = [names[item.symbol] if want else "_" for item, want in zip(items, wanted, strict=True)]
+            lines.append(f"{_targets(targets)} = math.unpack({vector})")
+    return lines + _unpacked_constants(model, names, used)
+
+
+def _unpacked_constants(model: Model, names: Names, used: set[Expr]) -> list[str]:
+    items = (*model.constants, *model.learnables)
+    if not any(item.symbol in used for item in items):
+        return []
+    return [f"{_targets(names.claim(i.symbol) if i.symbol in used else '_' for i in items)} = constants"]
+
+
+def _targets(names: Iterable[str]) -> str:
+    """The left side of an unpacking."""
+    listed = list(names)
+    return f"({listed[0]},)" if len(listed) == 1 else ", ".join(listed)
+
+
+def _comma(names: Iterable[str]) -> str:
+    """The inside of a tuple."""
+    listed = list(names)
+    return f"{listed[0]}," if len(listed) == 1 else ", ".join(listed)
+
+
+def _method(decorator: str, name: str, parameters: Sequence[str], document: str, body: Iterable[str]) -> str:
+    lines = [decorator, f"def {name}({', '.join(parameters)}):"]
+    if document:
+        lines.append(f'    """{document}"""')
+    return "\n".join([*lines, *(f"    {line}" for line in body)])

@@ -1,0 +1,45 @@
+"""From a Model to the class of its generated module, in this process."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import linecache
+import sys
+from typing import Any
+
+from gbspec.backends.module.render import generate
+from gbspec.backends.printing import identifier
+from gbspec.diagnostics import Defect
+from gbspec.ir.model import Model
+
+_loaded: dict[str, type[Any]] = {}
+
+
+def load_module(model: Model) -> type[Any]:
+    """The class of the generated module; one and the same for models whose module has the same text.
+
+    The text runs as it would from a file: it is registered as a module and with `linecache`, so that tracebacks show it
+    and its objects can be pickled within the process.
+    """
+    text = generate(model)
+    digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
+    if digest not in _loaded:
+        _loaded[digest] = _execute(text, f"gbspec_generated_{digest[:16]}", identifier(model.class_name))
+    return _loaded[digest]
+
+
+def _execute(text: str, name: str, class_name: str) -> type[Any]:
+    path = f"<{name}>"
+    spec = importlib.util.spec_from_loader(name, loader=None, origin=path)
+    if spec is None:
+        raise Defect(f"the module `{name}` cannot be described")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        code = compile(text, path, "exec")
+    except SyntaxError as error:
+        raise Defect(f"the generated module is not valid Python: {error}") from error
+    linecache.cache[path] = (len(text), None, text.splitlines(keepends=True), path)
+    sys.modules[name] = module
+    exec(code, module.__dict__)  # the text is our own, made of a Model; nothing a user wrote is in it unprinted
+    return getattr(module, class_name)  # type: ignore[no-any-return]

@@ -1,0 +1,418 @@
+"""A model without states.
+
+This file is a template and a valid module at once. A line that ends in `# {{key}}` and a region between `# {{key` and
+`# key}}` are replaced by what a model needs there.
+"""  # {{docstring}}
+
+from __future__ import annotations
+
+import functools
+import json
+import math as _math
+import os
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import numpy as np
+
+# {{siblings
+from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
+from gbspec.backends.module.template.networks import _casadi_network, _layers, _numpy_network, _torch_network
+from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
+
+_USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace, _layers)
+# siblings}}
+
+INTERFACE = 0  # {{interface}}
+
+
+class Template:  # {{class}}
+    """A model without states."""  # {{class docstring}}
+
+    # {{attributes
+    title: ClassVar[str] = ""
+    time: ClassVar[str] = "t"
+    states: ClassVar[tuple[str, ...]] = ()
+    conditions: ClassVar[tuple[str, ...]] = ()
+    inputs: ClassVar[tuple[str, ...]] = ()
+    channels: ClassVar[tuple[str, ...]] = ()
+    unknowns: ClassVar[tuple[str, ...]] = ()
+    constants: ClassVar[tuple[str, ...]] = ()
+    learnables: ClassVar[tuple[str, ...]] = ()
+    per_trajectory: ClassVar[tuple[str, ...]] = ()
+    doses: ClassVar[tuple[str, ...]] = ()
+    interpolation: ClassVar[tuple[str, ...]] = ()
+    channel_states: ClassVar[tuple[int | None, ...]] = ()
+    defaults: ClassVar[dict[str, tuple[float | None, ...]]] = {"constants": (), "conditions": (), "inputs": ()}
+    ranges: ClassVar[dict[str, tuple[float, float]]] = {}
+    units: ClassVar[dict[str, str]] = {}
+    descriptions: ClassVar[dict[str, str]] = {}
+    networks: ClassVar[tuple[dict[str, Any], ...]] = ()
+    # attributes}}
+
+    # {{equations
+    @classmethod
+    def _rhs(cls, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any) -> Any:
+        return math.pack(state, ())
+
+    @classmethod
+    def _observe(cls, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any) -> Any:
+        return math.pack(state, ())
+
+    @classmethod
+    def _initial(cls, math: Any, state: Any, condition: Any, constants: Any) -> Any:
+        return state
+
+    @classmethod
+    def _step(
+        cls, math: Any, t: Any, state: Any, h: Any, condition: Any, inputs: Any, constants: Any, networks: Any
+    ) -> Any:
+        return state
+
+    _unknowns: ClassVar[dict[str, tuple[int, int, Any]]] = {}
+    # equations}}
+
+    # ------------------------------------------------------------------ weights
+    # `self.weights` maps names to float64 arrays:
+    #   network.NAME.LAYER.weight [out, in] and .bias [out]
+    #   network.NAME.input_center, .input_scale [in], .output_center, .output_scale [out]: fixed, not trained
+    #   network.NAME.input_low, .input_high [in]: the trained range, for reports (optional)
+    #   constants [n_constants]: in the order of `constants`
+    #   initial [n_trajectories, n_states], per_trajectory.NAME [n_trajectories]: of the training data (optional)
+
+    def __init__(self, weights: Mapping[str, Any] | None = None, info: Mapping[str, Any] | None = None) -> None:
+        """Takes weights by name (none needed without unknown functions) and a table of remarks to keep with them.
+
+        Raises ValueError where a name is missing or surplus, or a shape does not fit this model.
+        """
+        if weights is None:
+            if self.networks:
+                raise ValueError(f"{type(self).__name__} has unknown functions: use load(path) or random(seed)")
+            weights = {"constants": self._default_constants()}
+        self.weights: dict[str, Any] = {name: np.asarray(value, dtype=np.float64) for name, value in weights.items()}
+        self.info: dict[str, Any] = dict(info or {})
+        self._ready: dict[Any, Any] = {}
+        self._check()
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], member: int = 0) -> Template:
+        """Reads weights: `path` is a run directory (its member number `member`) or a .safetensors file.
+
+        Raises FileNotFoundError, and ValueError where the file is malformed or belongs to another model.
+        """
+        place = Path(path)
+        if place.is_dir():
+            place = place / "members" / str(member) / "weights.safetensors"
+        arrays, metadata = _read_tensors(place)
+        try:
+            info = json.loads(metadata.get("info", "{}"))
+            return cls(arrays, info)
+        except ValueError as error:
+            raise ValueError(f"{place}: {error}") from None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes the weights, with `info` (which must be expressible as JSON), as a .safetensors file."""
+        _write_tensors(path, self.weights, {"model": type(self).__name__, "info": json.dumps(self.info)})
+
+    @classmethod
+    def random(cls, seed: int = 0) -> Template:
+        """Fresh weights: layers uniform in +-1/sqrt(inputs), the last a tenth of that, so that slopes start small.
+
+        Inputs are scaled by the arguments' ranges where they are bounded; outputs lie around the neutral value.
+        """
+        generator = np.random.default_rng(seed)
+        weights: dict[str, Any] = {"constants": cls._default_constants()}
+        for network in cls.networks:
+            prefix, sizes = f"network.{network['name']}.", network["sizes"]
+            for i, (n_in, n_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+                bound = (0.1 if i == len(sizes) - 2 else 1.0) / n_in**0.5
+                weights[f"{prefix}{i}.weight"] = generator.uniform(-bound, bound, (n_out, n_in))
+                weights[f"{prefix}{i}.bias"] = generator.uniform(-bound, bound, n_out)
+            ranges = [r if r is not None and np.all(np.isfinite(r)) else (-1.0, 1.0) for r in network["ranges"]]
+            low, high = np.array(ranges, dtype=np.float64).reshape(-1, 2).T
+            weights[prefix + "input_center"] = (low + high) / 2
+            weights[prefix + "input_scale"] = np.where(high > low, (high - low) / 2, 1.0)
+            weights[prefix + "output_center"] = np.array(network["neutral"], dtype=np.float64)
+            weights[prefix + "output_scale"] = np.ones(sizes[-1])
+        return cls(weights)
+
+    @classmethod
+    def _default_constants(cls) -> Any:
+        return np.array(cls.defaults["constants"], dtype=np.float64)
+
+    @classmethod
+    def shapes(cls) -> dict[str, tuple[int, ...]]:
+        """The names and shapes of the weights that a model cannot do without."""
+        table: dict[str, tuple[int, ...]] = {"constants": (len(cls.constants),)}
+        for network in cls.networks:
+            prefix, sizes = f"network.{network['name']}.", network["sizes"]
+            for i, (n_in, n_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+                table[f"{prefix}{i}.weight"], table[f"{prefix}{i}.bias"] = (n_out, n_in), (n_out,)
+            for side, size in (("input", sizes[0]), ("output", sizes[-1])):
+                table[f"{prefix}{side}_center"] = table[f"{prefix}{side}_scale"] = (size,)
+        return table
+
+    def _check(self) -> None:
+        required = self.shapes()
+        optional = {
+            f"network.{n['name']}.input_{end}": (n["sizes"][0],) for n in self.networks for end in ("low", "high")
+        }
+        wrong = [f"`{name}` is missing" for name in required if name not in self.weights]
+        for name, value in self.weights.items():
+            shape = required.get(name, optional.get(name))
+            if name == "initial":
+                shape = (*value.shape[:1], len(self.states))
+            elif name.startswith("per_trajectory.") and name.partition(".")[2] in self.per_trajectory:
+                shape = value.shape[:1]
+            if shape is None:
+                wrong.append(f"`{name}` belongs to no part of this model")
+            elif value.shape != shape:
+                wrong.append(f"`{name}` has the shape {list(value.shape)} instead of {list(shape)}")
+            elif name in required and not np.all(np.isfinite(value)):
+                wrong.append(f"`{name}` has entries that are not finite")
+        if wrong:
+            raise ValueError(f"the weights do not fit {type(self).__name__}: {'; '.join(wrong)}")
+
+    @staticmethod
+    def arithmetic(library: str) -> Any:
+        """The namespace in which the equations run: of "torch", "casadi" or "numpy"."""
+        return _arithmetic(library)
+
+    def torch_networks(self, weights: Mapping[str, Any], tape: list[Any] | None = None) -> tuple[Any, ...]:
+        """The networks over torch tensors named like `self.weights`; gradients reach those that require them.
+
+        With a tape every linear layer appends (network, layer, its input, its output before the activation), in the
+        order of the calls; weights are then used as they are, else with the scales multiplied in once.
+        """
+        return tuple(_torch_network(network, weights, i, tape) for i, network in enumerate(self.networks))
+
+    def casadi_networks(self) -> tuple[Any, ...]:
+        """The networks over casadi's symbols, with their weights as numbers."""
+        return tuple(_casadi_network(network, self.weights) for network in self.networks)
+
+    def numpy_networks(self) -> tuple[Any, ...]:
+        """The networks over arrays."""
+        return tuple(_numpy_network(network, self.weights) for network in self.networks)
+
+    # ------------------------------------------------------------------ torch
+    # Shapes: [...] is any batch, the same for all arguments up to broadcasting. Numbers, lists and arrays become float64
+    # tensors; tensors keep their type and device. `condition` and `inputs` may be left out where the model has none, or
+    # has defaults for all. `constants` replaces values by name (numbers, or tensors of the batch's shape).
+
+    def rhs(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
+        """dx/dt [..., n_states] at time t (a number or [...]), state x [..., n_states]; see above for the rest."""
+        x, condition, inputs = self._arguments(x, condition, inputs)
+        k, f = self._parameters(x, constants)
+        return self._rhs(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
+
+    def observe(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
+        """The channels [..., n_channels] at time t, state x [..., n_states]."""
+        x, condition, inputs = self._arguments(x, condition, inputs)
+        k, f = self._parameters(x, constants)
+        return self._observe(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
+
+    def initial(self, x0: Any, condition: Any = None, constants: Any = None) -> Any:
+        """The start x0 [..., n_states] with every state in its place whose start the model expresses."""
+        x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
+        k, _ = self._parameters(x, constants)
+        return self._initial(_torch_arithmetic(), x, condition, k)
+
+    def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
+        """One RK4 step of size h (a number or [...]) from x [..., n_states] at t; `inputs` hold through the step."""
+        x, condition, inputs = self._arguments(x, condition, inputs)
+        k, f = self._parameters(x, constants)
+        t, h = self._like(t, x), self._like(h, x)
+        return self._step(_torch_arithmetic(), t, x, h, condition, (inputs,) * 3, k, f)
+
+    def simulate(
+        self,
+        x0: Any,
+        times: Any,
+        condition: Any = None,
+        inputs: Any = None,
+        max_step: float | None = None,
+        constants: Any = None,
+    ) -> Any:
+        """States [..., n_times, n_states] at `times` [n_times] (increasing; x0 [..., n_states] is the first) by RK4.
+
+        `inputs`: values at the times [..., n_times, n_inputs], held or interpolated as the model declares, or a function
+        of time that returns [..., n_inputs]. Between two times the step is even and at most `max_step` (default: that of
+        the training, where the weights tell it, else one step). Differentiable.
+        """
+        import torch
+
+        x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
+        k, f = self._parameters(x, constants)
+        grid = [float(time) for time in times]
+        if any(not b > a for a, b in zip(grid[:-1], grid[1:], strict=True)):
+            raise ValueError("times must increase")
+        limit = max_step if max_step is not None else self.info.get("max_step")
+        if limit is not None and not limit > 0:
+            raise ValueError(f"max_step must be positive, not {limit}")
+        signal = self._signal(inputs, grid, x)
+        batch = torch.broadcast_shapes(x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1])
+        x = x.expand(*batch, x.shape[-1])
+        path = [x]
+        for i, (start, end) in enumerate(zip(grid[:-1], grid[1:], strict=True)):
+            count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))
+            h = (end - start) / count
+            for j in range(count):
+                t = start + j * h
+                u = tuple(signal(i, time) for time in (t, t + h / 2, t + h))
+                x = self._step(_torch_arithmetic(), self._like(t, x), x, h, condition, u, k, f)
+            path.append(x)
+        return torch.stack(path, -2)
+
+    @functools.cached_property
+    def functions(self) -> dict[str, Callable[..., Any]]:
+        """The unknown functions by name: of one tensor [..., n_arguments], or of the arguments one by one -> [...]."""
+        return {name: functools.partial(self._function, name) for name in self.unknowns}
+
+    def _function(self, name: str, *arguments: Any, constants: Any = None) -> Any:
+        index, output, method = self._unknowns[name]
+        count = len(self.networks[index]["arguments"])
+        if len(arguments) == 1 and count != 1:
+            arguments = (self._vector(arguments[0], count, f"the arguments of {name}"),)
+        parts = arguments[0].unbind(-1) if len(arguments) == 1 and count != 1 else arguments
+        if len(parts) != count:
+            raise ValueError(f"{name} takes {count} arguments, not {len(parts)}")
+        values = [self._like(part, None) for part in parts]
+        if count == 1 and values[0].ndim and values[0].shape[-1] == 1:
+            values = [values[0][..., 0]]
+        k, f = self._parameters(values[0], constants)
+        return method(_torch_arithmetic(), k, f, *values)[output]
+
+    def _arguments(self, x: Any, condition: Any, inputs: Any, need_inputs: bool = True) -> tuple[Any, Any, Any]:
+        """State, condition and inputs as tensors of the right length and of the state's type."""
+        x = self._vector(x, len(self.states), "the state")
+        condition = self._defaulted(condition, "conditions", x)
+        return x, condition, self._defaulted(inputs, "inputs", x) if need_inputs else None
+
+    def _defaulted(self, value: Any, kind: str, x: Any) -> Any:
+        names, defaults = getattr(self, kind), self.defaults[kind]
+        if value is None:
+            lacking = [name for name, default in zip(names, defaults, strict=True) if default is None]
+            if lacking:
+                raise ValueError(f"{kind} must be given: {', '.join(lacking)} has no default")
+            value = defaults
+        return self._vector(value, len(names), kind, x)
+
+    def _vector(self, value: Any, size: int, what: str, like: Any = None) -> Any:
+        tensor = self._like(value, like)
+        if size and tensor.ndim == 0 and size == 1:
+            tensor = tensor[None]
+        if size and (tensor.ndim == 0 or tensor.shape[-1] != size):
+            raise ValueError(f"{what} must have {size} numbers on the last axis, not the shape {list(tensor.shape)}")
+        return tensor
+
+    @staticmethod
+    def _like(value: Any, like: Any) -> Any:
+        """A tensor of the type and device of another; without another, its own or float64."""
+        import torch
+
+        if like is not None:
+            return torch.as_tensor(value, dtype=like.dtype, device=like.device)
+        tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(np.asarray(value, dtype=np.float64))
+        return tensor if tensor.is_floating_point() else tensor.double()
+
+    def _parameters(self, like: Any, constants: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+        """Constants and networks in the type and on the device of a tensor."""
+        import torch
+
+        key = (like.dtype, like.device)
+        if key not in self._ready:
+            weights = {
+                name: torch.as_tensor(value).to(dtype=like.dtype, device=like.device)
+                for name, value in self.weights.items()
+            }
+            self._ready[key] = tuple(weights["constants"].unbind()), self.torch_networks(weights)
+        k, f = self._ready[key]
+        if constants:
+            surplus = set(constants) - set(self.constants)
+            if surplus:
+                raise ValueError(f"no constant is called {', '.join(sorted(surplus))}")
+            k = tuple(
+                self._like(constants[name], like) if name in constants else value
+                for name, value in zip(self.constants, k, strict=True)
+            )
+        return k, f
+
+    def _signal(self, inputs: Any, grid: list[float], x: Any) -> Callable[[int, float], Any]:
+        """Inputs as a function of the number of an interval and a time in it."""
+        if callable(inputs):
+            return lambda i, t: self._vector(inputs(t), len(self.inputs), "inputs", x)
+        table = self._defaulted(inputs, "inputs", x)
+        if inputs is None or not self.inputs:
+            return lambda i, t: table
+        if table.ndim < 2 or table.shape[-2] != len(grid):
+            raise ValueError(f"inputs must have the shape [..., {len(grid)}, {len(self.inputs)}]: a row for each time")
+        linear = self._like([float(kind == "linear") for kind in self.interpolation], x)
+
+        def value(i: int, t: float) -> Any:
+            if len(grid) == 1:
+                return table[..., 0, :]
+            share = linear * ((t - grid[i]) / (grid[i + 1] - grid[i]))
+            return table[..., i, :] + share * (table[..., i + 1, :] - table[..., i, :])
+
+        return value
+
+    # ------------------------------------------------------------------ casadi
+    # Vectors are columns. With symbolic_constants the last input is the vector of constants, in the order of `constants`;
+    # else they stand in the function as numbers.
+
+    def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
+        """casadi.Function rhs(t, x, condition, inputs) -> dx, the networks inside."""
+        return self._casadi("rhs", "dx", self._rhs, symbolic_constants)
+
+    def casadi_observe(self, symbolic_constants: bool = False) -> Any:
+        """casadi.Function observe(t, x, condition, inputs) -> y."""
+        return self._casadi("observe", "y", self._observe, symbolic_constants)
+
+    def casadi_jacobian(self, symbolic_constants: bool = False) -> Any:
+        """casadi.Function jacobian(t, x, condition, inputs) -> J, d(dx)/dx [n_states, n_states]."""
+        import casadi as ca
+
+        rhs = self._casadi("rhs", "dx", self._rhs, symbolic_constants)
+        arguments = [rhs.sx_in(i) for i in range(rhs.n_in())]
+        jacobian = ca.densify(ca.jacobian(rhs(*arguments), arguments[1]))
+        return ca.Function("jacobian", arguments, [jacobian], rhs.name_in(), ["J"])
+
+    def casadi_function(self, name: str, symbolic_constants: bool = False) -> Any:
+        """casadi.Function of an unknown: the vector of its arguments -> its value."""
+        import casadi as ca
+
+        index, output, method = self._unknowns[name]
+        arguments = ca.SX.sym("arguments", len(self.networks[index]["arguments"]))
+        k = (
+            ca.SX.sym("constants", len(self.constants))
+            if symbolic_constants
+            else ca.SX(ca.DM(self.weights["constants"]))
+        )
+        m = _arithmetic("casadi")
+        value = method(m, m.unpack(k), self.casadi_networks(), *m.unpack(arguments))[output]
+        extra, names = ([k], ["constants"]) if symbolic_constants else ([], [])
+        return ca.Function(_casadi_name(name), [arguments, *extra], [value], ["arguments", *names], ["value"])
+
+    def _casadi(self, name: str, result: str, equations: Any, symbolic_constants: bool) -> Any:
+        import casadi as ca
+
+        m = _arithmetic("casadi")
+        sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
+        arguments = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
+        k = ca.SX(ca.DM(self.weights["constants"]))
+        values = [*arguments.values()]
+        if symbolic_constants:
+            k = arguments["constants"] = ca.SX.sym("constants", len(self.constants))
+        vector = equations(m, *values, m.unpack(k), self.casadi_networks())
+        return ca.Function(name, [*arguments.values()], [ca.densify(vector)], [*arguments], [result])
+
+
+def _casadi_name(name: str) -> str:
+    """A name that casadi accepts for a function: letters, digits and single underscores."""
+    text = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
+    while "__" in text:
+        text = text.replace("__", "_")
+    return text if text[:1].isalpha() and text not in ("null", "jac", "hess") else f"f_{text}".rstrip("_")

@@ -1,0 +1,45 @@
+"""Identifiers for the names of a model: safe in the target language, distinct, and as close to the user's as can be."""
+
+from __future__ import annotations
+
+import keyword
+import unicodedata
+from collections.abc import Iterable
+
+import sympy
+
+PYTHON_WORDS = frozenset({*keyword.kwlist, "cls", "self"})
+"""Names that generated Python never gives to a quantity of the model."""
+
+
+def identifier(name: str) -> str:
+    """The Python identifier nearest to a name: NFKC, every character that may not stand in it replaced by `_`."""
+    text = "".join(c if f"_{c}".isidentifier() else "_" for c in unicodedata.normalize("NFKC", name))
+    return text if text.isidentifier() else f"_{text}"
+
+
+class Names:
+    """The identifiers of one scope, one a symbol; a taken or reserved name gets underscores at its end.
+
+    Symbols are the keys, so that a temporary (a `sympy.Dummy`) never shares the identifier of a quantity of its name.
+    """
+
+    def __init__(self, reserved: Iterable[str] = ()) -> None:
+        self._taken = {*PYTHON_WORDS, *reserved}
+        self._of: dict[sympy.Symbol, str] = {}
+
+    def claim(self, symbol: sympy.Symbol, wish: str | None = None) -> str:
+        """The identifier of a symbol, given to it now unless it has one; `wish` is what it would like to be called."""
+        if symbol not in self._of:
+            name = identifier(wish if wish is not None else symbol.name)
+            while name in self._taken:
+                name += "_"
+            self._taken.add(name)
+            self._of[symbol] = name
+        return self._of[symbol]
+
+    def __getitem__(self, symbol: sympy.Symbol) -> str:
+        return self._of[symbol]
+
+    def __contains__(self, symbol: sympy.Symbol) -> bool:
+        return symbol in self._of
