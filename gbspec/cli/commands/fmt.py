@@ -20,16 +20,16 @@ def run(
     diff: Annotated[bool, typer.Option("--diff", help="Write nothing; show what would change, exit 1 if any.")] = False,
 ) -> None:
     """Write model files in the standard form: clauses in order, spacing and line breaks; comments are kept."""
-    from gbspec import driver
     from gbspec.diagnostics import Diagnostic, UserError
     from gbspec.files import write_text
     from gbspec.syntax.formatter import format_text
+    from gbspec.syntax.reading import read_source
 
     found: list[Diagnostic] = []
     changed: list[str] = []
     for name in files:
         try:
-            source = driver.read_source(name)
+            source = read_source(name)
             formatted = format_text(source)
         except UserError as error:  # the other files are formatted all the same
             found.extend(error.diagnostics)

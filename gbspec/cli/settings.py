@@ -1,0 +1,57 @@
+"""Texts of flags that name values: `--set NAME=VALUE` and `--at "NAME=VALUE,NAME=VALUE"`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Annotated
+
+import typer
+
+from gbspec.diagnostics import Findings
+
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Another value for a constant, learnable or condition.", metavar="NAME=VALUE"),
+]
+"""The parameter `--set` of the commands that have it."""
+
+
+def settings(texts: Sequence[str] | None) -> dict[str, float]:
+    """`NAME=VALUE` texts as a mapping. Raises `UserError` (GB804) with everything that is malformed or said twice."""
+    findings = Findings()
+    values = assignments(texts or (), "--set", "GB804", findings, "write a name and a number: --set B=14")
+    findings.raise_if_failed()
+    return values
+
+
+def points(texts: Sequence[str] | None) -> tuple[dict[str, float], ...]:
+    """`NAME=VALUE,NAME=VALUE` texts, one mapping each. Raises `UserError` (GB810)."""
+    findings = Findings()
+    help = 'write names and numbers: --at "x1=0.4,x2=1.2"'
+    found = [assignments(text.split(","), "--at", "GB810", findings, help) for text in texts or ()]
+    findings.raise_if_failed()
+    return tuple(found)
+
+
+def assignments(texts: Iterable[str], flag: str, code: str, findings: Findings, help: str) -> dict[str, float]:
+    """The assignments that are well formed; the others are recorded under `code`."""
+    values: dict[str, float] = {}
+    for text in texts:
+        name, equals, given = (part.strip() for part in text.partition("="))
+        value = _number(given)
+        if not (name and equals) or value is None:
+            findings.error(code, f"`{flag} {text.strip()}` is not a name and a number", None, help=help)
+        elif name in values:
+            findings.error(code, f"`{flag}` gives `{name}` twice", None, help="give it once")
+        else:
+            values[name] = value
+    return values
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

@@ -1,0 +1,68 @@
+"""The help: every command has one, with examples that its own parser accepts."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from gbspec import __version__
+from gbspec.cli.app import COMMANDS
+from gbspec.cli.frame import Command
+
+
+def load(name: str) -> Command:
+    made = importlib.import_module(COMMANDS[name]).run
+    assert isinstance(made, Command)
+    return made
+
+
+EXAMPLES = [(name, example) for name in COMMANDS for example in load(name).examples]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_an_example_and_the_common_flags(gbspec: Callable[..., Any], name: str) -> None:
+    result = gbspec(name, "--help")
+    assert result.exit_code == 0
+    assert "Example" in result.stdout
+    assert f"gbspec {name}" in result.stdout.replace("\n", " ")
+    assert "--quiet" in result.stdout
+    assert "--json" in result.stdout
+
+
+@pytest.mark.parametrize(("name", "example"), EXAMPLES)
+def test_every_example_parses(name: str, example: str) -> None:
+    program, command, *arguments = shlex.split(example, comments=True)
+    assert (program, command) == ("gbspec", name)
+    made, called = load(name), []
+
+    def record(**given: Any) -> None:
+        called.append(given)
+
+    record.__signature__ = made.call.__signature__  # type: ignore[attr-defined]
+    record.__annotations__ = made.call.__annotations__
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command(name)(record)
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert len(called) == 1
+
+
+def test_the_group_lists_every_command(gbspec: Callable[..., Any]) -> None:
+    shown = gbspec("--help").stdout
+    assert all(f" {name} " in shown for name in COMMANDS)
+
+
+def test_version(gbspec: Callable[..., Any]) -> None:
+    assert gbspec("--version").stdout.strip() == f"gbspec {__version__}"
+
+
+def test_a_misspelt_command_is_usage_and_gets_a_suggestion(gbspec: Callable[..., Any]) -> None:
+    result = gbspec("chekc")
+    assert result.exit_code == 2
+    assert "check" in result.stderr

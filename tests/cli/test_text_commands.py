@@ -1,0 +1,193 @@
+"""new, check, fmt, compile, explain: the commands that only read and write text."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Run = Callable[..., Any]
+
+HEAVY = """
+import sys
+from gbspec.cli.app import main
+try:
+    main(["check", "urp_gb2", "--quiet"])
+except SystemExit as leave:
+    assert not leave.code, leave.code
+loaded = [name for name in ("torch", "casadi", "matplotlib", "polars", "pyarrow", "scipy") if name in sys.modules]
+assert not loaded, loaded
+"""
+
+
+def test_check_imports_nothing_heavy(here: Path) -> None:
+    subprocess.run([sys.executable, "-c", HEAVY], check=True, cwd=here)
+
+
+def test_check_of_a_shipped_model_answers_within_a_second(here: Path) -> None:
+    def seconds() -> float:
+        begin = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "gbspec", "check", "urp_gb2"], check=True, cwd=here, capture_output=True)
+        return time.perf_counter() - begin
+
+    # the best of several, since other work may share the machine
+    assert min(seconds() for _ in range(4)) < 1.0
+
+
+def test_check_prints_states_starts_unknowns_and_learnables(gbspec: Run) -> None:
+    result = gbspec("check", "urp_gb2")
+    assert result.exit_code == 0, result.stderr
+    for said in ("x1", "conversion", "measured, else learned", "phi(x1, x2, Da)", "3-64-64-1", "4481", "B from 5", "Da"):
+        assert said in result.stdout
+
+
+def test_check_json_has_its_keys_in_order(document: Run) -> None:
+    made = document("check", "urp_gb2")
+    assert list(made) == ["files"]
+    (file,) = made["files"]
+    assert list(file)[:10] == [
+        *("path", "model", "states", "conditions", "inputs", "constants", "learnables", "unknowns", "laws"),
+        "identifiability",
+    ]
+    assert file["states"] == ["x1", "x2"]
+    assert file["learnables"] == ["B", "beta"]
+    assert file["unknowns"] == [{"names": ["phi"], "arguments": ["x1", "x2", "Da"], "parameters": 4481}]
+    assert file["diagnostics"] == []
+
+
+def test_check_reports_everything_of_every_file(gbspec: Run, document: Run, decay: Path) -> None:
+    bad = decay.with_name("bad.gb")
+    bad.write_text("model bad\nstate x\nstate y\nx' = -k*x\n")
+    result = gbspec("check", decay, bad)
+    assert result.exit_code == 1
+    assert "`k`" in result.stderr
+    assert "`y`" in result.stderr
+    assert "decay" in result.stdout
+    good, wrong = document("check", decay, bad)["files"]
+    assert good["model"] == "decay"
+    assert {d["severity"] for d in wrong["diagnostics"]} >= {"error"}
+    assert list(wrong["diagnostics"][0]) == [
+        *("code", "severity", "message", "file", "line", "column", "end_line", "end_column", "labels", "notes", "help"),
+    ]
+
+
+def test_strict_counts_warnings(gbspec: Run, decay: Path) -> None:
+    decay.write_text(decay.read_text() + "const spare = 3\n")
+    assert gbspec("check", decay).exit_code == 0
+    assert gbspec("check", decay, "--strict").exit_code == 1
+
+
+@pytest.mark.parametrize("command", [("check",), ("compile", "-o", "x.py"), ("fmt",)])
+def test_a_missing_model_is_wrong_input(gbspec: Run, here: Path, command: tuple[str, ...]) -> None:
+    result = gbspec(command[0], "absent.gb", *command[1:])
+    assert result.exit_code == 1
+    assert "absent.gb" in result.stderr
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("command", [("check",), ("compile", "-o", "x.py"), ("fmt",)])
+def test_a_directory_for_a_model_is_wrong_input(gbspec: Run, here: Path, command: tuple[str, ...]) -> None:
+    (here / "folder").mkdir()
+    result = gbspec(command[0], "folder", *command[1:])
+    assert result.exit_code == 1
+    assert "folder" in result.stderr
+
+
+# ------------------------------------------------------------------------------------------------------------ new
+def test_new_writes_a_model_that_checks_strictly_and_is_in_form(gbspec: Run, here: Path) -> None:
+    assert gbspec("new", "my_model").exit_code == 0
+    result = gbspec("check", "--strict", "my_model.gb")
+    assert result.exit_code == 0, result.stderr
+    assert gbspec("fmt", "--check", "my_model.gb").exit_code == 0
+
+
+def test_new_never_overwrites(gbspec: Run, decay: Path) -> None:
+    before = decay.read_text()
+    result = gbspec("new", "decay")
+    assert result.exit_code == 1
+    assert "GB806" in result.stderr
+    assert decay.read_text() == before
+
+
+@pytest.mark.parametrize("name", ["my-model", "2nd", "a b"])
+def test_new_refuses_names_that_no_module_can_have(gbspec: Run, here: Path, name: str) -> None:
+    result = gbspec("new", name)
+    assert result.exit_code == 1
+    assert "GB807" in result.stderr
+    assert not list(here.iterdir())
+
+
+# ------------------------------------------------------------------------------------------------------------ fmt
+def test_fmt_rewrites_check_tells_and_diff_shows(gbspec: Run, here: Path) -> None:
+    path = here / "m.gb"
+    rough = "model   m  # the name\nstate x=1\nx'=-2*x\nobserve   x\n"
+    path.write_text(rough)
+    told = gbspec("fmt", "--check", path)
+    assert (told.exit_code, path.read_text()) == (1, rough)
+    shown = gbspec("fmt", "--diff", path)
+    assert (shown.exit_code, path.read_text()) == (1, rough)
+    assert "-x'=-2*x" in shown.stdout
+    assert "+x' = -2*x" in shown.stdout
+    assert gbspec("fmt", path).exit_code == 0
+    assert "# the name" in path.read_text()
+    assert gbspec("fmt", "--check", "--diff", path).exit_code == 0
+
+
+def test_fmt_leaves_a_file_with_syntax_errors_alone(gbspec: Run, decay: Path) -> None:
+    bad = decay.with_name("bad.gb")
+    bad.write_text("model bad\nstate x = = 1\n")
+    decay.write_text("model   decay\nstate N=1\nN' = -N\n")
+    result = gbspec("fmt", bad, decay)
+    assert result.exit_code == 1
+    assert "bad.gb" in result.stderr
+    assert bad.read_text() == "model bad\nstate x = = 1\n"
+    assert decay.read_text().startswith("model decay\n")
+
+
+# -------------------------------------------------------------------------------------------------------- compile
+def test_compile_writes_a_module_that_imports_without_gbspec(gbspec: Run, decay: Path) -> None:
+    result = gbspec("compile", decay, "-o", "decay.py")
+    assert result.exit_code == 0, result.stderr
+    code = "import sys, decay; print(decay.Decay.states, sorted({'gbspec', 'sympy', 'torch', 'casadi'} & set(sys.modules)))"
+    shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=decay.parent)
+    assert shown.stdout.strip() == "('N',) []"
+
+
+def test_compile_emits_the_intermediate_form(gbspec: Run, decay: Path) -> None:
+    assert gbspec("compile", decay, "--emit", "ir", "-o", "decay.ir").exit_code == 0
+    assert "rate" in Path("decay.ir").read_text()
+
+
+def test_compile_to_a_folder_that_is_not_there(gbspec: Run, decay: Path) -> None:
+    result = gbspec("compile", decay, "-o", "no/such/decay.py")
+    assert result.exit_code == 1
+    assert "GB803" in result.stderr
+
+
+def test_an_unknown_form_is_usage(gbspec: Run, decay: Path) -> None:
+    assert gbspec("compile", decay, "--emit", "fortran", "-o", "decay.f").exit_code == 2
+
+
+# -------------------------------------------------------------------------------------------------------- explain
+def test_explain(gbspec: Run, document: Run) -> None:
+    result = gbspec("explain", "gb807")
+    assert result.exit_code == 0
+    assert "gbspec new my_model" in result.stdout
+    assert document("explain", "GB807")["title"]
+
+
+def test_explain_an_unknown_code(gbspec: Run) -> None:
+    result = gbspec("explain", "GB000")
+    assert result.exit_code == 1
+    assert "GB000" in result.stderr
+
+
+def test_the_json_document_is_the_only_thing_on_standard_output(gbspec: Run, decay: Path) -> None:
+    for arguments in (("check", decay), ("compile", decay, "-o", "d.py"), ("new", "another"), ("explain", "GB801")):
+        json.loads(gbspec(*arguments, "--json").stdout)
