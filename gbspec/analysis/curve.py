@@ -1,0 +1,120 @@
+"""Pseudo-arclength continuation of a curve F(y) = 0, F: R^(m+1) -> R^m (Keller 1977; Allgower and Georg, ch. 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-11
+"""Newton stops when its step is below this, in scaled variables."""
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """A point y [m+1] of the curve, its unit tangent [m+1] and the derivative DF [m, m+1] there."""
+
+    y: Array
+    tangent: Array
+    derivative: Array
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Lengths of steps along the curve, in scaled variables, and the turn of the tangent that one step may make."""
+
+    first: float = 0.005
+    least: float = 1e-8
+    most: float = 0.02
+    turn: float = 0.99
+    """Smallest cosine between the tangents of neighbouring points."""
+
+
+class Curve:
+    """The zero set of F, given as y -> (F [m], DF [m, m+1]) in variables scaled to be of the order of one."""
+
+    def __init__(self, evaluate: Callable[[Array], tuple[Array, Array]]) -> None:
+        self.evaluate = evaluate
+
+    def tangent(self, derivative: Array, along: Array) -> Array | None:
+        """The unit null vector of `derivative` [m, m+1] that points along `along` [m+1]; None if it is not unique."""
+        right = np.zeros(len(along))
+        right[-1] = 1.0
+        try:
+            vector = np.linalg.solve(np.vstack([derivative, along]), right)
+        except np.linalg.LinAlgError:
+            return None
+        size = float(np.linalg.norm(vector))
+        return np.asarray(vector / size, dtype=float) if np.isfinite(size) and size > 0 else None
+
+    def correct(self, guess: Array, normal: Array, iterations: int = 8) -> tuple[Array, Array, int] | None:
+        """Newton from `guess` within the hyperplane through it with this normal: y, DF there, number of iterations."""
+        y = guess.copy()
+        for iteration in range(1, iterations + 1):
+            f, derivative = self.evaluate(y)
+            if not (np.isfinite(f).all() and np.isfinite(derivative).all()):
+                return None
+            try:
+                step = np.linalg.solve(np.vstack([derivative, normal]), np.append(f, normal @ (y - guess)))
+            except np.linalg.LinAlgError:
+                return None
+            y = y - step
+            size = float(np.max(np.abs(step)))
+            if not np.isfinite(size) or size > 1e3:
+                return None
+            if size < TOLERANCE:
+                return y, self.evaluate(y)[1], iteration
+        return None
+
+    def point(self, guess: Array, along: Array) -> CurvePoint | None:
+        """The point of the curve nearest to `guess` in the hyperplane across `along`, with its tangent."""
+        corrected = self.correct(guess, along)
+        if corrected is None:
+            return None
+        y, derivative, _ = corrected
+        tangent = self.tangent(derivative, along)
+        return None if tangent is None else CurvePoint(y, tangent, derivative)
+
+    def walk(self, start: CurvePoint, steps: Steps) -> Iterator[tuple[CurvePoint, float]]:
+        """Points after `start` along its tangent, each with the step that led to it; ends where no step converges."""
+        here, length = start, steps.first
+        while True:
+            corrected = self.correct(here.y + length * here.tangent, here.tangent)
+            tangent = None if corrected is None else self.tangent(corrected[1], here.tangent)
+            if corrected is None or tangent is None or tangent @ here.tangent < steps.turn:
+                length /= 2.0
+                if length < steps.least:
+                    return
+                continue
+            y, derivative, iterations = corrected
+            here = CurvePoint(y, tangent, derivative)
+            yield here, length
+            if iterations <= 4:
+                length = min(steps.most, 1.5 * length)
+            elif iterations > 6:
+                length /= 2.0
+
+    def locate(
+        self, a: CurvePoint, length: float, test: Callable[[CurvePoint], float], tolerance: float = 1e-13
+    ) -> CurvePoint | None:
+        """Where `test` vanishes within the step of this length from `a`, by Brent's method along the curve."""
+        from scipy.optimize import brentq
+
+        seen: dict[float, CurvePoint] = {}
+
+        def value(s: float) -> float:
+            point = self.point(a.y + s * a.tangent, a.tangent) if s > 0.0 else a
+            if point is None:
+                raise ArithmeticError
+            seen[s] = point
+            return test(point)
+
+        try:
+            s = float(brentq(value, 0.0, length, xtol=tolerance * max(length, 1.0), rtol=1e-15, maxiter=80))
+            return seen[s] if s in seen else self.point(a.y + s * a.tangent, a.tangent)
+        except ArithmeticError:
+            return None
