@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gbspec.data.columns import similar
+from gbspec.data.names import similar
 from gbspec.data.overlay import Report, overlay
 from gbspec.data.sampling import Box, SimulateOptions
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from gbspec.data.sheet import Sheet, cell_name
+from gbspec.data.names import cell_name, similar
+from gbspec.data.sheet import Sheet
 from gbspec.diagnostics import Cell, Findings
 from gbspec.ir.model import Model, Range
 
@@ -117,13 +117,6 @@ def _time(sheet: Sheet, model: Model, taken: set[str]) -> str | None:
         if name in sheet.columns and name not in taken:
             return name
     return None
-
-
-def similar(name: str, candidates: Iterable[str]) -> str | None:
-    """The candidate that a misspelt name most likely means; upper and lower case count little."""
-    pool = {candidate.casefold(): candidate for candidate in candidates}
-    close = difflib.get_close_matches(name.casefold(), pool, n=1, cutoff=0.7)
-    return pool[close[0]] if close else None
 
 
 def _missing(

@@ -9,8 +9,9 @@ import polars as pl
 from numpy.typing import NDArray
 
 from gbspec.data.cells import coded, labels, numbers
-from gbspec.data.columns import Layout, Quantity, describe, similar
-from gbspec.data.sheet import SHOWN, Sheet, cell_name, more
+from gbspec.data.columns import Layout, Quantity, describe
+from gbspec.data.names import cell_name, similar
+from gbspec.data.sheet import SHOWN, Sheet, more
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Cell, Findings
 

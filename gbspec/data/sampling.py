@@ -100,6 +100,7 @@ class SimulateOptions:
             (self.sampling in ("regular", "gamma"), "sampling", "`regular` or `gamma`"),
             (self.noise >= 0 and math.isfinite(self.noise), "noise", "zero or more"),
             (self.seed >= 0, "seed", "zero or more"),
+            (not self.clock or self.channels == "own-clock", "clock", "used with `channels` own-clock"),
             (
                 self.fraction is not None or self.channels in ("all", "own-clock"),
                 "channels",

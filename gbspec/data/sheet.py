@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from gbspec.data.names import cell_name
 from gbspec.diagnostics import Cell, Findings
 
 SEPARATORS = {".csv": ",", ".tsv": "\t"}
@@ -68,11 +68,6 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
     if suffix in PARQUET:
         return _parquet(str(path), data, sha256, findings)
     return _delimited(str(path), data, SEPARATORS[suffix], sha256, findings)
-
-
-def cell_name(text: object) -> str:
-    """A column's name as it is compared: NFKC, without blanks around it."""
-    return unicodedata.normalize("NFKC", str(text)).strip()
 
 
 # ---------------------------------------------------------------------------------------------------------- text

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+from gbspec.data.names import similar
 from gbspec.diagnostics import Diagnostic, UserError
 
 PACKAGE = Path(__file__).resolve().parent.parent
@@ -28,8 +29,6 @@ def shipped_model(name: str) -> Path:
     known = shipped_models()
     if name in known:
         return known[name]
-    from gbspec.data.columns import similar  # it brings the readers of tables, which `gbspec check` does without
-
     meant = similar(name, known)
     advice = f"is `{meant}` meant?" if meant else f"there are {', '.join(known)}"
     raise UserError([Diagnostic("GB744", f"gbspec ships no model `{name}`", None, help=advice)])

@@ -1,0 +1,242 @@
+"""Designs of simulated experiments: starts, conditions, inputs, and what is measured when.
+
+Everything random comes from a generator that belongs to one trajectory, so that a trajectory does not change with how
+many others are made or drawn again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.names import similar
+from gbspec.data.sampling import Box, SimulateOptions
+from gbspec.data.signals import clipped
+from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectory
+from gbspec.diagnostics import Findings
+from gbspec.ir.model import Model, Range
+
+Mask = NDArray[np.bool_]
+SHAPE = 4.0
+"""Shape of the gamma distribution of intervals (standard deviation: half of the mean)."""
+PIECES = 5
+"""How many values a random input takes in a trajectory, on average."""
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Where starts, conditions and inputs are drawn from: low and high ends, [n, 2] each, in the model's order.
+
+    A start that the model expresses has NaN here.
+    """
+
+    states: Array
+    conditions: Array
+    inputs: Array
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One trajectory before it is solved: start, conditions, inputs and doses, and which channels are measured when.
+
+    It is solved from `start` and recorded from `begins`. `x0` [n] where the model expresses no start; `times` [T]
+    increase, `mask` [T, channels] says what is measured.
+    """
+
+    label: str
+    start: float
+    begins: float
+    x0: Array
+    condition: Array
+    inputs: tuple[Signal, ...]
+    doses: tuple[DoseEvents, ...]
+    times: Array
+    mask: Mask
+
+
+# ---------------------------------------------------------------------------------------------------------- boxes
+
+
+def boxes(model: Model, options: SimulateOptions, findings: Findings, given: bool = False) -> Boxes:
+    """The boxes that the options and the declared ranges make.
+
+    Reports names that are unknown (GB751), starts that the model expresses (GB752), and what has no range (GB753).
+    `given`: conditions and inputs come from a table, so that they need no range.
+    """
+    starts = {s.name: _declared(s.range, s.start) for s in model.states if s.initial.kind != "expression"}
+    expressed = {state.name for state in model.states if state.initial.kind == "expression"}
+    conditions = {item.name: _declared(item.range, item.default) for item in model.conditions}
+    inputs = {item.name: _declared(item.range, item.default) for item in model.inputs}
+    _known(options.initial, starts, expressed, "--initial", "state", findings)
+    _known(options.condition, conditions | inputs, set(), "--condition", "condition or input", findings)
+    channels = {channel.name: None for channel in model.channels}
+    _known({name: (0.0, 0.0) for name in options.clock}, channels, set(), "--clock", "channel", findings)
+    external: dict[str, Box | None] = {} if given else conditions | inputs
+    for flag, kind, ranges, chosen in (
+        ("--initial", "state", starts, options.initial),
+        ("--condition", "condition or input", external, options.condition),
+    ):
+        for name, box in ranges.items():
+            if box is None and name not in chosen:
+                findings.error(
+                    "GB753",
+                    f"nothing says between which values the {kind} `{name}` is to be drawn",
+                    None,
+                    help=f"add `{flag} {name}=LOW:HIGH`, or declare a range in the model: `{name} in [LOW, HIGH]`",
+                    subject=name,
+                )
+    return Boxes(
+        _array([state.name for state in model.states], starts, options.initial),
+        _array(list(conditions), conditions, options.condition),
+        _array(list(inputs), inputs, options.condition),
+    )
+
+
+def _declared(range: Range | None, value: float | None) -> Box | None:
+    """A declared range where it is bounded, else a single value, else nothing."""
+    if range is not None and range.bounded:
+        return (range.low, range.high)
+    return None if value is None else (value, value)
+
+
+def _known(
+    chosen: Mapping[str, Box],
+    known: Mapping[str, Box | None],
+    expressed: set[str],
+    flag: str,
+    kind: str,
+    findings: Findings,
+) -> None:
+    """Reports boxes for names that cannot have one."""
+    for name in chosen:
+        if name in expressed:
+            findings.error(
+                "GB752",
+                f"`{flag} {name}=…`: the model says how `{name}` starts",
+                None,
+                help=f"remove `initial {name} = …` from the model, or change what it says with `--set`",
+                subject=name,
+            )
+        elif name not in known:
+            meant = similar(name, known)
+            findings.error(
+                "GB751",
+                f"`{flag} {name}=…`: the model has no {kind} `{name}`",
+                None,
+                help=f"is `{meant}` meant?" if meant else f"it has {', '.join(known) or 'none'}",
+                subject=name,
+            )
+
+
+def _array(names: Sequence[str], declared: Mapping[str, Box | None], chosen: Mapping[str, Box]) -> Array:
+    """Ends of the boxes, [names, 2]; NaN where there is none."""
+    nothing = (np.nan, np.nan)
+    return np.array([chosen.get(name) or declared.get(name) or nothing for name in names], dtype=float).reshape(-1, 2)
+
+
+# ---------------------------------------------------------------------------------------------------------- plans
+
+
+def draw(box: Array, random: np.random.Generator) -> Array:
+    """A point drawn evenly from a box [n, 2]; NaN stays NaN."""
+    return box[:, 0] + (box[:, 1] - box[:, 0]) * random.random(len(box))
+
+
+def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random: np.random.Generator) -> Plan | None:
+    """Draws one trajectory; None where fewer than two times fell into the span."""
+    start = model.time.start or 0.0
+    times, mask = measurement_times(options, tuple(channel.name for channel in model.channels), start, random)
+    if len(times) < 2:
+        return None
+    end = start + options.span
+    inputs = tuple(
+        random_signal(item.interpolation, ends, start, end, random)
+        for item, ends in zip(model.inputs, box.inputs, strict=True)
+    )
+    nothing = tuple(DoseEvents(np.zeros(0), np.zeros(0)) for _ in model.doses)
+    begins = start if model.time.start is not None else float(times[0])
+    x0, condition = draw(box.states, random), draw(box.conditions, random)
+    return Plan(label, start, begins, x0, condition, inputs, nothing, times, mask)
+
+
+def plan_like(
+    item: Trajectory, model: Model, options: SimulateOptions, box: Boxes, random: np.random.Generator
+) -> Plan:
+    """Times, conditions, inputs and doses of a trajectory of a table; conditions that the options name are drawn.
+
+    What was measured in the table is measured here; everything at every time if nothing was.
+    """
+    mask = item.counts > 0
+    if not mask.any():
+        mask = np.ones_like(mask)
+    chosen = np.array([condition.name in options.condition for condition in model.conditions], dtype=bool)
+    condition = np.where(chosen, draw(box.conditions, random), item.condition)
+    used = mask.any(axis=1)
+    return Plan(
+        label=item.label,
+        start=item.start,
+        begins=item.start,
+        x0=draw(box.states, random),
+        condition=condition,
+        inputs=item.inputs,
+        doses=item.doses,
+        times=item.times[used],
+        mask=mask[used],
+    )
+
+
+def random_signal(interpolation: str, ends: Array, start: float, end: float, random: np.random.Generator) -> Signal:
+    """An input that takes values drawn evenly from its range, for gamma-distributed stretches of a fifth of the span.
+
+    A held input steps from one to the next, a linear one runs through them.
+    """
+    if ends[0] == ends[1]:
+        return Signal(np.array([start]), np.array([ends[0]]))
+    times = [start]
+    while times[-1] < end:
+        times.append(times[-1] + float(random.gamma(SHAPE, (end - start) / PIECES / SHAPE)))
+    values = ends[0] + (ends[1] - ends[0]) * random.random(len(times))
+    signal = Signal(np.array(times), values)
+    return clipped(signal, "held" if interpolation == "held" else "linear", start, end)
+
+
+def measurement_times(
+    options: SimulateOptions, channels: tuple[str, ...], start: float, random: np.random.Generator
+) -> tuple[Array, Mask]:
+    """When each channel is measured: times [T] and mask [T, channels].
+
+    All channels share their times, unless each has its own clock (regular clocks then begin anywhere within their first
+    interval, or at the start if intervals are given by channel). At the start everything is measured, if it is kept.
+    """
+    if options.channels == "own-clock":
+        own = [_clock(options, options.clock.get(name, options.dt), random, not options.clock) for name in channels]
+        ticks = np.unique(np.concatenate(own)) if own else np.zeros(0)
+        mask = np.stack([np.isin(ticks, clock) for clock in own], axis=1) if own else np.zeros((0, 0), dtype=bool)
+    else:
+        ticks = _clock(options, options.dt, random, False)
+        mask = np.ones((len(ticks), len(channels)), dtype=bool)
+        if options.fraction is not None:
+            mask = random.random(mask.shape) < options.fraction
+            empty = np.flatnonzero(~mask.any(axis=1))
+            mask[empty, random.integers(0, len(channels), len(empty))] = True
+    if options.keep_start:
+        ticks = np.concatenate([[0.0], ticks])
+        mask = np.concatenate([np.ones((1, len(channels)), dtype=bool), mask])
+    return start + ticks, mask
+
+
+def _clock(options: SimulateOptions, interval: float, random: np.random.Generator, phase: bool) -> Array:
+    """The ticks of one clock after zero and up to the span; with `phase` the first is anywhere in an interval."""
+    if options.sampling == "regular":
+        offset = random.random() * interval if phase else interval
+        count = int(np.floor((options.span - offset) / interval + 1e-9)) + 1
+        return np.asarray(offset + interval * np.arange(max(count, 0)), dtype=np.float64)
+    ticks: list[float] = []
+    now = float(random.gamma(SHAPE, interval / SHAPE))
+    while now <= options.span:
+        ticks.append(now)
+        now += float(random.gamma(SHAPE, interval / SHAPE))
+    return np.array(ticks)

@@ -1,0 +1,71 @@
+"""Regions that trajectories must not enter: conditions such as `x2 > 4`, evaluated along a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import sympy
+
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Findings, Source
+from gbspec.ir.model import Model
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where a condition of the user's holds. `text` is what was written."""
+
+    text: str
+    holds: Callable[..., Any]
+
+    def entered(self, times: Array, states: Array, condition: Array, inputs: Array, constants: Array) -> bool:
+        """Whether it holds at any of the points: times [T], states [T, n], inputs [T, m]; a NaN is not inside."""
+        with np.errstate(all="ignore"):
+            inside = self.holds(times, *states.T, *condition, *inputs.T, *constants)
+        return bool(np.any(inside))
+
+
+def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Region, ...]:
+    """Reads conditions on the model's time, states, conditions, inputs and constants; reports what is wrong in them."""
+    from gbspec.lower import lower_expression
+    from gbspec.syntax.parser import parse_expression
+
+    names = (
+        model.time,
+        *model.states,
+        *model.conditions,
+        *model.inputs,
+        *model.constants,
+        *model.learnables,
+    )
+    found = []
+    for text in texts:
+        own = Findings()
+        parsed = parse_expression(Source("--reject", text), own)
+        lowered = None if parsed is None or own.failed else lower_expression(parsed, model, own)
+        findings.extend(own)
+        if lowered is None or own.failed:
+            continue
+        if not isinstance(lowered, sympy.logic.boolalg.Boolean):
+            findings.error(
+                "GB755",
+                f'`--reject "{text}"` is a number, not a condition',
+                None,
+                help='compare it with something, as in `--reject "x2 > 4"`',
+            )
+            continue
+        expanded = lowered.xreplace(_intermediates(model))
+        arguments = [item.symbol for item in names]
+        found.append(Region(text, sympy.lambdify(arguments, expanded, modules="numpy", dummify=True)))
+    return tuple(found)
+
+
+def _intermediates(model: Model) -> dict[Any, Any]:
+    """What each named intermediate stands for, in terms of what is not one."""
+    table: dict[Any, Any] = {}
+    for item in model.intermediates:
+        table[item.symbol] = item.value.xreplace(table)
+    return table
