@@ -360,7 +360,7 @@ class Template:  # {{class}}
         return value
 
     # ------------------------------------------------------------------ casadi
-    # Vectors are columns. With symbolic_constants the last input is the vector of constants, in the order of `constants`;
+    # Vectors are columns. With symbolic_constants the last input is the vector of constants in the order of `constants`;
     # else they stand in the function as numbers.
 
     def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
@@ -373,40 +373,37 @@ class Template:  # {{class}}
 
     def casadi_jacobian(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function jacobian(t, x, condition, inputs) -> J, d(dx)/dx [n_states, n_states]."""
-        import casadi as ca
-
-        rhs = self._casadi("rhs", "dx", self._rhs, symbolic_constants)
-        arguments = [rhs.sx_in(i) for i in range(rhs.n_in())]
-        jacobian = ca.densify(ca.jacobian(rhs(*arguments), arguments[1]))
-        return ca.Function("jacobian", arguments, [jacobian], rhs.name_in(), ["J"])
+        return self._casadi("jacobian", "J", self._rhs, symbolic_constants, derivative=True)
 
     def casadi_function(self, name: str, symbolic_constants: bool = False) -> Any:
         """casadi.Function of an unknown: the vector of its arguments -> its value."""
         import casadi as ca
 
         index, output, method = self._unknowns[name]
-        arguments = ca.SX.sym("arguments", len(self.networks[index]["arguments"]))
-        k = (
-            ca.SX.sym("constants", len(self.constants))
-            if symbolic_constants
-            else ca.SX(ca.DM(self.weights["constants"]))
-        )
+        arguments = {"arguments": ca.MX.sym("arguments", len(self.networks[index]["arguments"]))}
+        k = ca.MX(ca.DM(self.weights["constants"]))
+        if symbolic_constants:
+            k = arguments["constants"] = ca.MX.sym("constants", len(self.constants))
         m = _arithmetic("casadi")
-        value = method(m, m.unpack(k), self.casadi_networks(), *m.unpack(arguments))[output]
-        extra, names = ([k], ["constants"]) if symbolic_constants else ([], [])
-        return ca.Function(_casadi_name(name), [arguments, *extra], [value], ["arguments", *names], ["value"])
+        value = method(m, m.unpack(k), self.casadi_networks(), *m.unpack(arguments["arguments"]))[output]
+        return ca.Function(_casadi_name(name), [*arguments.values()], [value], [*arguments], ["value"])
 
-    def _casadi(self, name: str, result: str, equations: Any, symbolic_constants: bool) -> Any:
+    def _casadi(
+        self, name: str, result: str, equations: Any, symbolic_constants: bool, derivative: bool = False
+    ) -> Any:
         import casadi as ca
 
-        m = _arithmetic("casadi")
+        # Networks are products of matrices, which casadi keeps whole in MX; in SX they would be a node a multiplication.
+        kind = ca.MX if self.networks else ca.SX
         sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
-        arguments = {key: ca.SX.sym(key, size) for key, size in sizes.items()}
-        k = ca.SX(ca.DM(self.weights["constants"]))
-        values = [*arguments.values()]
+        arguments = {key: kind.sym(key, size) for key, size in sizes.items()}
+        values, k = [*arguments.values()], kind(ca.DM(self.weights["constants"]))
         if symbolic_constants:
-            k = arguments["constants"] = ca.SX.sym("constants", len(self.constants))
+            k = arguments["constants"] = kind.sym("constants", len(self.constants))
+        m = _arithmetic("casadi")
         vector = equations(m, *values, m.unpack(k), self.casadi_networks())
+        if derivative:
+            vector = ca.jacobian(vector, arguments["x"])
         return ca.Function(name, [*arguments.values()], [ca.densify(vector)], [*arguments], [result])
 
 

@@ -1,0 +1,244 @@
+"""The evaluator: what analysis and simulation ask of a model, by casadi. Truths and fitted models go through the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gbspec.backends.casadi import rk4
+from gbspec.backends.casadi.cvodes import Integrator, Problem
+from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
+from gbspec.diagnostics import ComputationError
+
+Array = NDArray[np.float64]
+
+
+class Evaluator:
+    """Functions of an instance of a generated module: with weights, or of a model without unknown functions.
+
+    `rhs`, `jacobian` and `observe` are casadi Functions of (t, x, condition, inputs, constants); `constants` is the
+    vector of the instance's own constants, used wherever none is given.
+    """
+
+    def __init__(self, instance: Any) -> None:
+        self.instance = instance
+        self.n_states, self.n_channels = len(instance.states), len(instance.channels)
+        self.n_conditions, self.n_inputs = len(instance.conditions), len(instance.inputs)
+        self.constants: Array = np.array(instance.weights["constants"], dtype=np.float64)
+        self._maps: dict[tuple[str, int], Any] = {}
+        self._unknowns: dict[str, Any] = {}
+
+    # -------------------------------------------------------------- casadi functions
+    @cached_property
+    def rhs(self) -> Any:
+        """casadi.Function (t, x, condition, inputs, constants) -> dx [n_states]."""
+        return self.instance.casadi_rhs(symbolic_constants=True)
+
+    @cached_property
+    def jacobian(self) -> Any:
+        """casadi.Function (t, x, condition, inputs, constants) -> d(dx)/dx [n_states, n_states]."""
+        return self.instance.casadi_jacobian(symbolic_constants=True)
+
+    @cached_property
+    def observe(self) -> Any:
+        """casadi.Function (t, x, condition, inputs, constants) -> y [n_channels]."""
+        return self.instance.casadi_observe(symbolic_constants=True)
+
+    def function(self, name: str) -> Any:
+        """casadi.Function (arguments, constants) -> value of one unknown; KeyError if there is none of that name."""
+        if name not in self._unknowns:
+            self._unknowns[name] = self.instance.casadi_function(name, symbolic_constants=True)
+        return self._unknowns[name]
+
+    # -------------------------------------------------------------- over many points
+    def rhs_many(
+        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+    ) -> Array:
+        """dx/dt [N, n_states] at times t [N] (or one), states x [N, n_states]; the rest [N, n] or [n] for all points."""
+        return self._many("rhs", self.rhs, self._points(t, x, condition, inputs, constants))
+
+    def observe_many(
+        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+    ) -> Array:
+        """Channels [N, n_channels]; arguments as for `rhs_many`."""
+        return self._many("observe", self.observe, self._points(t, x, condition, inputs, constants))
+
+    def functions_many(self, name: str, arguments: ArrayLike, constants: Any = None) -> Array:
+        """Values [N] of an unknown at arguments [N, n_arguments]."""
+        table = np.atleast_2d(np.asarray(arguments, dtype=np.float64))
+        return self._many(f"function {name}", self.function(name), [table, self._constants(constants)])[:, 0]
+
+    def jacobian_at(
+        self, t: float, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+    ) -> Array:
+        """d(dx/dt)/dx [n_states, n_states] at one point."""
+        return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
+
+    def jacobian_many(
+        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+    ) -> Array:
+        """Jacobians [N, n_states, n_states]; arguments as for `rhs_many`."""
+        points = self._points(t, x, condition, inputs, constants)
+        flat = self._many("jacobian", self._flat_jacobian, points)
+        return flat.reshape(len(flat), self.n_states, self.n_states).swapaxes(1, 2)
+
+    @cached_property
+    def _flat_jacobian(self) -> Any:
+        arguments = self.jacobian.mx_in()
+        return ca.Function("jacobian", arguments, [ca.vec(self.jacobian(*arguments))])
+
+    def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: Any = None) -> Array:
+        """The start x0 [n_states] with every state in its place whose start the model expresses."""
+        m = self.instance.arithmetic("numpy")
+        with np.errstate(all="ignore"):
+            start = self.instance._initial(
+                m, np.asarray(x0, dtype=np.float64), np.asarray(condition, dtype=np.float64), self._tuple(constants)
+            )
+        return np.array(start, dtype=np.float64)
+
+    def _points(
+        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike, inputs: ArrayLike, constants: Any
+    ) -> list[Array]:
+        state = np.asarray(x, dtype=np.float64).reshape(-1, self.n_states)
+        time = np.asarray(t, dtype=np.float64).reshape(-1, 1)
+        return [
+            time,
+            state,
+            np.asarray(condition, dtype=np.float64).reshape(-1, self.n_conditions)
+            if self.n_conditions
+            else np.zeros((1, 0)),
+            np.asarray(inputs, dtype=np.float64).reshape(-1, self.n_inputs) if self.n_inputs else np.zeros((1, 0)),
+            self._constants(constants),
+        ]
+
+    def _many(self, key: str, function: Any, columns: Sequence[Array]) -> Array:
+        """A function at N points, in one call; a row that stands alone counts for all of them."""
+        tables = [np.atleast_2d(column) for column in columns]
+        count = max(len(table) for table in tables)
+        if (key, count) not in self._maps:
+            self._maps[key, count] = function.map(count)
+        blocks = [np.ascontiguousarray(np.broadcast_to(table, (count, table.shape[1])).T) for table in tables]
+        return np.ascontiguousarray(np.array(self._maps[key, count](*blocks)).T)
+
+    def _constants(self, constants: Any) -> Array:
+        return self.constants if constants is None else np.asarray(constants, dtype=np.float64)
+
+    def _tuple(self, constants: Any) -> tuple[Any, ...]:
+        return tuple(np.float64(value) for value in self._constants(constants))
+
+    # -------------------------------------------------------------- over time
+    def integrate(
+        self,
+        x0: ArrayLike,
+        times: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: Sequence[Any] = (),
+        start: float | None = None,
+        *,
+        doses: Sequence[Any] = (),
+        constants: Any = None,
+        rtol: float = 1e-10,
+        atol: float = 1e-10,
+        scales: ArrayLike | None = None,
+    ) -> Array:
+        """States [n_times, n_states] at increasing `times`, from x0 [n_states] at `start` (default: the first time).
+
+        CVODES, variable order and step; it starts anew wherever an input changes course or a dose falls, so that it never
+        steps across a kink. `inputs` are signals with `times` and `values`, one an input; `doses` likewise with `amounts`,
+        one a declared dose, added after a measurement at the same time. Errors are kept below rtol relative to the state
+        and atol relative to `scales` [n_states] (default: from the states' ranges, else from x0). The tolerances bound the
+        error of the whole trajectory in practice: CVODES' own, which are local, are set a hundred times tighter.
+
+        Raises ComputationError, with time and state, where the solution cannot be continued or is not finite.
+        """
+        outputs = self._times(times, start)
+        begin = float(outputs[0]) if start is None else float(start)
+        pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
+        nominal = self._scales(x0) if scales is None else np.asarray(scales, dtype=np.float64)
+        problem = Problem(np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol)
+        return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
+
+    def integrate_rk4(
+        self,
+        x0: ArrayLike,
+        times: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: Sequence[Any] = (),
+        start: float | None = None,
+        *,
+        max_step: float,
+        doses: Sequence[Any] = (),
+        constants: Any = None,
+    ) -> Array:
+        """The same by the RK4 step of the module, in even steps of at most `max_step` between outputs and kinks.
+
+        States may come out infinite or NaN: what a fixed step does is what is asked here.
+        """
+        outputs = self._times(times, start)
+        begin = float(outputs[0]) if start is None else float(start)
+        pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
+        plan = rk4.plan(begin, outputs, pieces, max_step, self.n_states, self.n_inputs)
+        condition = np.asarray(condition, dtype=np.float64).ravel()
+        return self._stepper.run(np.asarray(x0, dtype=np.float64), plan, condition, self._constants(constants))
+
+    @cached_property
+    def _integrator(self) -> Integrator:
+        return Integrator(self.rhs, tuple(self.instance.states))
+
+    @cached_property
+    def _stepper(self) -> rk4.Stepper:
+        return rk4.Stepper(self.instance)
+
+    def _times(self, times: ArrayLike, start: float | None) -> Array:
+        outputs = np.asarray(times, dtype=np.float64).ravel()
+        if not len(outputs) or not np.all(np.isfinite(outputs)) or np.any(np.diff(outputs) <= 0):
+            raise ValueError("times must be finite, increase, and be at least one")
+        if start is not None and outputs[0] < start:
+            raise ValueError(f"the first time, {outputs[0]}, lies before the start, {start}")
+        return outputs
+
+    def _segments(
+        self, begin: float, end: float, condition: ArrayLike, inputs: Sequence[Any], doses: Sequence[Any], constants: Any
+    ) -> list[Segment]:
+        if len(inputs) != self.n_inputs:
+            raise ValueError(f"the model has {self.n_inputs} inputs, {len(inputs)} were given")
+        signals = [
+            Signal(np.asarray(item.times, dtype=np.float64), np.asarray(item.values, dtype=np.float64)) for item in inputs
+        ]
+        jumps = self._jumps(condition, doses, constants)
+        return segments(begin, end, self.n_states, signals, self.instance.interpolation, jumps)
+
+    def _jumps(self, condition: ArrayLike, doses: Sequence[Any], constants: Any) -> list[Jump]:
+        if not doses:
+            return []
+        names = self.instance.doses
+        if len(doses) != len(names):
+            raise ValueError(f"the model declares {len(names)} doses, {len(doses)} were given")
+        m = self.instance.arithmetic("numpy")
+        terms = self.instance._doses(m, np.asarray(condition, dtype=np.float64).ravel(), self._tuple(constants))
+        return [
+            Jump(float(time) + float(lag), self.instance.states.index(name), float(amount) * float(fraction))
+            for name, events, (fraction, lag) in zip(names, doses, terms, strict=True)
+            for time, amount in zip(events.times, events.amounts, strict=True)
+        ]
+
+    def _scales(self, x0: ArrayLike) -> Array:
+        """The size of each state: of its range where that is bounded, else of its start; 1 where both are zero."""
+        scales = np.abs(np.asarray(x0, dtype=np.float64)).ravel().copy()
+        for i, name in enumerate(self.instance.states):
+            size = max(map(abs, self.instance.ranges.get(name, (0.0,))))
+            if 0 < size < np.inf:
+                scales[i] = size
+        return np.where(scales > 0, scales, 1.0)
+
+
+def check_finite(x: Array, names: Sequence[str], where: str) -> None:
+    """Raises ComputationError naming the states that are not finite."""
+    bad = [f"`{name}`" for name, value in zip(names, x, strict=True) if not np.isfinite(value)]
+    if bad:
+        raise ComputationError(f"{', '.join(bad)} is not a finite number", where=where)

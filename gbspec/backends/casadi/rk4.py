@@ -1,0 +1,101 @@
+"""The module's own RK4 step over a trajectory, in one call of casadi's mapaccum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.backends.casadi.timeline import Segment
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Steps in order: times and sizes [n], inputs at their three nodes [3, n, n_inputs], additions before them
+    [n, n_states]; `after` [n_times] is the number of steps done when an output is taken."""
+
+    times: Array
+    sizes: Array
+    inputs: Array
+    jumps: Array
+    after: NDArray[np.int64]
+
+
+def plan(
+    begin: float, outputs: Array, pieces: Sequence[Segment], max_step: float, n_states: int, n_inputs: int
+) -> Plan:
+    """Even steps of at most `max_step` between the outputs and the ends of the pieces."""
+    if not max_step > 0:
+        raise ValueError(f"max_step must be positive, not {max_step}")
+    times: list[float] = []
+    sizes: list[float] = []
+    inputs: list[Array] = []
+    jumps: list[Array] = []
+    after = {begin: 0}
+    for piece in pieces:
+        inside = outputs[(outputs > piece.begin) & (outputs < piece.end)]
+        bounds = [piece.begin, *map(float, inside), piece.end]
+        jump = piece.jump
+        for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+            count = max(1, ceil((b - a) / max_step - 1e-9))
+            h = (b - a) / count
+            for j in range(count):
+                t = a + j * h
+                times.append(t)
+                sizes.append(h)
+                nodes = (np.array([t, t + h / 2, t + h]) - piece.begin)[:, None]
+                inputs.append(piece.inputs + piece.slopes * nodes)
+                jumps.append(jump)
+                jump = np.zeros(n_states)
+            after[b] = len(times)
+    return Plan(
+        np.array(times),
+        np.array(sizes),
+        np.array(inputs).reshape(len(times), 3, n_inputs).swapaxes(0, 1),
+        np.array(jumps).reshape(len(times), n_states),
+        np.array([after[float(time)] for time in outputs], dtype=np.int64),
+    )
+
+
+class Stepper:
+    """Runs plans; one accumulated function a power of two of steps, shorter plans filled up with steps of size 0."""
+
+    def __init__(self, instance: Any) -> None:
+        self._step = _step_function(instance)
+        self._accumulated: dict[int, Any] = {}
+
+    def run(self, x0: Array, plan: Plan, condition: Array, constants: Array) -> Array:
+        """States [n_times, n_states] at the plan's outputs."""
+        n = len(plan.times)
+        path = np.empty((n + 1, len(x0)))
+        path[0] = x0
+        if n:
+            length = 1 << (n - 1).bit_length()
+            if length not in self._accumulated:
+                self._accumulated[length] = self._step.mapaccum(length)
+            columns = [plan.times[None], plan.sizes[None], *(u.T for u in plan.inputs), plan.jumps.T]
+            padded = [np.pad(block, ((0, 0), (0, length - n)), mode="edge") for block in columns]
+            padded[1][:, n:] = 0.0
+            constant = [np.repeat(v[:, None], length, axis=1) for v in (condition, constants)]
+            path[1:] = np.array(self._accumulated[length](x0, *padded, *constant)).T[:n]
+        return path[plan.after]
+
+
+def _step_function(instance: Any) -> Any:
+    """casadi.Function (x, t, h, u0, u1, u2, jump, condition, constants) -> x one step later."""
+    kind = ca.MX if instance.networks else ca.SX
+    n_states, n_inputs = len(instance.states), len(instance.inputs)
+    sizes = {"x": n_states, "t": 1, "h": 1, "u0": n_inputs, "u1": n_inputs, "u2": n_inputs, "jump": n_states}
+    sizes |= {"condition": len(instance.conditions), "constants": len(instance.constants)}
+    arguments = {name: kind.sym(name, size) for name, size in sizes.items()}
+    x, t, h, u0, u1, u2, jump, condition, constants = arguments.values()
+    m = instance.arithmetic("casadi")
+    after = instance._step(m, t, x + jump, h, condition, (u0, u1, u2), m.unpack(constants), instance.casadi_networks())
+    return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["after"])

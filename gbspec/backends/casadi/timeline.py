@@ -1,0 +1,84 @@
+"""The time axis of one trajectory, cut where its inputs change course or a dose falls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """An input over time: `times` [n] increasing, `values` [n]; held from its time on, or linear in between."""
+
+    times: Array
+    values: Array
+
+
+@dataclass(frozen=True)
+class Segment:
+    """From `begin` to `end`: inputs are `inputs + slopes*(t - begin)`; `jump` is added to the state at the beginning."""
+
+    begin: float
+    end: float
+    inputs: Array
+    slopes: Array
+    jump: Array
+
+
+@dataclass(frozen=True)
+class Jump:
+    """An addition to the state with the number `state` at a time."""
+
+    time: float
+    state: int
+    amount: float
+
+
+def value_and_slope(signal: Signal, kind: str, time: float) -> tuple[float, float]:
+    """A signal's value at a time and its slope just after it; before the first and after the last value it is held."""
+    times, values = signal.times, signal.values
+    if not len(times):
+        raise ValueError("an input has no value at any time")
+    i = int(np.searchsorted(times, time, side="right")) - 1
+    if i < 0:
+        return float(values[0]), 0.0
+    if kind == "held" or i == len(times) - 1:
+        return float(values[i]), 0.0
+    slope = float((values[i + 1] - values[i]) / (times[i + 1] - times[i]))
+    return float(values[i]) + slope * (time - float(times[i])), slope
+
+
+def segments(
+    start: float,
+    end: float,
+    n_states: int,
+    inputs: Sequence[Signal],
+    kinds: Sequence[str],
+    jumps: Sequence[Jump],
+) -> list[Segment]:
+    """The pieces of [start, end] on which every input is a straight line and no dose falls inside.
+
+    Jumps before `start` count as given already, jumps at `end` or later have no effect.
+    """
+    if not end > start:
+        return []
+    cuts = {start, end, *(jump.time for jump in jumps)}
+    for signal in inputs:
+        cuts |= set(map(float, signal.times))
+    bounds = sorted(cut for cut in cuts if start <= cut <= end)
+    pieces = []
+    for begin, finish in zip(bounds[:-1], bounds[1:], strict=True):
+        pairs = [value_and_slope(signal, kind, begin) for signal, kind in zip(inputs, kinds, strict=True)]
+        jump = np.zeros(n_states)
+        for item in jumps:
+            if item.time == begin:
+                jump[item.state] += item.amount
+        pieces.append(
+            Segment(begin, finish, np.array([v for v, _ in pairs]), np.array([slope for _, slope in pairs]), jump)
+        )
+    return pieces
