@@ -73,7 +73,7 @@ def boxes(model: Model, options: SimulateOptions, findings: Findings, given: boo
     _known(options.initial, starts, expressed, "--initial", "state", findings)
     _known(options.condition, conditions | inputs, set(), "--condition", "condition or input", findings)
     channels = {channel.name: None for channel in model.channels}
-    _known({name: (0.0, 0.0) for name in options.clock}, channels, set(), "--clock", "channel", findings)
+    _known(dict.fromkeys(options.clock, (0.0, 0.0)), channels, set(), "--clock", "channel", findings)
     external: dict[str, Box | None] = {} if given else conditions | inputs
     for flag, kind, ranges, chosen in (
         ("--initial", "state", starts, options.initial),

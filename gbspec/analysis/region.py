@@ -57,15 +57,8 @@ def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Reg
                 help='compare it with something, as in `--reject "x2 > 4"`',
             )
             continue
-        expanded = lowered.xreplace(_intermediates(model))
+        (expanded,) = model.inlined((lowered,))
         arguments = [item.symbol for item in names]
         found.append(Region(text, sympy.lambdify(arguments, expanded, modules="numpy", dummify=True)))
     return tuple(found)
 
-
-def _intermediates(model: Model) -> dict[Any, Any]:
-    """What each named intermediate stands for, in terms of what is not one."""
-    table: dict[Any, Any] = {}
-    for item in model.intermediates:
-        table[item.symbol] = item.value.xreplace(table)
-    return table
