@@ -11,14 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Literal
+from functools import cache, cached_property
+from itertools import pairwise
+from typing import Literal, TypeAlias
 
 import sympy
 
 from gbspec.diagnostics import Span
 
-Expr = sympy.Expr
+Expr: TypeAlias = sympy.Expr
 
 
 def symbol(name: str) -> sympy.Symbol:
@@ -26,6 +27,7 @@ def symbol(name: str) -> sympy.Symbol:
     return sympy.Symbol(name, real=True)
 
 
+@cache
 def unknown_function(name: str) -> type[sympy.Function]:
     """The undefined function whose applications stand for the unknown of that name."""
     return sympy.Function(name, real=True)  # type: ignore[no-any-return]
@@ -150,7 +152,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Contract:
-    """A guarantee on one output: `lower`/`upper` bound by `value`; `zero` at argument = value; `increasing`/`decreasing`."""
+    """A guarantee on one output: `lower`, `upper` (bound `value`), `zero` at argument = value, `increasing`, `decreasing`."""
 
     kind: Literal["lower", "upper", "zero", "increasing", "decreasing"]
     value: Expr | None = None
@@ -198,7 +200,7 @@ class Network:
     def parameters(self) -> int:
         """Number of weights and biases."""
         sizes = (len(self.arguments), *self.hidden, len(self.outputs))
-        return sum((a + 1) * b for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        return sum((a + 1) * b for a, b in pairwise(sizes))
 
 
 @dataclass(frozen=True)
@@ -293,6 +295,8 @@ class Model:
     truth_functions: tuple[TruthFunction, ...] = ()
     text: str = ""
     """The model as one `.gb` text, `extends` resolved; what a run directory keeps."""
+    allowed: tuple[tuple[str, str | None], ...] = ()
+    """Warnings that the author accepts: codes, each with the name it is accepted for (None: any)."""
 
     @property
     def class_name(self) -> str:

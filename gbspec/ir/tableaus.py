@@ -8,7 +8,7 @@ from fractions import Fraction
 
 @dataclass(frozen=True)
 class Tableau:
-    """An explicit Butcher tableau: stage i sees x + h * sum_j a[i][j] k_j at t + c[i] h; the step adds h * sum b_i k_i."""
+    """An explicit Butcher tableau: stage i sees x + h sum_j a[i][j] k_j at t + c[i] h; a step adds h sum_i b[i] k_i."""
 
     name: str
     order: int

@@ -1,0 +1,137 @@
+"""A Model as text: stable, complete, for reading and for golden files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from sympy.core.numbers import Float
+from sympy.printing.str import StrPrinter
+
+from gbspec.ir.model import NN, Declared, Expr, Model, Network, Range
+
+
+class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
+    """Floats as the double that they are: sympy's own printer cuts them to 15 digits."""
+
+    def _print_Float(self, expr: Float) -> str:  # noqa: N802 - sympy finds it by this name
+        return repr(float(expr))
+
+
+_PRINTER = _Printer()
+
+
+def written(expression: Expr) -> str:
+    """An expression as text, its floats in full precision."""
+    return str(_PRINTER.doprint(expression))
+
+
+def dump(model: Model) -> str:
+    """Every part of the Model, one a line, in its order; numbers in full precision. Ends with a line end."""
+    lines = [f"model {model.name}" + _quoted(model.title)]
+    lines.append(
+        f"time {model.time.name}{_unit(model.time)}"
+        + ("" if model.time.start is None else f" from {model.time.start!r}")
+    )
+    lines += _section("states", (_state(model, i) for i in range(len(model.states))))
+    lines += _section(
+        "conditions",
+        (f"{_head(c)}{_range(c.range)}{_default(c.default)}{_column(c.name, c.column)}" for c in model.conditions),
+    )
+    lines += _section(
+        "inputs",
+        (
+            f"{_head(u)}{_range(u.range)} {u.interpolation}{_default(u.default)}{_column(u.name, u.column)}"
+            for u in model.inputs
+        ),
+    )
+    lines += _section("constants", (f"{_head(c)} = {c.value!r}" for c in model.constants))
+    lines += _section(
+        "learnables",
+        (
+            f"{_head(k)} = {k.start!r}{_range(k.range)}"
+            + ("" if k.prior is None else f" prior {k.prior.kind}({k.prior.location!r}, {k.prior.scale!r})")
+            + (" per trajectory" if k.per_trajectory else "")
+            for k in model.learnables
+        ),
+    )
+    lines += _section("networks", (_network(network) for network in model.networks))
+    lines += _section(
+        "unknowns",
+        (
+            f"{_head(u)} = {written(u.postulate)}" + ("" if u.postulate == NN else f"  (nn begins at {u.neutral!r})")
+            for u in model.unknowns
+        ),
+    )
+    lines += _section("intermediates", (f"{i.kind} {_head(i)} = {written(i.value)}" for i in model.intermediates))
+    lines += _section(
+        "processes",
+        (
+            f"{p.name}: " + ", ".join(f"{state} {written(coefficient)}" for state, coefficient in p.stoichiometry)
+            for p in model.processes
+        ),
+    )
+    lines += _section(
+        "balances", (f"{s.name}' = {written(b)}" for s, b in zip(model.states, model.balances, strict=True))
+    )
+    lines += _section(
+        "channels",
+        (
+            f"{_head(c)} = {written(c.value)}"
+            + ("" if c.state is None else f"  (state {c.state})")
+            + ("" if c.noise is None else f" noise {c.noise.kind}({c.noise.scale!r})")
+            + _column(c.name, c.column)
+            for c in model.channels
+        ),
+    )
+    lines += _section("doses", (f"{d.state} times {written(d.fraction)} lag {written(d.lag)}" for d in model.doses))
+    lines += _section("claims", (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims))
+    lines += _section(
+        "truths",
+        (
+            *(f"{t.name} = {t.value!r}" for t in model.truth_constants),
+            *(f"{t.name}({', '.join(t.parameters)}) = {written(t.value)}" for t in model.truth_functions),
+        ),
+    )
+    lines += _section("allowed", (code + (f" {name}" if name else "") for code, name in model.allowed))
+    return "\n".join(lines) + "\n"
+
+
+def _section(title: str, entries: Iterable[str]) -> list[str]:
+    body = [f"  {entry}" for entry in entries]
+    return [title, *body] if body else []
+
+
+def _quoted(text: str) -> str:
+    return f' "{text}"' if text else ""
+
+
+def _unit(item: Declared) -> str:
+    return f" : {item.unit}" if item.unit else ""
+
+
+def _head(item: Declared) -> str:
+    return f"{item.name}{_unit(item)}"
+
+
+def _range(bounds: Range | None) -> str:
+    return "" if bounds is None or bounds == Range() else f" in [{bounds.low!r}, {bounds.high!r}]"
+
+
+def _default(value: float | None) -> str:
+    return "" if value is None else f" = {value!r}"
+
+
+def _column(name: str, column: str) -> str:
+    return f' as "{column}"' if column and column != name else ""
+
+
+def _network(network: Network) -> str:
+    arguments = ", ".join(f"{a.name}{f' : {a.unit}' if a.unit else ''}{_range(a.range)}" for a in network.arguments)
+    sizes = "-".join(str(n) for n in (len(network.arguments), *network.hidden, len(network.outputs)))
+    return f"{', '.join(network.outputs)}({arguments}) by mlp {sizes} {network.activation}"
+
+
+def _state(model: Model, index: int) -> str:
+    state = model.states[index]
+    initial = state.initial.kind if state.initial.value is None else written(state.initial.value)
+    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}"

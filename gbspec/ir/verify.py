@@ -1,0 +1,113 @@
+"""What must hold of every Model, checked after lowering and after each pass; a failure is a defect of gbspec."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import sympy
+from sympy.core.function import AppliedUndef
+
+from gbspec.diagnostics import Defect
+from gbspec.ir.model import NN, Expr, Model, symbol
+
+
+def verify(model: Model) -> None:
+    """Checks that every symbol is declared, every application has its arity, orders and indices agree, numbers finite.
+
+    Raises:
+        Defect: naming the part of the Model that breaks a rule.
+    """
+    _names(model)
+    _networks(model)
+    _expressions(model)
+    _numbers(model)
+
+
+def _require(condition: bool, what: str) -> None:
+    if not condition:
+        raise Defect(f"the Model is malformed: {what}")
+
+
+def _names(model: Model) -> None:
+    names = [model.time.name, *model.constant_names]
+    for group in (model.states, model.conditions, model.inputs, model.intermediates):
+        names.extend(item.name for item in group)
+    names.extend(unknown.name for unknown in model.unknowns)
+    twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+    _require(not twice, f"declared twice: {twice}")
+    _require(len(model.balances) == len(model.states), "one balance for each state")
+    channels = [channel.name for channel in model.channels]
+    _require(len(set(channels)) == len(channels), "channels of the same name")
+    rates = {item.name for item in model.intermediates if item.kind == "rate"}
+    _require(rates == {process.name for process in model.processes}, "processes and rates differ")
+
+
+def _networks(model: Model) -> None:
+    outputs = [[u.name for u in model.unknowns if u.network == i] for i in range(len(model.networks))]
+    for network, names in zip(model.networks, outputs, strict=True):
+        _require(tuple(names) == network.outputs, f"outputs of the network `{network.name}`")
+        _require(bool(network.arguments), f"the network `{network.name}` has no argument")
+        _require(all(width > 0 for width in network.hidden), f"widths of the network `{network.name}`")
+    for unknown in model.unknowns:
+        inside = 0 <= unknown.network < len(model.networks)
+        _require(inside and model.networks[unknown.network].outputs[unknown.output] == unknown.name, unknown.name)
+
+
+def _expressions(model: Model) -> None:
+    constants = {symbol(name) for name in model.constant_names}
+    conditions = {item.symbol for item in model.conditions}
+    states = {item.symbol for item in model.states}
+    known = constants | conditions | states | {item.symbol for item in model.inputs} | {model.time.symbol}
+    arity = {u.name: len(model.networks[u.network].arguments) for u in model.unknowns}
+
+    def check(what: str, expression: Expr, allowed: Iterable[sympy.Symbol], *, applies: bool = True) -> None:
+        strangers = sorted(str(s) for s in expression.free_symbols - set(allowed))
+        _require(not strangers, f"{what} uses {strangers}")
+        for application in expression.atoms(AppliedUndef):
+            name = application.func.__name__
+            _require(applies and arity.get(name) == len(application.args), f"{what} applies {name}")
+        _require(not expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I), f"{what} is not finite")
+
+    for item in model.intermediates:
+        check(f"`{item.name}`", item.value, known)
+        known.add(item.symbol)
+    for state, balance in zip(model.states, model.balances, strict=True):
+        check(f"the balance of `{state.name}`", balance, known)
+        if state.initial.value is not None:
+            check(f"the start of `{state.name}`", state.initial.value, constants | conditions | states, applies=False)
+    for channel in model.channels:
+        check(f"the channel `{channel.name}`", channel.value, known)
+        is_state = channel.state is not None and channel.value == model.states[channel.state].symbol
+        _require(channel.state is None or is_state, f"the state of the channel `{channel.name}`")
+    for process in model.processes:
+        for name, coefficient in process.stoichiometry:
+            _require(name in model.state_index, f"`{process.name}` converts `{name}`")
+            check(f"a coefficient of `{process.name}`", coefficient, constants, applies=False)
+    for unknown in model.unknowns:
+        formals = {argument.symbol for argument in model.networks[unknown.network].arguments}
+        check(f"the postulate of `{unknown.name}`", unknown.postulate, constants | formals | {NN}, applies=False)
+    for truth in model.truth_functions:
+        formals = {symbol(name) for name in truth.parameters}
+        _require(arity.get(truth.name) == len(truth.parameters), f"the truth of `{truth.name}`")
+        check(f"the truth of `{truth.name}`", truth.value, constants | formals, applies=False)
+    for claim in model.claims:
+        check(f"the claim `{claim.name}`", claim.value, known)
+        check(f"the rate of the claim `{claim.name}`", claim.rate, known)
+    for dose in model.doses:
+        _require(dose.state in model.state_index, f"a dose into `{dose.state}`")
+        for part in (dose.fraction, dose.lag):
+            check(f"the dose into `{dose.state}`", part, constants | conditions, applies=False)
+
+
+def _numbers(model: Model) -> None:
+    for constant in model.constants:
+        _require(math.isfinite(constant.value), f"the value of `{constant.name}`")
+    for learnable in model.learnables:
+        bounds = learnable.range
+        _require(bounds.low <= learnable.start <= bounds.high, f"the start of `{learnable.name}`")
+    ranges = [(item.name, item.range) for item in model.states]
+    ranges += [(item.name, item.range) for item in model.conditions]
+    ranges += [(item.name, item.range) for item in model.inputs]
+    for name, bounds_of in ranges:
+        _require(bounds_of is None or bounds_of.low < bounds_of.high, f"the range of `{name}`")

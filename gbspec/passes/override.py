@@ -1,0 +1,68 @@
+"""`--set NAME=VALUE`: other values for constants, learnables and the defaults of conditions and inputs."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from typing import TypeVar
+
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir.model import Condition, Constant, Input, Learnable, Model, Range, TruthConstant
+
+D = TypeVar("D", Condition, Input)
+
+
+def with_values(model: Model, values: Mapping[str, float]) -> Model:
+    """The model with these values: of a constant; of a learnable its start and its truth; of a condition its default.
+
+    A learnable's bounds are widened where the value lies outside them. The text is left as it was.
+
+    Raises:
+        UserError: GB804, one finding for each name that is none of these, or whose value is not finite.
+    """
+    names = [*model.constant_names, *(c.name for c in model.conditions), *(i.name for i in model.inputs)]
+    problems = [problem for name, value in values.items() if (problem := _problem(name, value, names)) is not None]
+    if problems:
+        raise UserError(problems)
+    learnable = {k.name for k in model.learnables}
+    truths = {t.name: t.value for t in model.truth_constants}
+    truths.update({name: value for name, value in values.items() if name in learnable and name in truths})
+    return dataclasses.replace(
+        model,
+        constants=tuple(_constant(c, values) for c in model.constants),
+        learnables=tuple(_learnable(k, values) for k in model.learnables),
+        conditions=tuple(_default(c, values) for c in model.conditions),
+        inputs=tuple(_default(i, values) for i in model.inputs),
+        truth_constants=tuple(TruthConstant(name, value) for name, value in truths.items()),
+    )
+
+
+def _problem(name: str, value: float, names: list[str]) -> Diagnostic | None:
+    if name not in names:
+        close = difflib.get_close_matches(name, names, n=1)
+        known = ", ".join(f"`{n}`" for n in names[:12]) or "none"
+        help_ = f"did you mean `{close[0]}`?" if close else f"names that can be set are: {known}"
+        return Diagnostic(
+            "GB804", f"`{name}` cannot be set: it is no constant or condition of the model", None, help=help_
+        )
+    if not math.isfinite(value):
+        return Diagnostic("GB804", f"the value {value} for `{name}` is not a finite number", None)
+    return None
+
+
+def _constant(constant: Constant, values: Mapping[str, float]) -> Constant:
+    return dataclasses.replace(constant, value=values.get(constant.name, constant.value))
+
+
+def _learnable(learnable: Learnable, values: Mapping[str, float]) -> Learnable:
+    if learnable.name not in values:
+        return learnable
+    value = values[learnable.name]
+    bounds = Range(min(learnable.range.low, value), max(learnable.range.high, value))
+    return dataclasses.replace(learnable, start=value, range=bounds)
+
+
+def _default(item: D, values: Mapping[str, float]) -> D:
+    return dataclasses.replace(item, default=values.get(item.name, item.default))

@@ -1,0 +1,80 @@
+"""The model with its reference in place of what is learned."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import sympy
+
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir.model import Constant, Expr, Model, TruthFunction, symbol, unknown_function
+
+
+def with_truth(model: Model) -> Model:
+    """A model without unknowns: the body of its truth stands where an unknown was applied.
+
+    Learnables become constants of their truth, else of their start; so a complete model needs no truth at all. The
+    order of the constants' vector is kept: known constants first, then what was learnable.
+
+    Raises:
+        UserError: GB803, one finding for each unknown that has no truth.
+    """
+    truths = {truth.name: truth for truth in model.truth_functions}
+    missing = [unknown for unknown in model.unknowns if unknown.name not in truths]
+    if missing:
+        raise UserError(
+            Diagnostic(
+                "GB803",
+                f"the unknown `{unknown.name}` has no truth, so the model is not complete",
+                unknown.span,
+                label="to be learned",
+                help=f"add `truth {unknown.name}"
+                f"({', '.join(a.name for a in model.networks[unknown.network].arguments)}) = …` to the model, "
+                "or give a trained run instead of the model",
+                subject=unknown.name,
+            )
+            for unknown in missing
+        )
+    values = {truth.name: truth.value for truth in model.truth_constants}
+    learned = tuple(
+        Constant(k.name, values.get(k.name, k.start), unit=k.unit, description=k.description, span=k.span)
+        for k in model.learnables
+    )
+    put = _substitution(truths)
+    return dataclasses.replace(
+        model,
+        constants=(*model.constants, *learned),
+        learnables=(),
+        networks=(),
+        unknowns=(),
+        intermediates=tuple(dataclasses.replace(i, value=put(i.value)) for i in model.intermediates),
+        balances=tuple(put(b) for b in model.balances),
+        channels=tuple(dataclasses.replace(c, value=put(c.value)) for c in model.channels),
+        claims=tuple(dataclasses.replace(c, value=put(c.value), rate=put(c.rate)) for c in model.claims),
+        truth_constants=(),
+        truth_functions=(),
+    )
+
+
+def _substitution(truths: dict[str, TruthFunction]) -> Callable[[Expr], Expr]:
+    """Replaces every application of an unknown by its truth's body, arguments first where they hold applications."""
+    bodies = {unknown_function(name): truth for name, truth in truths.items()}
+    done: dict[Expr, Expr] = {}
+
+    def put(expression: Expr) -> Expr:
+        applications = [a for a in expression.atoms(sympy.core.function.AppliedUndef) if a.func in bodies]
+        for application in sorted(applications, key=_nesting):
+            if application not in done:
+                truth = bodies[application.func]
+                arguments = (argument.xreplace(done) for argument in application.args)
+                formals = (symbol(name) for name in truth.parameters)
+                done[application] = truth.value.xreplace(dict(zip(formals, arguments, strict=True)))
+        return expression.xreplace(done) if applications else expression
+
+    return put
+
+
+def _nesting(application: Expr) -> int:
+    """How many applications an application holds, itself counted: inner ones sort first."""
+    return len(application.atoms(sympy.core.function.AppliedUndef))

@@ -1,0 +1,254 @@
+"""Statements about states and channels: one balance each, one start, one measurement of a name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics.graph import Graph
+from gbspec.semantics.merge import Item, keys, target_name
+from gbspec.semantics.sites import Site
+from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.vocabulary import suggestion
+from gbspec.syntax import ast
+
+_TWICE = {
+    "balance": ("GB302", "`{0}` has two balances", "one of them is too many; add their right sides, or delete one"),
+    "initial": ("GB202", "the start of `{0}` is given twice", "delete one of them"),
+    "observe": ("GB202", "`{0}` is observed twice", "delete one of them, or give one another name: `observe y = …`"),
+    "dose": ("GB202", "doses into `{0}` are declared twice", "delete one of them"),
+    "truth": ("GB202", "the truth of `{0}` is given twice", "delete one of them"),
+}
+
+MEASURABLE = frozenset({Kind.STATE, Kind.LET, Kind.PROCESS})
+"""What `observe NAME` alone can measure."""
+
+
+def once(items: Iterable[Item], findings: Findings) -> None:
+    """Each kind of statement about a name occurs once."""
+    first: dict[tuple[str, str], ast.Statement] = {}
+    for item in items:
+        for key in keys(item.statement):
+            if key[0] not in _TWICE:
+                continue
+            earlier = first.setdefault(key, item.statement)
+            if earlier is item.statement or _both_declare(earlier, item.statement):
+                continue
+            code, message, help_ = _TWICE[key[0]]
+            findings.error(
+                code,
+                message.format(key[1]),
+                _target_span(item.statement),
+                label="again",
+                labels=[Label(_target_span(earlier), "the first")],
+                help=help_,
+            )
+
+
+def _both_declare(a: ast.Statement, b: ast.Statement) -> bool:
+    """Two channels of one name are a name declared twice, which is told there."""
+    return all(isinstance(s, ast.ObserveStatement) and s.value is not None for s in (a, b))
+
+
+def _target_span(statement: ast.Statement) -> Span:
+    match statement:
+        case (
+            ast.BalanceStatement(target=target)
+            | ast.InitialStatement(target=target)
+            | ast.ObserveStatement(target=target)
+            | ast.DoseStatement(target=target)
+        ):
+            return target.span
+        case ast.TruthStatement(name=name):
+            return name.span
+        case _:
+            return statement.span
+
+
+def targets(items: Iterable[Item], table: Table, findings: Findings, *, complete: bool) -> None:
+    """Balances, starts and doses are of states; what is observed by name alone can be measured."""
+    for item in items:
+        match item.statement:
+            case ast.BalanceStatement(target=target):
+                _state(target, table, findings, "GB303", "a balance is of a state", complete=complete)
+            case ast.InitialStatement(target=target):
+                _state(target, table, findings, "GB309", "only a state has a start", complete=complete)
+            case ast.DoseStatement(target=target):
+                _state(target, table, findings, "GB313", "a dose adds to a state", complete=complete)
+            case ast.ObserveStatement(target=ast.Name() as target, value=None):
+                _measurable(target, table, findings, complete=complete)
+            case ast.ObserveStatement(target=ast.Index() as target) | ast.ClosureStatement(target=target):
+                _array(target, findings)
+            case ast.StateStatement(declarator=declarator) if declarator.first is not None:
+                _array(declarator, findings)
+            case _:
+                pass
+
+
+def _array(node: ast.Node, findings: Findings) -> None:
+    findings.error(
+        "GB901",
+        "arrays of states are not supported yet",
+        node.span,
+        help="write the states one by one: `c_1`, `c_2`, …",
+    )
+
+
+def _state(
+    target: ast.Name | ast.Index, table: Table, findings: Findings, code: str, rule: str, *, complete: bool
+) -> None:
+    if isinstance(target, ast.Index):
+        _array(target, findings)
+        return
+    name = target_name(target)
+    declaration = table.get(name.text)
+    if declaration is None:
+        if complete:
+            states = [n for n, d in table.items() if d.kind is Kind.STATE]
+            findings.error(
+                "GB201",
+                f"no state is called `{name.text}`",
+                name.span,
+                label="not declared",
+                help=suggestion(name.text, states) or f"declare it: `state {name.text}`",
+                subject=name.text,
+            )
+    elif declaration.kind is not Kind.STATE:
+        findings.error(
+            code,
+            f"`{name.text}` is {declaration.kind.value}, but {rule}",
+            name.span,
+            labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+            help=f"declare `state {name.text}` instead, or name a state here",
+        )
+
+
+def _measurable(target: ast.Name, table: Table, findings: Findings, *, complete: bool) -> None:
+    declaration = table.get(target.text)
+    if declaration is None:
+        if complete:
+            pool = [n for n, d in table.items() if d.kind in MEASURABLE]
+            findings.error(
+                "GB201",
+                f"nothing is called `{target.text}`",
+                target.span,
+                label="not declared",
+                help=suggestion(target.text, pool) or f"say what is measured: `observe {target.text} = …`",
+                subject=target.text,
+            )
+    elif declaration.kind not in MEASURABLE:
+        findings.error(
+            "GB312",
+            f"`{target.text}` is {declaration.kind.value}, and cannot be observed by its name alone",
+            target.span,
+            labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+            help=f"give the channel a name and an expression: `observe {target.text}_measured = …`",
+        )
+
+
+def coverage(
+    items: Iterable[Item],
+    table: Table,
+    takers: Mapping[str, Iterable[str]],
+    sites: Iterable[Site],
+    graph: Graph,
+    findings: Findings,
+    *,
+    complete: bool,
+) -> None:
+    """Every state has a balance or takes part in a process; a balance with processes has `net`; `net` is not empty."""
+    by_expression = {id(site.expression): site for site in sites}
+    balanced: set[str] = set()
+    for item in items:
+        match item.statement:
+            case ast.BalanceStatement(target=ast.Name(text=name), value=value) as balance:
+                balanced.add(name)
+                site = by_expression[id(value)]
+                if name in takers and site.references.complete and not _has_net(name, site, graph):
+                    _net_omitted(balance, name, takers[name], table, findings)
+            case ast.BalanceStatement(target=ast.Index(array=array)):
+                balanced.add(array.text)
+            case _:
+                pass
+    if complete:
+        for declaration in table.values():
+            if declaration.kind is Kind.STATE and declaration.name not in balanced and declaration.name not in takers:
+                findings.error(
+                    "GB301",
+                    f"the state `{declaration.name}` has no balance",
+                    declaration.span,
+                    help=f"say how it changes: `{declaration.name}' = …`",
+                    subject=declaration.name,
+                )
+    _empty_nets(sites, takers, findings)
+
+
+def _has_net(state: str, site: Site, graph: Graph) -> bool:
+    references = site.references
+    return state in references.nets or any(
+        state in graph.nets.get(name, frozenset()) or name in graph.broken for name in references.names
+    )
+
+
+def _net_omitted(
+    balance: ast.BalanceStatement, name: str, processes: Iterable[str], table: Table, findings: Findings
+) -> None:
+    places = [Label(span, "takes part here") for p in processes if (span := table[p].span) is not None]
+    findings.warning(
+        "GB307",
+        f"the balance of `{name}` leaves out what processes do to `{name}`",
+        balance.span,
+        labels=places[:4],
+        help=f"add `net({name})` to the right side, or accept it with `allow GB307 {name}`",
+        subject=name,
+    )
+
+
+def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], findings: Findings) -> None:
+    for site in sites:
+        for state, span in site.references.nets.items():
+            if state not in takers:
+                findings.warning(
+                    "GB314",
+                    f"`net({state})` is zero, for no process consumes or produces `{state}`",
+                    span,
+                    help=f"name `{state}` in a process, delete `net({state})`, or accept it with `allow GB314 {state}`",
+                    subject=state,
+                )
+
+
+def start_cycles(items: Iterable[Item], sites: Iterable[Site], table: Table, findings: Findings) -> None:
+    """No start may rest on itself through other states' starts."""
+    by_expression = {id(site.expression): site for site in sites}
+    edges: dict[str, dict[str, Span]] = {}
+    for item in items:
+        match item.statement:
+            case ast.InitialStatement(target=ast.Name(text=name), value=value) if value is not None:
+                names = by_expression[id(value)].references.names
+                edges.setdefault(name, {n: s for n, s in names.items() if table[n].kind is Kind.STATE})
+            case _:
+                pass
+    done: set[str] = set()
+    for root in edges:
+        path: list[str] = []
+        stack = [(root, iter(edges[root]))]
+        path.append(root)
+        while stack:
+            name, following = stack[-1]
+            other = next((n for n in following if n in edges and n not in done), None)
+            if other is None:
+                stack.pop()
+                done.add(path.pop())
+            elif other in path:
+                circle = [*path[path.index(other) :], other]
+                findings.error(
+                    "GB310",
+                    "a start depends on itself: " + " -> ".join(f"`{n}`" for n in circle),
+                    edges[name][other],
+                    help="give one of them a start of its own, or `initial X learn`",
+                )
+                done.update(path)
+                break
+            else:
+                path.append(other)
+                stack.append((other, iter(edges[other])))

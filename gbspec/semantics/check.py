@@ -1,0 +1,132 @@
+"""The checks that need meaning, in the order in which each can rely on those before it."""
+
+from __future__ import annotations
+
+from gbspec.diagnostics import Findings
+from gbspec.semantics import allow, balances, columns, graph, places, processes, size, table, truths, unknowns, usage
+from gbspec.semantics.checked import Checked
+from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.merge import Item, Load, merge
+from gbspec.semantics.numbers import Numbers, constants, default_start, functions_of
+from gbspec.semantics.scope import Resolver
+from gbspec.semantics.sites import Site, sites
+from gbspec.semantics.table import Kind, Table
+from gbspec.syntax import ast
+
+Terms = dict[str, tuple[tuple[bool, processes.Term], ...]]
+
+
+def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
+    """Checks a parsed file, with the files it extends, and records everything wrong with it.
+
+    Args:
+        file: the syntax tree. Where `findings` holds errors already (of the parser), statements may be missing from it;
+            what their absence alone could explain is then not reported.
+        findings: where to record errors and warnings; warnings that the file accepts by `allow` are left out.
+        load: reads a file that is extended; may raise `OSError`, `UnicodeDecodeError` or `UserError`.
+
+    Returns:
+        What lowering needs, or None if there is any error.
+    """
+    whole = not findings.failed
+    local = Findings()
+    merged = merge(file, local, load)
+    complete = whole and merged.complete and not local.failed
+    checked = _check_items(merged.items, local, complete=complete)
+    names = table.build(merged.items, Findings())
+    accepted = allow.allowed(merged.items, names, local, complete=complete)
+    findings.extend(d for d in local if not allow.is_accepted(d, accepted))
+    return None if checked is None or findings.failed else checked
+
+
+def _check_items(items: tuple[Item, ...], findings: Findings, *, complete: bool) -> Checked | None:
+    names = table.build(items, findings)
+    places_of = list(sites(items, names))
+    resolver = Resolver(names, findings)
+    for site in places_of:
+        resolver.resolve(site)
+    if complete:
+        resolver.report_missing()
+    takers = _takers(places_of, names)
+    rests = graph.build(places_of, names, takers, findings)
+    places.enforce(places_of, names, rests, findings)
+    size.check(places_of, rests, names, findings)
+    values = constants(places_of, rests, names, findings)
+    numbers = Numbers(findings, Evaluator(values, functions_of(names)))
+    numbers.sound = {id(s.expression): s.references.complete for s in places_of}
+    numbers.check(items)
+    unknowns.check(items, numbers, findings)
+    terms = _terms(places_of, names, findings)
+    balances.once(items, findings)
+    balances.targets(items, names, findings, complete=complete)
+    balances.coverage(items, names, takers, places_of, rests, findings, complete=complete)
+    balances.start_cycles(items, places_of, names, findings)
+    columns.check(items, names, findings)
+    known = _truths(items, places_of, names, values, numbers, findings, complete=complete)
+    if complete:
+        usage.observes_nothing(items, names, findings)
+    if findings.failed or not complete:
+        return None
+    usage.unused(places_of, names, findings)
+    usage.only_compared(places_of, usage.observed_names(items), names, findings)
+    order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
+    accepted = allow.allowed(items, names, Findings(), complete=complete)
+    return Checked(items, names, order, values, numbers, terms, known, accepted)
+
+
+def _takers(places_of: list[Site], names: Table) -> dict[str, list[str]]:
+    """The processes in which each state takes part."""
+    takers: dict[str, list[str]] = {}
+    for site in places_of:
+        if site.process is not None:
+            for name in site.references.names:
+                if names[name].kind is Kind.STATE and site.process not in takers.setdefault(name, []):
+                    takers[name].append(site.process)
+    return takers
+
+
+def _terms(places_of: list[Site], names: Table, findings: Findings) -> Terms:
+    """The terms of every process; which side a site is, its statement tells."""
+    found: Terms = {}
+    for site in places_of:
+        if site.process is not None and site.references.complete:
+            statement = names[site.process].statement
+            consumed = isinstance(statement, ast.ProcessStatement) and statement.consumed is site.expression
+            side = tuple((consumed, term) for term in processes.terms(site.expression, names, findings))
+            found[site.process] = found.get(site.process, ()) + side
+    return found
+
+
+def _truths(
+    items: tuple[Item, ...],
+    places_of: list[Site],
+    names: Table,
+    values: dict[str, float],
+    numbers: Numbers,
+    findings: Findings,
+    *,
+    complete: bool,
+) -> dict[str, float]:
+    good = truths.check(items, names, findings, complete=complete)
+    starts: dict[str, float] = {}
+    bounds: dict[str, tuple[float, float]] = {}
+    for item in items:
+        if isinstance(item.statement, ast.LearnStatement):
+            statement = item.statement
+            start, ends = numbers.value(statement.start), numbers.bounds(statement)
+            if ends is not None:
+                bounds[statement.name.text] = ends
+                starts[statement.name.text] = start if start is not None else default_start(*ends)
+    by_expression = {id(site.expression): site for site in places_of}
+    known = truths.values(good, by_expression, names, values, starts, findings)
+    for truth in good:
+        name = truth.name.text
+        if name in known and name in bounds and not bounds[name][0] <= known[name] <= bounds[name][1]:
+            findings.warning(
+                "GB405",
+                f"the truth {known[name]:g} of `{name}` lies outside its bounds, so it cannot be learned",
+                truth.value.span,
+                help=f"widen the bounds of `{name}`, or accept it with `allow GB405 {name}`",
+                subject=name,
+            )
+    return known

@@ -1,0 +1,41 @@
+"""What semantics hands to lowering: the statements of a model that is right, and what its names mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+from gbspec.semantics.allow import Allowed
+from gbspec.semantics.merge import Item
+from gbspec.semantics.numbers import Numbers
+from gbspec.semantics.processes import Term
+from gbspec.semantics.table import Table
+from gbspec.syntax import ast
+
+S = TypeVar("S", bound=ast.Node)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A model without mistakes, before it becomes mathematics.
+
+    `order` has the names of `let`s and processes, each after all it depends on; `constants` the values of the `const`s;
+    `terms` the sides of each process (True: consumed); `truths` the values of the truths of learnables; `allowed` the
+    warnings that the author accepts; `warnings` whether any is left is told by the findings, not here.
+    """
+
+    items: tuple[Item, ...]
+    table: Table
+    order: tuple[str, ...]
+    constants: Mapping[str, float]
+    numbers: Numbers
+    terms: Mapping[str, tuple[tuple[bool, Term], ...]]
+    truths: Mapping[str, float]
+    allowed: Allowed
+
+    def all(self, kind: type[S]) -> Iterator[S]:
+        """The statements of one kind, in the order of the model."""
+        for item in self.items:
+            if isinstance(item.statement, kind):
+                yield item.statement

@@ -1,0 +1,51 @@
+"""Columns of the data: no two things may be read from the same one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics.merge import Item, target_name
+from gbspec.semantics.table import Kind, Table
+from gbspec.syntax import ast
+
+
+def check(items: Iterable[Item], table: Table, findings: Findings) -> None:
+    """Channels, inputs, conditions, doses, the time and `trajectory` have columns of different names."""
+    time = next(d for d in table.values() if d.kind is Kind.TIME)
+    first: dict[str, tuple[str, Span | None]] = {
+        "trajectory": ("the number of the trajectory", None),
+        time.name: ("the time", time.span),
+    }
+    for column, what, span in _columns(items):
+        earlier = first.setdefault(column, (what, span))
+        if earlier[1] is span:
+            continue
+        findings.error(
+            "GB231",
+            f"{what} would be read from the column `{column}`, which is that of {earlier[0]}",
+            span,
+            labels=[Label(earlier[1], "this one")] if earlier[1] is not None else [],
+            help='give it a column of its own: `as "another name"`, or another name',
+        )
+
+
+def _columns(items: Iterable[Item]) -> Iterator[tuple[str, str, Span]]:
+    for item in items:
+        match item.statement:
+            case (
+                ast.ConditionStatement(name=name, column=column)
+                | ast.InputStatement(name=name, column=column)
+                | ast.ObserveStatement(target=ast.Name() as name, column=column)
+            ):
+                yield _column(name, column)
+            case ast.DoseStatement(target=target):
+                name = target_name(target)
+                yield f"dose_{name.text}", f"the dose into `{name.text}`", name.span
+            case _:
+                pass
+
+
+def _column(name: ast.Name, column: ast.Text | None) -> tuple[str, str, Span]:
+    what = f"`{name.text}`"
+    return (column.value, what, column.span) if column is not None else (name.text, what, name.span)

@@ -1,0 +1,160 @@
+"""The value of an expression of numbers and constants, in float64, over the syntax tree; nothing runs as Python."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import assert_never
+
+from gbspec.semantics.expressions import chain, fold, operands
+from gbspec.semantics.vocabulary import CONSTANTS
+from gbspec.syntax import ast
+from gbspec.syntax.names import FUNCTIONS
+
+_ONE: dict[str, Callable[[float], float]] = {
+    name: getattr(math, name) for name in FUNCTIONS if name not in ("abs", "sign", "atan2", "min", "max")
+}
+_ONE["abs"] = math.fabs
+_ONE["sign"] = lambda x: float((x > 0) - (x < 0))
+
+_COMPARE: dict[str, Callable[[float, float], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+}
+
+Functions = Mapping[str, ast.FunctionStatement]
+NotFinite = Callable[[ast.Expression, float], None]
+
+
+def apply(function: str, arguments: list[float]) -> float:
+    """A function of the language at numbers; nan or inf where it has no finite real value."""
+    try:
+        if function == "min":
+            return min(arguments)
+        if function == "max":
+            return max(arguments)
+        if function == "atan2":
+            return math.atan2(*arguments)
+        return _ONE[function](*arguments)
+    except OverflowError:
+        return math.inf
+    except ValueError:
+        return math.nan
+
+
+def power(base: float, exponent: float) -> float:
+    """`base^exponent` over the reals; nan or inf where there is no finite one."""
+    try:
+        return math.pow(base, exponent)
+    except OverflowError:
+        return math.inf
+    except ValueError:
+        return math.inf if base == 0 else math.nan
+
+
+class Evaluator:
+    """Evaluates expressions whose names are constants; what depends on anything else is None, and so is all above it.
+
+    `not_finite` is called with the smallest sub-expression that is inf or nan and its value; its value is then None,
+    so that one mistake is told once. Branches of an `if` count only where they are taken.
+    """
+
+    def __init__(self, values: Mapping[str, float], functions: Functions, not_finite: NotFinite | None = None) -> None:
+        self._values = values
+        self._functions = functions
+        self._not_finite = not_finite
+
+    def __call__(self, node: ast.Expression, formals: Mapping[str, float | None] | None = None) -> float | None:
+        """The value in float64, or None. `formals` shadow the constants (None: an argument of unknown value)."""
+        shadow = formals or {}
+        return fold(node, lambda n, values: self._combine(n, values, shadow), _counted)
+
+    def _combine(
+        self, node: ast.Expression, values: list[float | None], formals: Mapping[str, float | None]
+    ) -> float | None:
+        if isinstance(node, ast.Conditional):
+            if values[0] is None:
+                return None
+            return self(node.then if values[0] else node.otherwise, formals)
+        if isinstance(node, ast.Name):
+            if node.text in formals:
+                return formals[node.text]
+            return self._values.get(node.text, CONSTANTS.get(node.text))
+        known = [value for value in values if value is not None]
+        if len(known) < len(values):
+            if isinstance(node, ast.Binary) and self._not_finite is not None and _divides_by_zero(node, values):
+                self._not_finite(node, math.inf)
+            return None
+        result = self._operate(node, known)
+        if result is not None and not math.isfinite(result):
+            if self._not_finite is not None:
+                self._not_finite(node, result)
+            return None
+        return result
+
+    def _operate(self, node: ast.Expression, values: list[float]) -> float | None:
+        match node:
+            case ast.Number():
+                return node.value
+            case ast.Group() | ast.Unary(operator="+"):
+                return values[0]
+            case ast.Unary(operator="-"):
+                return -values[0]
+            case ast.Unary():
+                return float(not values[0])
+            case ast.Binary(operator="^"):
+                return power(*values)
+            case ast.Binary():
+                return _chain_value(node, values)
+            case ast.Comparison(operator=compare):
+                return float(_COMPARE[compare](*values))
+            case ast.Logic(operator="and"):
+                return float(bool(values[0]) and bool(values[1]))
+            case ast.Logic():
+                return float(bool(values[0]) or bool(values[1]))
+            case ast.Call(function=function):
+                return self._call(function.text, values)
+            case ast.Index() | ast.Name() | ast.Conditional():
+                return None
+            case _:
+                assert_never(node)
+
+    def _call(self, name: str, values: list[float]) -> float | None:
+        declared = self._functions.get(name)
+        if declared is not None:
+            if len(declared.parameters) != len(values):
+                return None
+            formals = dict(zip((p.text for p in declared.parameters), values, strict=True))
+            return Evaluator(self._values, self._functions)(declared.value, formals)
+        return apply(name, values) if name in _ONE or name in ("min", "max", "atan2") else None
+
+
+def _counted(node: ast.Expression) -> tuple[ast.Expression, ...]:
+    """The parts that are always evaluated: of an `if`, only its condition."""
+    return (node.condition,) if isinstance(node, ast.Conditional) else operands(node)
+
+
+def _divides_by_zero(node: ast.Binary, values: list[float | None]) -> bool:
+    """Whether a product has a divisor that is the number 0, whatever its other factors are."""
+    if node.operator not in "*/":
+        return False
+    return any(inverted and value == 0 for (inverted, _), value in zip(chain(node), values, strict=True))
+
+
+def _chain_value(node: ast.Binary, values: list[float]) -> float:
+    """A sum or product from left to right, as the text says it."""
+    total = values[0]
+    for (inverted, _), value in zip(chain(node)[1:], values[1:], strict=True):
+        if node.operator in "+-":
+            total = total - value if inverted else total + value
+        elif not inverted:
+            total *= value
+        elif value == 0:
+            return math.nan if total == 0 or math.isnan(total) else math.inf
+        else:
+            total /= value
+    return total

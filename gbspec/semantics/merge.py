@@ -1,0 +1,348 @@
+"""`extends` and `without`: several files become the statements of one model.
+
+What a file declares replaces what its base declared under the same name; balances, `initial`, `observe`, `dose` and
+`truth` replace those of the same kind and target. A replacement takes the place of what it replaces, so that the order
+of states does not change; everything new comes last. `without NAME` removes a declaration together with the statements
+that are about nothing else (its balance, start, observation, dose, truth).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from gbspec.diagnostics import Findings, Source, Span, UserError
+from gbspec.semantics.vocabulary import suggestion
+from gbspec.syntax import ast
+
+Load = Callable[[Path], Source]
+Key = tuple[str, str]
+N = TypeVar("N", bound=ast.Node)
+
+TARGETED = ("balance", "initial", "observe", "dose", "truth")
+"""Kinds of statements that are about a name which another statement declares."""
+
+_DECLARING: dict[type[ast.Node], str] = {
+    ast.StateStatement: "state",
+    ast.ConditionStatement: "condition",
+    ast.InputStatement: "input",
+    ast.ConstStatement: "const",
+    ast.LearnStatement: "learn",
+    ast.LetStatement: "let",
+    ast.FunctionStatement: "function",
+    ast.UnknownStatement: "unknown",
+    ast.ProcessStatement: "process",
+    ast.ConserveStatement: "conserve",
+}
+
+
+@dataclass(frozen=True)
+class Item:
+    """A statement that is part of the model, and its text."""
+
+    statement: ast.Statement
+    text: str
+
+
+@dataclass(frozen=True)
+class Merged:
+    """The statements of a model after `extends`; `complete` is False where a base could not be read."""
+
+    items: tuple[Item, ...]
+    complete: bool
+
+
+def target_name(target: ast.Name | ast.Index) -> ast.Name:
+    """The name that a statement is about; of an element, its array."""
+    return target.array if isinstance(target, ast.Index) else target
+
+
+def target_text(target: ast.Name | ast.Index) -> str:
+    """The target as a key: `X`, or `c[3]` without blanks."""
+    return target.text if isinstance(target, ast.Name) else "".join(target.span.text.split())
+
+
+def declared(statement: ast.Statement) -> tuple[ast.Name, ...]:
+    """The names that a statement declares in the namespace of expressions (channels apart)."""
+    match statement:
+        case ast.StateStatement(declarator=declarator):
+            return (declarator.name,)
+        case ast.UnknownStatement(names=names):
+            return names
+        case (
+            ast.ConditionStatement(name=name)
+            | ast.InputStatement(name=name)
+            | ast.ConstStatement(name=name)
+            | ast.LearnStatement(name=name)
+            | ast.LetStatement(name=name)
+            | ast.FunctionStatement(name=name)
+            | ast.ProcessStatement(name=name)
+            | ast.ConserveStatement(name=name)
+        ):
+            return (name,)
+        case _:
+            return ()
+
+
+def keys(statement: ast.Statement) -> tuple[Key, ...]:
+    """What a statement replaces in a base, and is replaced by: kind and target."""
+    match statement:
+        case ast.ModelStatement():
+            return (("model", ""),)
+        case ast.TimeStatement():
+            return (("time", ""),)
+        case ast.UnitStatement(name=name):
+            return (("unit", name.text),)
+        case ast.BalanceStatement(target=target):
+            return (("balance", target_text(target)),)
+        case ast.ClosureStatement(target=target):
+            return (("closure", target_text(target)),)
+        case ast.InitialStatement(target=target):
+            return (("initial", target_text(target)),)
+        case ast.ObserveStatement(target=target):
+            return (("observe", target_text(target)),)
+        case ast.DoseStatement(target=target):
+            return (("dose", target_text(target)),)
+        case ast.TruthStatement(name=name):
+            return (("truth", name.text),)
+        case ast.AllowStatement() | ast.WithoutStatement():
+            return ()
+        case _:
+            return tuple(("name", name.text) for name in declared(statement))
+
+
+def merge(file: ast.File, findings: Findings, load: Load) -> Merged:
+    """Reads the files that this one extends, nearest first, and puts them together, farthest first."""
+    files, complete = _chain(file, findings, load)
+    items: list[Item] = []
+    for position, current in enumerate(reversed(files)):
+        own = [Item(s, s.span.text) for s in current.statements if not isinstance(s, ast.WithoutStatement)]
+        removals = [s for s in current.statements if isinstance(s, ast.WithoutStatement)]
+        extends = position > 0 or not complete
+        items = _removed(items, removals, findings, extends=extends, complete=complete)
+        items = _replaced(items, own)
+    return Merged(tuple(_without_extends(item) for item in items), complete)
+
+
+def _without_extends(item: Item) -> Item:
+    statement = item.statement
+    if not isinstance(statement, ast.ModelStatement) or statement.extends is None:
+        return item
+    title = f" {statement.title.span.text}" if statement.title is not None else ""
+    return Item(statement, f"model {statement.name.text}{title}")
+
+
+# --------------------------------------------------------------------------------------------------------- the files
+
+
+def _chain(file: ast.File, findings: Findings, load: Load) -> tuple[list[ast.File], bool]:
+    """The file, what it extends, what that extends, …; False where one of them could not be read."""
+    from gbspec.syntax.parser import parse
+
+    files = [file]
+    seen = [_identity(Path(file.span.source.path))]
+    while True:
+        current = files[-1]
+        string = next((s.extends for s in current.statements if isinstance(s, ast.ModelStatement) and s.extends), None)
+        if string is None:
+            return files, True
+        path = _base_path(current, string, findings)
+        if path is None:
+            return files, False
+        if _identity(path) in seen:
+            circle = [*seen[seen.index(_identity(path)) :], _identity(path)]
+            findings.error(
+                "GB211",
+                "a model extends itself: " + " -> ".join(f"`{step.name}`" for step in circle),
+                string.span,
+                label="this closes the circle",
+                help="take the common part into a file of its own that extends nothing",
+            )
+            return files, False
+        source = _load(path, string, findings, load)
+        parsed = parse(source, findings) if source is not None else None
+        if parsed is None:
+            return files, False
+        files.append(parsed)
+        seen.append(_identity(path))
+
+
+def _identity(path: Path) -> Path:
+    return path.resolve()
+
+
+def _base_path(file: ast.File, string: ast.Text, findings: Findings) -> Path | None:
+    folder = Path(file.span.source.path).parent
+    path = folder / string.value
+    inside = not Path(string.value).is_absolute() and _identity(path).is_relative_to(_identity(folder))
+    if string.value and inside and _identity(path) != _identity(folder):
+        return path
+    findings.error(
+        "GB210",
+        f"the path `{string.value}` leaves the folder of this file" if string.value else "the path is empty",
+        string.span,
+        label="must name a file in or below the folder of this file",
+        help='write the path from this file on, as in `extends "base.gb"` or `extends "parts/base.gb"`',
+    )
+    return None
+
+
+def _load(path: Path, string: ast.Text, findings: Findings, load: Load) -> Source | None:
+    try:
+        return load(path)
+    except UserError as error:
+        findings.extend(error.diagnostics)
+        return None
+    except FileNotFoundError:
+        near = sorted(p.name for p in path.parent.glob("*.gb")) if path.parent.is_dir() else []
+        reason, help_ = "there is no such file", suggestion(path.name, near)
+    except UnicodeDecodeError:
+        reason, help_ = "it is not UTF-8 text", "save the file as UTF-8"
+    except OSError as error:
+        reason, help_ = error.strerror or type(error).__name__, ""
+    findings.error("GB209", f"cannot read `{string.value}`: {reason}", string.span, label="extended here", help=help_)
+    return None
+
+
+# ----------------------------------------------------------------------------------------------- replacing and removing
+
+
+def _replaced(base: Sequence[Item], own: Sequence[Item]) -> list[Item]:
+    """The base with what `own` says anew put in its place, then the rest of `own`."""
+    newest: dict[Key, list[int]] = {}
+    for i, item in enumerate(own):
+        for key in keys(item.statement):
+            newest.setdefault(key, []).append(i)
+    placed: set[int] = set()
+    result: list[Item] = []
+    for item in base:
+        theirs = keys(item.statement)
+        gone = [key for key in theirs if key in newest]
+        if not gone:
+            result.append(item)
+            continue
+        if len(gone) < len(theirs):
+            result.append(_cut_outputs(item, {name for _, name in gone}))
+        for i in sorted(i for key in gone for i in newest[key]):
+            if i not in placed:
+                placed.add(i)
+                result.append(own[i])
+    return result + [item for i, item in enumerate(own) if i not in placed]
+
+
+def _removed(
+    base: list[Item],
+    removals: Sequence[ast.WithoutStatement],
+    findings: Findings,
+    *,
+    extends: bool,
+    complete: bool,
+) -> list[Item]:
+    for removal in removals:
+        kept = _remove(base, removal)
+        if kept is None:
+            if complete or not extends:
+                _nothing_to_remove(base, removal, findings, extends=extends)
+            continue
+        base = kept
+    return base
+
+
+def _remove(base: list[Item], removal: ast.WithoutStatement) -> list[Item] | None:
+    """The base without what is named, or None where it is not there."""
+    name = removal.name.text
+    kind = removal.kind.text if removal.kind is not None else None
+    found = False
+    kept: list[Item] = []
+    for item in base:
+        statement = item.statement
+        own = keys(statement)
+        about = any(k in TARGETED and target.split("[")[0] == name for k, target in own)
+        if kind in TARGETED or kind == "time":
+            hit = any(k == kind and (target == name or kind == "time") for k, target in own)
+        elif ("name", name) in own and kind in (None, _DECLARING.get(type(statement))):
+            hit = True
+            if len(own) > 1:
+                kept.append(_cut_outputs(item, {name}))
+        elif isinstance(statement, ast.UnitStatement):
+            hit = kind == "unit" and statement.name.text == name
+        else:
+            measures = isinstance(statement, ast.ObserveStatement) and statement.value is not None
+            if kind is None and about:  # goes with its name; a channel of its own is found by its name
+                found = found or measures
+                continue
+            hit = False
+        found = found or hit
+        if not hit:
+            kept.append(item)
+    return kept if found else None
+
+
+def _nothing_to_remove(
+    base: Sequence[Item], removal: ast.WithoutStatement, findings: Findings, *, extends: bool
+) -> None:
+    what = f"{removal.kind.text} {removal.name.text}" if removal.kind is not None else removal.name.text
+    if not extends:
+        findings.error(
+            "GB212",
+            f"there is nothing that `without {what}` could remove, for this file extends no other",
+            removal.span,
+            help='`without` removes what comes from a base: `model NAME extends "base.gb"`; here, delete the statement',
+        )
+        return
+    names = [target for item in base for _, target in keys(item.statement)]
+    findings.error(
+        "GB212",
+        f"there is nothing that `without {what}` could remove",
+        removal.name.span,
+        label="the extended model has no such statement",
+        help=suggestion(removal.name.text, names),
+    )
+
+
+def _cut_outputs(item: Item, gone: Iterable[str]) -> Item:
+    """A statement of several outputs of one network without some of them, in the tree and in the text."""
+    statement = item.statement
+    if not isinstance(statement, ast.UnknownStatement):
+        return item
+    out = set(gone)
+    keep = [name.text not in out for name in statement.names]
+    cuts: list[Span] = []
+    names = _cut(statement.names, keep, cuts)
+    units = _cut(statement.units, keep, cuts) if len(statement.units) == len(keep) > 1 else statement.units
+    posts = statement.postulates
+    posts = _cut(posts, keep, cuts) if len(posts) == len(keep) > 1 else posts
+    stays = [contract.name is None or contract.name.text not in out for contract in statement.contracts]
+    contracts = _cut(statement.contracts, stays, cuts)
+    offset = statement.span.start
+    text = item.text
+    for span in sorted(cuts, key=lambda s: -s.start):
+        text = text[: span.start - offset] + text[span.end - offset :]
+    changed = dataclasses.replace(statement, names=names, units=units, postulates=posts, contracts=contracts)
+    return Item(changed, text)
+
+
+def _cut(parts: tuple[N, ...], keep: Sequence[bool], cuts: list[Span]) -> tuple[N, ...]:
+    """The parts that are kept; what separates a part that goes from its neighbour goes too."""
+    first_kept = next((i for i, stays in enumerate(keep) if stays), None)
+    for i, (part, stays) in enumerate(zip(parts, keep, strict=True)):
+        if stays:
+            continue
+        start, end = part.span.start, part.span.end
+        if first_kept is not None and i > first_kept:
+            start = _past_separator(part.span.source, parts[i - 1].span.end, start, nearest=parts[i - 1].span.end)
+        elif i + 1 < len(parts):
+            end = _past_separator(part.span.source, end, parts[i + 1].span.start, nearest=parts[i + 1].span.start)
+        cuts.append(Span(part.span.source, start, end))
+    return tuple(part for part, stays in zip(parts, keep, strict=True) if stays)
+
+
+def _past_separator(source: Source, start: int, end: int, *, nearest: int) -> int:
+    """The far end of the comma between two neighbours; the near end where something else stands between them."""
+    between = source.text[start:end]
+    if between.strip() in ("", ","):
+        return nearest
+    return start if nearest == end else end

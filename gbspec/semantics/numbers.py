@@ -1,0 +1,256 @@
+"""Everything that must be a fixed number: constants, ranges, bounds, starts, defaults, noise, priors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.graph import Graph
+from gbspec.semantics.merge import Item
+from gbspec.semantics.rules import CONST_VALUE
+from gbspec.semantics.sites import Site
+from gbspec.semantics.table import Kind, Table
+from gbspec.syntax import ast
+
+GEOMETRIC_FROM = 100.0
+"""From this ratio of positive bounds on, the start of a learnable without one is the geometric mean of its bounds."""
+
+
+def functions_of(table: Table) -> dict[str, ast.FunctionStatement]:
+    """The declared functions."""
+    return {n: d.statement for n, d in table.items() if isinstance(d.statement, ast.FunctionStatement)}
+
+
+def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findings) -> dict[str, float]:
+    """Values of the constants; and everywhere, what no value of the variables could make a finite number."""
+    values: dict[str, float] = {}
+    told: list[ast.Expression] = []
+    sites = list(sites)
+    by_owner = {s.owner: s for s in sites if s.rule is CONST_VALUE and s.references.complete}
+
+    def not_finite(node: ast.Expression, value: float) -> None:
+        told.append(node)
+        what = "not a real number" if math.isnan(value) else "not a finite number"
+        findings.error("GB223", f"this is {what}", node.span, label=_reason(node, value), help=_remedy(node))
+
+    evaluate = Evaluator(values, functions_of(table), not_finite)
+    for name in graph.order:
+        if table[name].kind is Kind.CONST and name in by_owner and name not in graph.broken:
+            count = len(told)
+            value = evaluate(by_owner[name].expression)
+            if value is not None:
+                values[name] = value
+            elif len(told) == count:
+                _not_known(by_owner[name].expression, name, findings)
+    for site in sites:
+        if site.rule is not CONST_VALUE and site.references.complete:
+            evaluate(site.expression, dict.fromkeys(site.formals))
+    return values
+
+
+def _not_known(node: ast.Expression, name: str, findings: Findings) -> None:
+    findings.error("GB223", f"the value of `{name}` is not a finite number", node.span)
+
+
+def _reason(node: ast.Expression, value: float) -> str:
+    match node:
+        case ast.Number():
+            return "too large for a double-precision number"
+        case ast.Binary(operator="*" | "/"):
+            return "a division by zero" if math.isinf(value) or math.isnan(value) else ""
+        case ast.Binary(operator="^"):
+            return "no real power" if math.isnan(value) else "too large"
+        case ast.Call(function=function):
+            return f"`{function.text}` has no value there"
+        case _:
+            return ""
+
+
+def _remedy(node: ast.Expression) -> str:
+    if isinstance(node, ast.Number):
+        return "the largest number is about 1.8e308; choose other units"
+    return ""
+
+
+@dataclass
+class Numbers:
+    """Checks the statements' numbers; `value` is None for what was already reported."""
+
+    findings: Findings
+    evaluate: Evaluator
+    sound: dict[int, bool] = field(default_factory=dict)
+    """By `id` of an expression: whether nothing in it was reported."""
+
+    def value(self, node: ast.Expression | None) -> float | None:
+        """The value of an expression of constants; None where there is none or a mistake in it was told."""
+        return None if node is None or not self.sound.get(id(node), False) else self.evaluate(node)
+
+    def check(self, items: Iterable[Item]) -> None:
+        """Ranges ordered, starts and defaults in them, noise and priors of a known kind with positive scales."""
+        for item in items:
+            match item.statement:
+                case ast.StateStatement(range=interval, start=start):
+                    self._in_range(interval, start, "the start")
+                case ast.ConditionStatement(range=interval, default=default):
+                    self._in_range(interval, default, "the default")
+                case ast.InputStatement(range=interval, default=default) as statement:
+                    self._in_range(interval, default, "the default")
+                    if statement.interpolation is None:
+                        self._interpolation(statement)
+                case ast.LearnStatement() as statement:
+                    self._learnable(statement)
+                case ast.ObserveStatement(noise=ast.Distribution() as noise):
+                    self._distribution(noise, "noise", 1, "the standard deviation", "the coefficient of variation")
+                case ast.UnknownStatement(arguments=arguments):
+                    for argument in arguments:
+                        self.interval(argument.range)
+                case _:
+                    pass
+
+    def interval(self, interval: ast.Interval | None) -> tuple[float, float] | None:
+        """The ends of a range; an error where they are not in order."""
+        if interval is None:
+            return None
+        low, high = self.value(interval.low), self.value(interval.high)
+        if low is None or high is None:
+            return None
+        if low >= high:
+            equal = low == high
+            self.findings.error(
+                "GB225",
+                "the range is empty: its ends are equal" if equal else f"the range runs from {low:g} down to {high:g}",
+                interval.span,
+                help=""
+                if equal
+                else f"write the smaller end first: `in [{interval.high.span.text}, {interval.low.span.text}]`",
+            )
+            return None
+        return low, high
+
+    def _in_range(self, interval: ast.Interval | None, start: ast.Expression | None, what: str) -> None:
+        ends, value = self.interval(interval), self.value(start)
+        if ends is None or value is None or interval is None or start is None or ends[0] <= value <= ends[1]:
+            return
+        self.findings.error(
+            "GB222",
+            f"{what} {value:g} lies outside the range from {ends[0]:g} to {ends[1]:g}",
+            start.span,
+            labels=[Label(interval.span, "the range")],
+            help="widen the range, or choose a value inside it",
+        )
+
+    def _interpolation(self, statement: ast.InputStatement) -> None:
+        self.findings.error(
+            "GB227",
+            f"it is not said what the input `{statement.name.text}` does between its rows",
+            statement.name.span,
+            help=f"write `input {statement.name.text} held` (constant to the next filled cell) or "
+            f"`input {statement.name.text} linear`",
+        )
+
+    # -------------------------------------------------------------------------------------------------- learnables
+
+    def bounds(self, statement: ast.LearnStatement) -> tuple[float, float] | None:
+        """The range and all bounds of a learnable together; None where one of them was reported."""
+        low, high = -math.inf, math.inf
+        if statement.range is not None:
+            ends = self.interval(statement.range)
+            if ends is None:
+                return None
+            low, high = ends
+        for bound in statement.bounds:
+            value = self.value(bound.value)
+            if value is None:
+                return None
+            if bound.operator in (">", ">="):
+                low = max(low, value)
+            else:
+                high = min(high, value)
+        return low, high
+
+    def _learnable(self, statement: ast.LearnStatement) -> None:
+        if statement.prior is not None:
+            self._distribution(statement.prior, "prior", 2, "the standard deviation", "the coefficient of variation")
+        ends = self.bounds(statement)
+        name = statement.name
+        if ends is None:
+            return
+        low, high = ends
+        if low >= high:
+            self.findings.error(
+                "GB225",
+                f"no number lies between the bounds of `{name.text}`",
+                _bounds_span(statement),
+                label=f"above {low:g} and below {high:g}",
+            )
+        elif statement.start is None and not (math.isfinite(low) and math.isfinite(high)):
+            self.findings.error(
+                "GB226",
+                f"`{name.text}` has neither a start nor two bounds, so learning would not know where to begin",
+                name.span,
+                help=f"write `learn {name.text} = 1` or `learn {name.text} in [0, 10]` with sensible numbers",
+            )
+        else:
+            self._start_in_bounds(statement, low, high)
+
+    def _start_in_bounds(self, statement: ast.LearnStatement, low: float, high: float) -> None:
+        value = self.value(statement.start)
+        if value is None or statement.start is None:
+            return
+        strict = {b.operator: self.value(b.value) for b in statement.bounds if b.operator in "<>"}
+        if low <= value <= high and value not in (strict.get(">"), strict.get("<")):
+            return
+        self.findings.error(
+            "GB222",
+            f"the start {value:g} of `{statement.name.text}` does not keep its bounds",
+            statement.start.span,
+            labels=[Label(_bounds_span(statement), "the bounds")],
+            help="choose a start inside them",
+        )
+
+    def _distribution(self, distribution: ast.Distribution, what: str, count: int, *scales: str) -> None:
+        kinds = ("normal", "lognormal")
+        kind = distribution.kind.text
+        if kind not in kinds:
+            self.findings.error(
+                "GB232",
+                f"`{kind}` is not a {what}",
+                distribution.kind.span,
+                help=f"write `{what} normal(…)` or `{what} lognormal(…)`",
+            )
+            return
+        scale = scales[kinds.index(kind)]
+        if len(distribution.arguments) != count:
+            location = {"normal": "the mean and ", "lognormal": "the median and "}[kind] if count == 2 else ""
+            self.findings.error(
+                "GB232",
+                f"`{what} {kind}` takes {count} number{'s' if count > 1 else ''}: {location}{scale}",
+                distribution.span,
+            )
+            return
+        values = [self.value(argument) for argument in distribution.arguments]
+        positive: Sequence[tuple[int, str]] = [(count - 1, scale)]
+        if kind == "lognormal" and count == 2:
+            positive = [(0, "the median"), *positive]
+        for position, name in positive:
+            value = values[position]
+            if value is not None and value <= 0:
+                self.findings.error("GB232", f"{name} must be positive", distribution.arguments[position].span)
+
+
+def _bounds_span(statement: ast.LearnStatement) -> Span:
+    spans = [part.span for part in (statement.range, *statement.bounds) if part is not None]
+    result = spans[0] if spans else statement.name.span
+    for span in spans[1:]:
+        result = result.to(span)
+    return result
+
+
+def default_start(low: float, high: float) -> float:
+    """Where a learnable without a start begins: the middle of its bounds; of their logarithms where they are far apart."""
+    if low > 0 and high / low >= GEOMETRIC_FROM:
+        return math.sqrt(low) * math.sqrt(high)
+    return low + (high - low) / 2

@@ -1,0 +1,291 @@
+"""What the names in an expression mean. Each mistake is told once, however often it occurs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics.expressions import operands
+from gbspec.semantics.sites import Site
+from gbspec.semantics.table import Declaration, Kind, Table
+from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
+from gbspec.syntax import ast
+from gbspec.syntax.names import FUNCTIONS
+
+DEEPEST = 100
+"""How deep an expression may be nested; sums and products count as one level, whatever their length."""
+
+_SUGGESTIONS = 20
+_PLACES = 4
+
+
+@dataclass
+class Missing:
+    """A name that nothing declares: where it stands, what could have been meant, whether it is called."""
+
+    spans: list[Span]
+    candidates: frozenset[str]
+    called: bool
+
+
+@dataclass
+class Resolver:
+    """Resolves expressions one after the other and keeps what was not found, to tell each name once."""
+
+    table: Table
+    findings: Findings
+    missing: dict[str, Missing] = field(default_factory=dict)
+    _processed: frozenset[str] = frozenset()
+
+    def resolve(self, site: Site) -> None:
+        """Fills the site's references; reports wrong calls, wrong places of `nn`, and what nests too deep."""
+        stack: list[tuple[ast.Expression, bool, int]] = [(site.expression, True, 0)]
+        while stack:
+            node, smooth, depth = stack.pop()
+            if depth > DEEPEST:
+                self._too_deep(site, node)
+                return
+            match node:
+                case ast.Name():
+                    self._name(node, site, smooth)
+                case ast.Call(function=ast.Name(text="net")):
+                    self._net(node, site)
+                    continue
+                case ast.Call():
+                    self._call(node, site, smooth)
+                case ast.Index():
+                    self._unsupported(node, site)
+                    continue
+                case _:
+                    pass
+            parts = operands(node)
+            if isinstance(node, ast.Conditional):
+                stack.append((node.otherwise, smooth, depth + 1))
+                stack.append((node.then, smooth, depth + 1))
+                stack.append((node.condition, False, depth + 1))
+            else:
+                stack.extend((part, smooth, depth + 1) for part in reversed(parts))
+
+    def report_missing(self) -> None:
+        """One finding for each name that nothing declares, at its first place."""
+        for number, (name, missing) in enumerate(self.missing.items()):
+            spans = sorted(missing.spans, key=lambda s: (s.source.path, s.start))
+            what = "no function is called" if missing.called else "nothing is called"
+            self.findings.error(
+                "GB201",
+                f"{what} `{name}`",
+                spans[0],
+                label="not declared",
+                labels=[Label(span, "also here") for span in spans[1:_PLACES]],
+                notes=[f"and in {len(spans) - _PLACES} more places"] if len(spans) > _PLACES else [],
+                help=(suggestion(name, missing.candidates) if number < _SUGGESTIONS else "")
+                or f"declare it, for example `{'function' if missing.called else 'const'} {name}"
+                f"{'(x)' if missing.called else ''} = …`",
+                subject=name,
+            )
+
+    # ------------------------------------------------------------------------------------------------------- names
+
+    def _use(self, name: str, span: Span, site: Site, smooth: bool) -> None:
+        site.references.names.setdefault(name, span)
+        if smooth:
+            site.references.smooth.add(name)
+
+    def _not_found(self, name: ast.Name, site: Site, *, called: bool) -> None:
+        site.references.complete = False
+        missing = self.missing.get(name.text)
+        if missing is None:
+            kinds = (Kind.FUNCTION, Kind.UNKNOWN) if called else None
+            pool = {n for n, d in self.table.items() if kinds is None or d.kind in kinds}
+            pool |= set(FUNCTIONS) if called else site.formals
+            missing = self.missing[name.text] = Missing([], frozenset(pool), called)
+        missing.spans.append(name.span)
+
+    def _name(self, node: ast.Name, site: Site, smooth: bool) -> None:
+        name = node.text
+        if name in site.formals or name in CONSTANTS:
+            return
+        if name == "nn":
+            if not site.nn:
+                site.references.complete = False
+                self.findings.error(
+                    "GB217",
+                    "`nn` stands for the network, and only the postulate of an unknown has one",
+                    node.span,
+                    help="write it in the declaration: `unknown f(x) = g(x)*nn`, and `f` here",
+                )
+            return
+        declaration = self.table.get(name)
+        if declaration is None:
+            if name in FUNCTIONS:
+                self._without_arguments(node, site, "a function", name)
+            else:
+                self._not_found(node, site, called=False)
+        elif declaration.kind is Kind.FUNCTION:
+            self._without_arguments(node, site, "a function", _usage(declaration), declaration.span)
+        elif declaration.kind in (Kind.CHANNEL, Kind.CLAIM):
+            self._no_value(node, declaration, site)
+        else:
+            self._use(name, node.span, site, smooth)
+            if declaration.kind is Kind.UNKNOWN:
+                self._bare_unknown(node, declaration, site, smooth)
+
+    def _bare_unknown(self, node: ast.Name, unknown: Declaration, site: Site, smooth: bool) -> None:
+        """An unknown named without parentheses is applied to the names it was declared with, as they mean here."""
+        assert isinstance(unknown.statement, ast.UnknownStatement)
+        strangers = []
+        for argument in unknown.statement.arguments:
+            text = argument.name.text
+            declaration = self.table.get(text)
+            if text in site.formals:
+                continue
+            if declaration is None or declaration.kind in (Kind.FUNCTION, Kind.UNKNOWN, Kind.CHANNEL, Kind.CLAIM):
+                strangers.append(argument.name)
+            else:
+                self._use(text, node.span, site, smooth)
+        if strangers:
+            site.references.complete = False
+            names = " and ".join(f"`{n.text}`" for n in strangers)
+            self.findings.error(
+                "GB206",
+                f"`{node.text}` is named without arguments, but {names} of its declaration is no name of the model",
+                node.span,
+                label="applied to what?",
+                labels=[Label(n.span, "declared with this argument") for n in strangers],
+                help=f"say what it is applied to: `{_usage(unknown)}` with values of this model",
+            )
+
+    def _without_arguments(self, node: ast.Name, site: Site, what: str, usage: str, at: Span | None = None) -> None:
+        site.references.complete = False
+        self.findings.error(
+            "GB205",
+            f"`{node.text}` is {what} and needs its arguments here",
+            node.span,
+            labels=[Label(at, "declared here")] if at is not None else [],
+            help=f"write `{usage}`" if "(" in usage else f"write `{usage}(…)`",
+        )
+
+    def _no_value(self, node: ast.Name, declaration: Declaration, site: Site) -> None:
+        site.references.complete = False
+        channel = declaration.kind is Kind.CHANNEL
+        self.findings.error(
+            "GB213",
+            f"`{node.text}` is {declaration.kind.value} and has no value in expressions",
+            node.span,
+            labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+            help=f"name the expression first: `let {node.text}_value = …`, and use that in both places"
+            if channel
+            else "write the expression itself, or name it with `let`",
+        )
+
+    # ------------------------------------------------------------------------------------------------------- calls
+
+    def _call(self, node: ast.Call, site: Site, smooth: bool) -> None:
+        name, count = node.function, len(node.arguments)
+        if name.text in site.formals or name.text in CONSTANTS or name.text == "nn":
+            self._not_a_function(node, "an argument" if name.text in site.formals else "a number", None, site)
+            return
+        declaration = self.table.get(name.text)
+        if declaration is None:
+            if name.text in FUNCTIONS:
+                least, most = arity(name.text)
+                if count < least or (most is not None and count > most):
+                    self._wrong_arity(node, least, site, None, at_least=most is None)
+            elif name.text == "sum":
+                self._unsupported(node, site)
+            else:
+                self._not_found(name, site, called=True)
+            return
+        match declaration.statement:
+            case ast.FunctionStatement(parameters=parameters):
+                expected = len(parameters)
+            case ast.UnknownStatement(arguments=arguments):
+                expected = len(arguments)
+            case _:
+                self._not_a_function(node, declaration.kind.value, declaration.span, site)
+                return
+        self._use(name.text, name.span, site, smooth)
+        if count != expected:
+            self._wrong_arity(node, expected, site, declaration)
+
+    def _net(self, node: ast.Call, site: Site) -> None:
+        argument = node.arguments[0] if len(node.arguments) == 1 else None
+        declaration = self.table.get(argument.text) if isinstance(argument, ast.Name) else None
+        if isinstance(argument, ast.Name) and declaration is not None and declaration.kind is Kind.STATE:
+            site.references.nets.setdefault(argument.text, node.span)
+        elif isinstance(argument, ast.Name) and declaration is None and argument.text not in site.formals:
+            self._not_found(argument, site, called=False)
+        else:
+            site.references.complete = False
+            self.findings.error(
+                "GB218",
+                "`net(…)` takes the name of one state",
+                node.span if argument is None else argument.span,
+                label="not a state" if argument is not None else "",
+                help="`net(X)` is what all processes together add to the state `X` in a unit of time",
+            )
+
+    def _not_a_function(self, node: ast.Call, what: str, at: Span | None, site: Site) -> None:
+        site.references.complete = False
+        name = node.function.text
+        clock = len(node.arguments) == 1 and isinstance(node.arguments[0], ast.Name)
+        current = clock and self._is_time(node.arguments[0])
+        self.findings.error(
+            "GB204",
+            f"`{name}` is {what}, not a function",
+            node.span,
+            labels=[Label(at, "declared here")] if at is not None else [],
+            help=f"`{name}` alone is its value at the current time"
+            if current
+            else f"to multiply, write `{name}*(…)`; a function is declared with `function {name}(x) = …`",
+        )
+
+    def _is_time(self, node: ast.Expression) -> bool:
+        declaration = self.table.get(node.text) if isinstance(node, ast.Name) else None
+        return declaration is not None and declaration.kind is Kind.TIME
+
+    def _wrong_arity(
+        self, node: ast.Call, expected: int, site: Site, declaration: Declaration | None, *, at_least: bool = False
+    ) -> None:
+        site.references.complete = False
+        count = len(node.arguments)
+        takes = f"{'at least ' if at_least else ''}{expected} argument{'' if expected == 1 else 's'}"
+        self.findings.error(
+            "GB207",
+            f"`{node.function.text}` takes {takes}, {count} {'is' if count == 1 else 'are'} given",
+            node.span,
+            labels=[Label(declaration.span, "declared here")] if declaration and declaration.span else [],
+            help=f"write `{_usage(declaration)}`" if declaration else "",
+        )
+
+    # ------------------------------------------------------------------------------------------------------ refusals
+
+    def _unsupported(self, node: ast.Expression, site: Site) -> None:
+        site.references.complete = False
+        self.findings.error(
+            "GB901",
+            "arrays of states are not supported yet",
+            node.span,
+            help="write the states one by one: `c_1`, `c_2`, …",
+        )
+
+    def _too_deep(self, site: Site, node: ast.Expression) -> None:
+        site.references.complete = False
+        self.findings.error(
+            "GB235",
+            f"this expression is nested more than {DEEPEST} deep",
+            node.span,
+            help="name inner parts with `let`",
+        )
+
+
+def _usage(declaration: Declaration) -> str:
+    """How a function is written with the arguments of its declaration."""
+    match declaration.statement:
+        case ast.FunctionStatement(parameters=parameters):
+            names = [p.text for p in parameters]
+        case ast.UnknownStatement(arguments=arguments):
+            names = [a.name.text for a in arguments]
+        case _:
+            names = []
+    return f"{declaration.name}({', '.join(names)})"

@@ -1,0 +1,150 @@
+"""The names of a model: what each stands for, each declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics.merge import Item
+from gbspec.syntax import ast
+from gbspec.syntax.names import REFUSED, STATEMENTS
+
+
+class Kind(Enum):
+    """What a name stands for; the value is how a person would call it."""
+
+    TIME = "the time"
+    STATE = "a state"
+    CONDITION = "a condition"
+    INPUT = "an input"
+    CONST = "a constant"
+    LEARN = "a learnable constant"
+    LET = "a `let`"
+    FUNCTION = "a function"
+    UNKNOWN = "an unknown function"
+    PROCESS = "a process"
+    CHANNEL = "a measured channel"
+    CLAIM = "a `conserve` claim"
+
+
+VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM}
+"""What may stand in an expression."""
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """A name, what it stands for, and the statement that says so."""
+
+    name: str
+    kind: Kind
+    statement: ast.Statement | None
+    span: Span | None
+    output: int = 0
+    """Of an unknown: which output of its statement's network it is."""
+
+
+Table = dict[str, Declaration]
+
+_KINDS: dict[type[ast.Node], Kind] = {
+    ast.StateStatement: Kind.STATE,
+    ast.ConditionStatement: Kind.CONDITION,
+    ast.InputStatement: Kind.INPUT,
+    ast.ConstStatement: Kind.CONST,
+    ast.LearnStatement: Kind.LEARN,
+    ast.LetStatement: Kind.LET,
+    ast.FunctionStatement: Kind.FUNCTION,
+    ast.UnknownStatement: Kind.UNKNOWN,
+    ast.ProcessStatement: Kind.PROCESS,
+    ast.ConserveStatement: Kind.CLAIM,
+}
+
+
+def build(items: tuple[Item, ...], findings: Findings) -> Table:
+    """Every declared name with its first declaration; a second one, or a refused name, is an error."""
+    time = next((i.statement for i in items if isinstance(i.statement, ast.TimeStatement)), None)
+    table: Table = {}
+    name = ast.Name(time.name.span, time.name.text) if time is not None else None
+    clock = name.text if name is not None else "t"
+    table[clock] = Declaration(clock, Kind.TIME, time, name.span if name is not None else None)
+    if name is not None and name.text in REFUSED:
+        _refuse(name, findings)
+    for item in items:
+        for declaration, at in _declarations(item.statement):
+            if at.text in REFUSED or (declaration.kind is Kind.STATE and at.text in STATEMENTS):
+                _refuse(at, findings, keyword=at.text not in REFUSED)
+            first = table.setdefault(at.text, declaration)
+            if first is not declaration:
+                _duplicate(at, first, findings)
+    _time_once(items, findings)
+    return table
+
+
+def _declarations(statement: ast.Statement) -> list[tuple[Declaration, ast.Name]]:
+    match statement:
+        case ast.UnknownStatement(names=names):
+            return [(Declaration(n.text, Kind.UNKNOWN, statement, n.span, i), n) for i, n in enumerate(names)]
+        case ast.ObserveStatement(target=ast.Name() as name, value=value) if value is not None:
+            return [(Declaration(name.text, Kind.CHANNEL, statement, name.span), name)]
+        case ast.StateStatement(declarator=declarator):
+            return [(Declaration(declarator.name.text, Kind.STATE, statement, declarator.name.span), declarator.name)]
+        case (
+            ast.ConditionStatement(name=name)
+            | ast.InputStatement(name=name)
+            | ast.ConstStatement(name=name)
+            | ast.LearnStatement(name=name)
+            | ast.LetStatement(name=name)
+            | ast.FunctionStatement(name=name)
+            | ast.ProcessStatement(name=name)
+            | ast.ConserveStatement(name=name)
+        ):
+            return [(Declaration(name.text, _KINDS[type(statement)], statement, name.span), name)]
+        case _:
+            return []
+
+
+def _refuse(name: ast.Name, findings: Findings, *, keyword: bool = False) -> None:
+    if keyword:
+        reason = f"`{name.text}` begins a statement, so a state cannot be called so"
+    else:
+        reason = f"`{name.text}` has a meaning of its own in expressions and cannot be declared"
+    findings.error("GB203", reason, name.span, help=f"choose another name, such as `{name.text}_1`")
+
+
+def _duplicate(name: ast.Name, first: Declaration, findings: Findings) -> None:
+    if first.kind is Kind.TIME:
+        where = "the name of the time" + (
+            "" if first.span else ", which is `t` where no `time` statement says otherwise"
+        )
+        findings.error(
+            "GB203",
+            f"`{name.text}` is {where}",
+            name.span,
+            labels=[Label(first.span, "the time")] if first.span is not None else [],
+            help="choose another name, or name the time otherwise: `time tau`",
+        )
+        return
+    labels = [Label(first.span, "first declared here")] if first.span is not None else []
+    if isinstance(first.statement, ast.StateStatement | ast.LetStatement) and _is_channel_of(name, first):
+        help_ = f"to measure it as it is write `observe {name.text}`; otherwise give the channel a name of its own"
+    else:
+        help_ = "rename one of them, or delete it"
+    findings.error("GB202", f"`{name.text}` is declared twice", name.span, label="again", labels=labels, help=help_)
+
+
+def _is_channel_of(name: ast.Name, first: Declaration) -> bool:
+    line = name.span.source.line(name.span.position[0])
+    return line.startswith("observe") and first.name == name.text
+
+
+def _time_once(items: tuple[Item, ...], findings: Findings) -> None:
+    for kind, code in ((ast.TimeStatement, "time"), (ast.ModelStatement, "model")):
+        found = [i.statement for i in items if isinstance(i.statement, kind)]
+        for again in found[1:]:
+            findings.error(
+                "GB202",
+                f"a second `{code}` statement",
+                again.span,
+                labels=[Label(found[0].span, "the first")],
+                help="a model has one; delete one of them",
+            )

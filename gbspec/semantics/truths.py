@@ -1,0 +1,119 @@
+"""References: of what there can be one, with how many arguments, and the values of those of learnables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.merge import Item
+from gbspec.semantics.numbers import functions_of
+from gbspec.semantics.sites import Site
+from gbspec.semantics.table import Declaration, Kind, Table
+from gbspec.semantics.vocabulary import suggestion
+from gbspec.syntax import ast
+
+
+def check(items: Iterable[Item], table: Table, findings: Findings, *, complete: bool) -> list[ast.TruthStatement]:
+    """The truths that name what exists with the right number of arguments; the others are reported."""
+    good: list[ast.TruthStatement] = []
+    for item in items:
+        if isinstance(item.statement, ast.TruthStatement):
+            truth = item.statement
+            declaration = table.get(truth.name.text)
+            if declaration is None:
+                if complete:
+                    _missing(truth, table, findings)
+            elif declaration.kind not in (Kind.LEARN, Kind.UNKNOWN):
+                _known(truth, declaration, findings)
+            elif _same_arguments(truth, declaration, findings):
+                good.append(truth)
+    return good
+
+
+def _missing(truth: ast.TruthStatement, table: Table, findings: Findings) -> None:
+    pool = [n for n, d in table.items() if d.kind in (Kind.LEARN, Kind.UNKNOWN)]
+    findings.error(
+        "GB219",
+        f"a truth for `{truth.name.text}`, which nothing declares",
+        truth.name.span,
+        label="not declared",
+        help=suggestion(truth.name.text, pool) or "a truth is for a `learn` or an `unknown` of this model",
+        subject=truth.name.text,
+    )
+
+
+def _known(truth: ast.TruthStatement, declaration: Declaration, findings: Findings) -> None:
+    name = truth.name.text
+    findings.error(
+        "GB219",
+        f"a truth for `{name}`, which is {declaration.kind.value}",
+        truth.name.span,
+        labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+        help="a truth is for what is learned; delete it"
+        + (f", or declare `learn {name}`" if declaration.kind is Kind.CONST else "")
+        + (f" (in a file that extends another: `without truth {name}`)" if declaration.kind is Kind.CONST else ""),
+    )
+
+
+def _same_arguments(truth: ast.TruthStatement, declaration: Declaration, findings: Findings) -> bool:
+    unknown = declaration.statement if isinstance(declaration.statement, ast.UnknownStatement) else None
+    expected = len(unknown.arguments) if unknown is not None else 0
+    if truth.parameters is None or (unknown is not None and len(truth.parameters) == expected):
+        return True
+    labels = [Label(declaration.span, "declared here")] if declaration.span is not None else []
+    if unknown is None:
+        message, help_ = f"`{truth.name.text}` is a learnable constant and has no arguments", "leave the arguments out"
+    else:
+        names = ", ".join(a.name.text for a in unknown.arguments)
+        message = f"the truth of `{truth.name.text}` has {len(truth.parameters)} arguments, its declaration {expected}"
+        help_ = f"write `truth {truth.name.text}({names}) = …`"
+    findings.error("GB220", message, truth.name.span, labels=labels, help=help_)
+    return False
+
+
+def values(
+    truths: Iterable[ast.TruthStatement],
+    sites: Mapping[int, Site],
+    table: Table,
+    constants: Mapping[str, float],
+    starts: Mapping[str, float],
+    findings: Findings,
+) -> dict[str, float]:
+    """Values of the truths of learnables; one that names another learnable means its truth, else its start."""
+    waiting = {
+        t.name.text: t
+        for t in truths
+        if table[t.name.text].kind is Kind.LEARN and sites[id(t.value)].references.complete
+    }
+    known: dict[str, float] = {}
+    while waiting:
+        ready = [n for n, t in waiting.items() if not any(o in waiting for o in _learnables(t, sites, table))]
+        if not ready:
+            _circle(waiting, findings)
+            break
+        for name in ready:
+            truth = waiting.pop(name)
+            value = Evaluator({**constants, **starts, **known}, functions_of(table))(truth.value)
+            if value is not None:
+                known[name] = value
+            elif not findings.failed:
+                findings.error("GB223", f"the truth of `{name}` is not a finite number", truth.value.span)
+    return known
+
+
+def _learnables(truth: ast.TruthStatement, sites: Mapping[int, Site], table: Table) -> list[str]:
+    names = sites[id(truth.value)].references.names
+    return [n for n in names if table[n].kind is Kind.LEARN]
+
+
+def _circle(waiting: Mapping[str, ast.TruthStatement], findings: Findings) -> None:
+    names = ", ".join(f"`{n}`" for n in waiting)
+    first = next(iter(waiting.values()))
+    findings.error(
+        "GB208",
+        f"truths depend on each other in a circle: {names}",
+        first.name.span,
+        labels=[Label(t.name.span, "and this") for t in list(waiting.values())[1:5]],
+        help="write the number of one of them",
+    )

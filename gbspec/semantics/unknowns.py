@@ -1,0 +1,164 @@
+"""Declarations of functions to be learned: arguments, outputs, postulates, networks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.expressions import walk
+from gbspec.semantics.merge import Item
+from gbspec.semantics.numbers import Numbers
+from gbspec.semantics.vocabulary import ACTIVATIONS, suggestion
+from gbspec.syntax import ast
+from gbspec.syntax.names import REFUSED
+from gbspec.syntax.walk import ungrouped
+
+WIDEST = 4096
+"""The most units a hidden layer may have."""
+
+DEFAULT_WIDTHS = (32, 32)
+DEFAULT_ACTIVATION = "silu"
+
+
+def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
+    """Everything that can be said of unknowns and of parameter lists by themselves."""
+    for item in items:
+        match item.statement:
+            case ast.FunctionStatement(parameters=parameters, name=name):
+                _parameters(parameters, name, findings)
+            case ast.TruthStatement(parameters=parameters, name=name) if parameters is not None:
+                _parameters(parameters, name, findings, empty=True)
+            case ast.UnknownStatement() as unknown:
+                _parameters([a.name for a in unknown.arguments], unknown.names[0], findings)
+                _counts(unknown, findings)
+                _postulates(unknown, findings)
+                _contracts(unknown, findings)
+                if unknown.network is not None:
+                    _network(unknown.network, numbers, findings)
+            case _:
+                pass
+
+
+def _parameters(names: Sequence[ast.Name], owner: ast.Name, findings: Findings, *, empty: bool = False) -> None:
+    if not names and not empty:
+        findings.error(
+            "GB215",
+            f"`{owner.text}` has no argument",
+            owner.span,
+            help="a number to be learned is `learn k = 1`; an expression with a name is `let k = …`",
+        )
+    first: dict[str, ast.Name] = {}
+    for name in names:
+        if name.text in REFUSED:
+            findings.error(
+                "GB203",
+                f"`{name.text}` has a meaning of its own in expressions and cannot be an argument",
+                name.span,
+                help=f"choose another name, such as `{name.text}_1`",
+            )
+        earlier = first.setdefault(name.text, name)
+        if earlier is not name:
+            findings.error(
+                "GB214",
+                f"the argument `{name.text}` occurs twice",
+                name.span,
+                labels=[Label(earlier.span, "the first")],
+                help="give each argument its own name",
+            )
+
+
+def _counts(unknown: ast.UnknownStatement, findings: Findings) -> None:
+    outputs = len(unknown.names)
+    given: list[tuple[str, Sequence[ast.Node]]] = [("units", unknown.units), ("postulates", unknown.postulates)]
+    for what, parts in given:
+        if len(parts) not in (0, 1, outputs):
+            findings.error(
+                "GB229",
+                f"{len(parts)} {what} for {outputs} output{'s' if outputs > 1 else ''}",
+                parts[0].span.to(parts[-1].span),
+                labels=[Label(unknown.names[0].span.to(unknown.names[-1].span), "the outputs")],
+                help="give one for all outputs, or one for each, in their order",
+            )
+
+
+def _postulates(unknown: ast.UnknownStatement, findings: Findings) -> None:
+    for postulate in unknown.postulates:
+        if not any(isinstance(node, ast.Name) and node.text == "nn" for node in walk(postulate)):
+            findings.error(
+                "GB230",
+                "the postulate has no `nn`, so there is nothing to learn",
+                postulate.span,
+                help=f"say where the network corrects it: `({postulate.span.text})*nn` or `{postulate.span.text} + nn`;"
+                f" if the form is known, declare a `function`",
+            )
+
+
+def _contracts(unknown: ast.UnknownStatement, findings: Findings) -> None:
+    if unknown.contracts:
+        findings.error(
+            "GB902",
+            "contracts on unknowns are not supported yet",
+            unknown.contracts[0].span.to(unknown.contracts[-1].span),
+            help="leave them out for now",
+        )
+
+
+def _network(network: ast.NetworkSpec, numbers: Numbers, findings: Findings) -> None:
+    if network.kind.text != "mlp":
+        findings.error(
+            "GB228",
+            f"there is no network called `{network.kind.text}`",
+            network.kind.span,
+            help="write `by mlp(32, 32)`, a multilayer perceptron with two hidden layers of 32",
+        )
+        return
+    for width in network.widths:
+        value = numbers.value(width)
+        if value is not None and not (value == int(value) and 1 <= value <= WIDEST):
+            findings.error(
+                "GB228",
+                f"a hidden layer cannot have {value:g} units",
+                width.span,
+                help=f"a width is a whole number from 1 to {WIDEST}",
+            )
+    seen: set[str] = set()
+    for option in network.options:
+        _option(option, seen, findings)
+
+
+def _option(option: ast.Option, seen: set[str], findings: Findings) -> None:
+    name, value = option.name.text, ungrouped(option.value)
+    if name != "activation":
+        findings.error(
+            "GB228",
+            f"`mlp` has no option `{name}`",
+            option.name.span,
+            help="its only option is `activation`; how it is trained is said on the command line",
+        )
+    elif name in seen:
+        findings.error("GB228", "the activation is given twice", option.span, help="delete one of them")
+    elif not isinstance(value, ast.Name) or value.text not in ACTIVATIONS:
+        near = suggestion(value.text, ACTIVATIONS) if isinstance(value, ast.Name) else ""
+        findings.error(
+            "GB228",
+            f"there is no activation called `{option.value.span.text}`",
+            option.value.span,
+            help=" ".join(part for part in (near, "activations are " + ", ".join(ACTIVATIONS)) if part),
+        )
+    seen.add(name)
+
+
+def widths(network: ast.NetworkSpec | None, numbers: Numbers) -> tuple[int, ...]:
+    """Widths of the hidden layers of a checked network."""
+    if network is None or not network.widths:
+        return DEFAULT_WIDTHS
+    return tuple(int(numbers.value(width) or 0) for width in network.widths)
+
+
+def activation(network: ast.NetworkSpec | None) -> str:
+    """The activation of a checked network."""
+    for option in network.options if network is not None else ():
+        value = ungrouped(option.value)
+        if isinstance(value, ast.Name):
+            return value.text
+    return DEFAULT_ACTIVATION

@@ -1,0 +1,109 @@
+"""Warnings on names that do nothing: never used, or used where no gradient reaches them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.merge import Item
+from gbspec.semantics.sites import Site
+from gbspec.semantics.table import Kind, Table
+from gbspec.syntax import ast
+
+_USELESS = {
+    Kind.CONDITION: "it would be asked of the data for nothing",
+    Kind.INPUT: "it would be asked of the data for nothing",
+    Kind.CONST: "",
+    Kind.LEARN: "nothing could be learned about it",
+    Kind.LET: "",
+    Kind.FUNCTION: "",
+    Kind.UNKNOWN: "nothing could be learned about it",
+}
+
+
+def unused(sites: Iterable[Site], table: Table, findings: Findings) -> None:
+    """One warning for each declared name that no expression names; a truth does not use what is learned."""
+    used: set[str] = set()
+    for site in sites:
+        names = site.references.names
+        used.update(
+            n
+            for n in names
+            if n != site.owner and (site.counts or table[n].kind in (Kind.CONST, Kind.FUNCTION, Kind.LET))
+        )
+    for declaration in table.values():
+        if declaration.kind in _USELESS and declaration.name not in used and declaration.span is not None:
+            why = _USELESS[declaration.kind]
+            findings.warning(
+                "GB403",
+                f"`{declaration.name}` is declared and never used" + (f": {why}" if why else ""),
+                declaration.span,
+                help=f"delete it, use it, or accept it with `allow GB403 {declaration.name}`",
+                subject=declaration.name,
+            )
+
+
+def observed_names(items: Iterable[Item]) -> set[str]:
+    """Names that `observe NAME` measures as they are."""
+    return {
+        item.statement.target.text
+        for item in items
+        if isinstance(item.statement, ast.ObserveStatement)
+        and item.statement.value is None
+        and isinstance(item.statement.target, ast.Name)
+    }
+
+
+def only_compared(sites: Sequence[Site], observed: set[str], table: Table, findings: Findings) -> None:
+    """A learnable that decides between branches but enters no value has no gradient, so it cannot be learned."""
+    values = {site.owner: site for site in sites if site.owner is not None}
+    reached: dict[bool, set[str]] = {True: set(), False: set()}
+    for smooth, found in reached.items():
+        pending = list(observed)
+        for site in sites:
+            if site.counts and (site.owner is None or table[site.owner].kind is Kind.PROCESS):
+                pending.extend(_named(site, smooth))
+        while pending:
+            name = pending.pop()
+            if name not in found:
+                found.add(name)
+                if name in values:
+                    pending.extend(_named(values[name], smooth))
+    for declaration in table.values():
+        name = declaration.name
+        if declaration.kind is Kind.LEARN and name in reached[False] and name not in reached[True]:
+            places = [s.references.names[name] for s in sites if s.counts and name in s.references.names]
+            findings.warning(
+                "GB404",
+                f"`{name}` is only compared with, so training cannot move it",
+                declaration.span,
+                labels=[Label(span, "a comparison") for span in places[:4]],
+                help=f"let it enter smoothly, for example by `1/(1 + exp(-(x - {name})/width))`; or make it a `const`",
+                subject=name,
+            )
+
+
+def _named(site: Site, smooth: bool) -> Iterable[str]:
+    return site.references.smooth if smooth else site.references.names
+
+
+def observes_nothing(items: Iterable[Item], table: Table, findings: Findings) -> None:
+    """A model without states is none; one without channels cannot be trained."""
+    items = list(items)
+    states = [d for d in table.values() if d.kind is Kind.STATE]
+    model = next((i.statement for i in items if isinstance(i.statement, ast.ModelStatement)), None)
+    place = model.name.span if model is not None else (items[0].statement.span if items else None)
+    if not states:
+        findings.error(
+            "GB315",
+            "the model has no state, so nothing in it changes over time",
+            place,
+            help="declare one with its balance: `state x` and `x' = …`",
+        )
+    elif not any(isinstance(i.statement, ast.ObserveStatement) for i in items):
+        findings.warning(
+            "GB406",
+            "nothing is observed, so the model cannot be compared with data",
+            place,
+            help=f"add `observe {states[0].name}` for each state that is measured, or accept it with `allow GB406`",
+        )

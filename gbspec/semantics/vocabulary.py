@@ -1,0 +1,69 @@
+"""Words: what the language knows, what people write instead, and which declared name a misspelt one may mean."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+
+from gbspec.syntax.names import FUNCTIONS, explain_look_alike, looks_like
+
+CONSTANTS = {"pi": math.pi}
+
+ACTIVATIONS = ("silu", "tanh", "softplus", "relu", "gelu", "sigmoid", "elu", "sin")
+"""Activations of `mlp(...)`; the same as `gbspec.ir.model.Activation` (which this layer does not import)."""
+
+FOREIGN = {
+    "ln": "write `log`, the natural logarithm",
+    "log2": "write `log(x)/log(2)`",
+    "log1p": "write `log(1 + x)`",
+    "expm1": "write `exp(x) - 1`",
+    "lg": "write `log10`",
+    "pow": "write `a^b`",
+    "power": "write `a^b`",
+    "sqr": "write `x^2`",
+    "square": "write `x^2`",
+    "cbrt": "write `x^(1/3)`",
+    "tg": "write `tan`",
+    "arcsin": "write `asin`",
+    "arccos": "write `acos`",
+    "arctan": "write `atan`",
+    "arctan2": "write `atan2`",
+    "fabs": "write `abs`",
+    "sgn": "write `sign`",
+    "maximum": "write `max`",
+    "minimum": "write `min`",
+    "where": "write `if(condition, a, b)`",
+    "ifelse": "write `if(condition, a, b)`",
+    "piecewise": "write `if(condition, a, b)`",
+    "heaviside": "write `if(x > 0, 1, 0)`",
+    "sigmoid": "write `1/(1 + exp(-x))`",
+    "der": "a rate of change stands only on the left side, as in `X' = …`",
+    "diff": "a rate of change stands only on the left side, as in `X' = …`",
+    "e": "write `exp(1)`",
+    "PI": "write `pi`",
+    "Pi": "write `pi`",
+    "π": "write `pi`",
+    "inf": "leave the bound out, or give a large number",
+}
+"""Names from other languages, and how the same is said here."""
+
+
+def arity(function: str) -> tuple[int, int | None]:
+    """Least and largest number of arguments of a function of the language (None: any number)."""
+    return FUNCTIONS[function], None if function in ("min", "max") else FUNCTIONS[function]
+
+
+def suggestion(name: str, candidates: Iterable[str]) -> str:
+    """A help line for a name that nothing declares: a look-alike, a foreign word, or the nearest spelling; or ''."""
+    pool = sorted(set(candidates))
+    twin = next((c for c in pool if looks_like(name, c)), None)
+    if twin is not None:
+        return explain_look_alike(name, twin)
+    if name in FOREIGN:
+        return FOREIGN[name]
+    close = difflib.get_close_matches(name, pool, n=1, cutoff=0.6)
+    if not close:
+        same = [c for c in pool if c.casefold() == name.casefold()]
+        close = same[:1]
+    return f"did you mean `{close[0]}`?" if close else ""
