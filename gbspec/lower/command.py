@@ -51,5 +51,7 @@ def lower_expression(expression: ast.Expression, model: ir.Model, findings: Find
 
 
 def _wrong_count(call: ast.Call, expected: int, findings: Findings) -> Expr:
-    findings.error("GB207", f"`{call.function.text}` takes {expected} arguments, {len(call.arguments)} are given", span)
+    findings.error(
+        "GB207", f"`{call.function.text}` takes {expected} arguments, {len(call.arguments)} are given", call.span
+    )
     return sympy.S.Zero

@@ -187,7 +187,7 @@ class _Lowering:
         return ir.Time(
             statement.name.text,
             self._number(statement.start),
-            unit=unitstring(statement.unit),
+            unit=unit_text(statement.unit),
             description=string(statement.description),
             span=statement.name.span,
         )
@@ -200,7 +200,7 @@ class _Lowering:
                 self._range(s.range),
                 self._number(s.start),
                 self._initial(starts.get(s.declarator.name.text)),
-                unit=unitstring(s.unit),
+                unit=unit_text(s.unit),
                 description=string(s.description),
                 span=s.declarator.name.span,
             )
@@ -220,7 +220,7 @@ class _Lowering:
             self._range(s.range),
             self._number(s.default),
             s.column.value if s.column is not None else s.name.text,
-            unit=unitstring(s.unit),
+            unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,
         )
@@ -232,7 +232,7 @@ class _Lowering:
             self._range(s.range),
             self._number(s.default),
             s.column.value if s.column is not None else s.name.text,
-            unit=unitstring(s.unit),
+            unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,
         )
@@ -241,7 +241,7 @@ class _Lowering:
         return ir.Constant(
             s.name.text,
             self._checked.constants[s.name.text],
-            unit=unitstring(s.unit),
+            unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,
         )
@@ -255,7 +255,7 @@ class _Lowering:
             ir.Range(low, high),
             self._prior(s.prior),
             s.per_trajectory,
-            unit=unitstring(s.unit),
+            unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,
         )
@@ -272,7 +272,7 @@ class _Lowering:
             value, kind, unit = self._expression(statement.rate), "rate", None
         else:
             statement = cast(ast.LetStatement, statement)
-            value, kind, unit = self._expression(statement.value), "let", unitstring(statement.unit)
+            value, kind, unit = self._expression(statement.value), "let", unit_text(statement.unit)
         return ir.Intermediate(
             name,
             value,
@@ -306,7 +306,7 @@ class _Lowering:
             states.index(value.name) if value.is_Symbol and value.name in states else None,
             noise,
             s.column.value if s.column is not None else name,
-            unit=unitstring(s.unit),
+            unit=unit_text(s.unit),
             description=string(s.description),
             span=target_name(s.target).span,
         )

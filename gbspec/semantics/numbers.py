@@ -250,7 +250,7 @@ def _bounds_span(statement: ast.LearnStatement) -> Span:
 
 
 def default_start(low: float, high: float) -> float:
-    """Where a learnable without a start begins: the middle of its bounds; of their logarithms where they are far apart."""
+    """Where a learnable without a start begins: the middle of its bounds, or of their logarithms if far apart."""
     if low > 0 and high / low >= GEOMETRIC_FROM:
         return math.sqrt(low) * math.sqrt(high)
     return low + (high - low) / 2
