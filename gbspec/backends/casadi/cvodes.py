@@ -91,7 +91,7 @@ class Integrator:
     def _solve(self, x: Array, piece: Segment, times: Array, problem: Problem, stiff: bool) -> Array:
         """Raises RuntimeError where CVODES gives up or a state is not finite."""
         length = piece.end - piece.begin
-        grid = tuple(((times - piece.begin) / length).tolist()[:-1]) + (1.0,)
+        grid = (*((times - piece.begin) / length).tolist()[:-1], 1.0)
         solver = self._solver(grid, problem, stiff)
         scales = problem.scales
         parameters = np.concatenate(
@@ -153,7 +153,7 @@ def _inputs_at(piece: Segment, time: float) -> Array:
 
 
 def _scaled(rhs: Any) -> Any:
-    """The system in scaled time and states: parameters (begin, length, condition, inputs, slopes, constants, scales)."""
+    """The system in scaled time and states; parameters: begin, length, condition, inputs, slopes, constants, scales."""
     n_states, n_condition, n_inputs, n_constants = (rhs.size1_in(i) for i in (1, 2, 3, 4))
     sizes = [1, 1, n_condition, n_inputs, n_inputs, n_constants, n_states]
     tau, y, z, u = ca.MX.sym("tau"), ca.MX.sym("y", n_states), ca.MX.sym("z", 0), ca.MX.sym("u", 0)

@@ -1,4 +1,4 @@
-"""The evaluator: what analysis and simulation ask of a model, by casadi. Truths and fitted models go through the same."""
+"""What analysis and simulation ask of a model, by casadi; truths and fitted models go through the same functions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from gbspec.backends.casadi import rk4
 from gbspec.backends.casadi.cvodes import Integrator, Problem
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
-from gbspec.diagnostics import ComputationError
 
 Array = NDArray[np.float64]
 
@@ -59,7 +58,7 @@ class Evaluator:
     def rhs_many(
         self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
     ) -> Array:
-        """dx/dt [N, n_states] at times t [N] (or one), states x [N, n_states]; the rest [N, n] or [n] for all points."""
+        """dx/dt [N, n_states] at times t [N] or one, states x [N, n_states]; the rest [N, n], or [n] for all points."""
         return self._many("rhs", self.rhs, self._points(t, x, condition, inputs, constants))
 
     def observe_many(
@@ -148,11 +147,11 @@ class Evaluator:
     ) -> Array:
         """States [n_times, n_states] at increasing `times`, from x0 [n_states] at `start` (default: the first time).
 
-        CVODES, variable order and step; it starts anew wherever an input changes course or a dose falls, so that it never
-        steps across a kink. `inputs` are signals with `times` and `values`, one an input; `doses` likewise with `amounts`,
-        one a declared dose, added after a measurement at the same time. Errors are kept below rtol relative to the state
-        and atol relative to `scales` [n_states] (default: from the states' ranges, else from x0). The tolerances bound the
-        error of the whole trajectory in practice: CVODES' own, which are local, are set a hundred times tighter.
+        CVODES, variable order and step; it starts anew wherever an input changes course or a dose falls, so that it
+        never steps across a kink. `inputs` are signals with `times` and `values`, one an input; `doses` likewise with
+        `amounts`, one a declared dose, added after a measurement at the same time. Errors are kept below rtol relative
+        to the state and atol relative to `scales` [n_states] (default: from the states' ranges, else from x0). These
+        are meant for the whole trajectory: CVODES' own tolerances, which are local, are set a hundred times tighter.
 
         Raises ComputationError, with time and state, where the solution cannot be continued or is not finite.
         """
@@ -160,7 +159,9 @@ class Evaluator:
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
         nominal = self._scales(x0) if scales is None else np.asarray(scales, dtype=np.float64)
-        problem = Problem(np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol)
+        problem = Problem(
+            np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
+        )
         return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
 
     def integrate_rk4(
@@ -203,12 +204,19 @@ class Evaluator:
         return outputs
 
     def _segments(
-        self, begin: float, end: float, condition: ArrayLike, inputs: Sequence[Any], doses: Sequence[Any], constants: Any
+        self,
+        begin: float,
+        end: float,
+        condition: ArrayLike,
+        inputs: Sequence[Any],
+        doses: Sequence[Any],
+        constants: Any,
     ) -> list[Segment]:
         if len(inputs) != self.n_inputs:
             raise ValueError(f"the model has {self.n_inputs} inputs, {len(inputs)} were given")
         signals = [
-            Signal(np.asarray(item.times, dtype=np.float64), np.asarray(item.values, dtype=np.float64)) for item in inputs
+            Signal(np.asarray(item.times, dtype=np.float64), np.asarray(item.values, dtype=np.float64))
+            for item in inputs
         ]
         jumps = self._jumps(condition, doses, constants)
         return segments(begin, end, self.n_states, signals, self.instance.interpolation, jumps)
@@ -235,10 +243,3 @@ class Evaluator:
             if 0 < size < np.inf:
                 scales[i] = size
         return np.where(scales > 0, scales, 1.0)
-
-
-def check_finite(x: Array, names: Sequence[str], where: str) -> None:
-    """Raises ComputationError naming the states that are not finite."""
-    bad = [f"`{name}`" for name, value in zip(names, x, strict=True) if not np.isfinite(value)]
-    if bad:
-        raise ComputationError(f"{', '.join(bad)} is not a finite number", where=where)

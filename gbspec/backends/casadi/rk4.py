@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import ceil
 from typing import Any
 
@@ -43,7 +44,7 @@ def plan(
         inside = outputs[(outputs > piece.begin) & (outputs < piece.end)]
         bounds = [piece.begin, *map(float, inside), piece.end]
         jump = piece.jump
-        for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+        for a, b in pairwise(bounds):
             count = max(1, ceil((b - a) / max_step - 1e-9))
             h = (b - a) / count
             for j in range(count):
@@ -90,7 +91,7 @@ class Stepper:
 
 def _step_function(instance: Any) -> Any:
     """casadi.Function (x, t, h, u0, u1, u2, jump, condition, constants) -> x one step later."""
-    kind = ca.MX if instance.networks else ca.SX
+    kind: Any = ca.MX if instance.networks else ca.SX
     n_states, n_inputs = len(instance.states), len(instance.inputs)
     sizes = {"x": n_states, "t": 1, "h": 1, "u0": n_inputs, "u1": n_inputs, "u2": n_inputs, "jump": n_states}
     sizes |= {"condition": len(instance.conditions), "constants": len(instance.constants)}

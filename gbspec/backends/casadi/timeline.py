@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Segment:
-    """From `begin` to `end`: inputs are `inputs + slopes*(t - begin)`; `jump` is added to the state at the beginning."""
+    """From `begin` to `end`: inputs are `inputs + slopes*(t - begin)`; `jump` is added to the state at `begin`."""
 
     begin: float
     end: float
@@ -72,7 +73,7 @@ def segments(
         cuts |= set(map(float, signal.times))
     bounds = sorted(cut for cut in cuts if start <= cut <= end)
     pieces = []
-    for begin, finish in zip(bounds[:-1], bounds[1:], strict=True):
+    for begin, finish in pairwise(bounds):
         pairs = [value_and_slope(signal, kind, begin) for signal, kind in zip(inputs, kinds, strict=True)]
         jump = np.zeros(n_states)
         for item in jumps:

@@ -12,12 +12,13 @@ class Temporary(sympy.Dummy):  # type: ignore[misc]  # sympy is untyped
 
     @classmethod
     def class_key(cls) -> tuple[int, int, str]:
+        """Sorts it among symbols."""
         return 2, 0, "Symbol"
 
 
 def temporary(name: str, real: bool = True) -> Temporary:
     """A new temporary that would like to be called `name`."""
-    return Temporary(name, real=True) if real else Temporary(name)  # type: ignore[no-any-return]
+    return Temporary(name, real=True) if real else Temporary(name)
 
 
 class Where(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
@@ -26,6 +27,7 @@ class Where(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
     word: ClassVar[str] = "where"
 
     def __new__(cls, condition: sympy.Basic, a: sympy.Expr, b: sympy.Expr) -> Where:
+        """Takes both values; nothing is evaluated."""
         return super().__new__(cls, condition, a, b)  # type: ignore[no-any-return]
 
 
@@ -39,4 +41,5 @@ class Guard(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
     word: ClassVar[str] = "guard"
 
     def __new__(cls, condition: sympy.Basic, x: sympy.Expr) -> Guard:
+        """Takes the condition and the value that counts where it holds."""
         return super().__new__(cls, condition, x)  # type: ignore[no-any-return]

@@ -19,15 +19,12 @@ from gbspec.backends.printing.nodes import Guard, Where, temporary
 from gbspec.diagnostics import Defect
 from gbspec.ir.model import Intermediate, Model, Network
 
-Symbol = sympy.Symbol
-Expr = sympy.Expr
-
 
 @dataclass(frozen=True)
 class Assignment:
     """`symbol = value`."""
 
-    symbol: Symbol
+    symbol: sympy.Symbol
     value: sympy.Basic
     wish: str
 
@@ -37,8 +34,8 @@ class NetworkCall:
     """`results = network(arguments)`: one result an output of the network, None where nothing uses it."""
 
     network: int
-    arguments: tuple[Expr, ...]
-    results: tuple[Symbol | None, ...]
+    arguments: tuple[sympy.Expr, ...]
+    results: tuple[sympy.Symbol | None, ...]
     wishes: tuple[str, ...]
 
 
@@ -58,7 +55,7 @@ def guarded(node: sympy.Basic) -> sympy.Basic:
         return node
     if not isinstance(node, sympy.Piecewise):
         return node.func(*map(guarded, node.args))
-    value: Expr | None = None
+    value: sympy.Expr | None = None
     for i, (branch, condition) in reversed(list(enumerate(node.args))):
         earlier = [sympy.Not(guarded(c), evaluate=False) for _, c in node.args[:i]]
         taken = [*earlier, *([] if condition == sympy.true else [guarded(condition)])]
@@ -78,7 +75,7 @@ def _guard(branch: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
 
 def _behind(node: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
     """Every symbol of a value behind a guard; conditions and unknowns' arguments left as they are."""
-    if isinstance(node, Symbol):
+    if isinstance(node, sympy.Symbol):
         return Guard(taken, node)
     if isinstance(node, AppliedUndef | Boolean) or not node.args:
         return node
@@ -108,9 +105,9 @@ class Program:
         self._model = model
         self._intermediates = model.intermediates if intermediates is None else intermediates
         self._networks = {name: (i, net) for i, net in enumerate(model.networks) for name in net.outputs}
-        self._calls: dict[tuple[int, tuple[Expr, ...]], NetworkCall] = {}
-        self._pending: dict[Symbol, Statement] = {}
-        self._done: set[Symbol] = set()
+        self._calls: dict[tuple[int, tuple[sympy.Expr, ...]], NetworkCall] = {}
+        self._pending: dict[sympy.Symbol, Statement] = {}
+        self._done: set[sympy.Symbol] = set()
         self.statements: list[Statement] = []
         self._share(self._without_applications(self._bodies(outputs)))
         for output in outputs:
@@ -118,7 +115,7 @@ class Program:
 
     def _bodies(self, targets: Sequence[Assignment]) -> list[Assignment]:
         """The targets and, before them, the intermediates that they need, choices guarded."""
-        needed: set[Symbol] = set()
+        needed: set[sympy.Symbol] = set()
         for target in targets:
             needed |= target.value.free_symbols
         kept: list[Assignment] = []
@@ -141,7 +138,7 @@ class Program:
             return self._result(node.func.__name__, arguments)
         return node.func(*arguments)
 
-    def _result(self, name: str, arguments: tuple[Expr, ...]) -> Symbol:
+    def _result(self, name: str, arguments: tuple[sympy.Expr, ...]) -> sympy.Symbol:
         if name not in self._networks:
             raise Defect(f"`{name}` is applied but is no unknown of the model `{self._model.name}`")
         index, network = self._networks[name]
@@ -158,11 +155,11 @@ class Program:
                 self._pending[symbol] = call
         return result
 
-    def _wishes(self, index: int, network: Network, arguments: tuple[Expr, ...]) -> tuple[str, ...]:
+    def _wishes(self, index: int, network: Network, arguments: tuple[sympy.Expr, ...]) -> tuple[str, ...]:
         """`phi` for an application to the declared arguments, `q_h1` for one to other names, else `phi_2`, ..."""
         if arguments == tuple(argument.symbol for argument in network.arguments):
             return network.outputs
-        if all(isinstance(argument, Symbol) for argument in arguments):
+        if all(isinstance(argument, sympy.Symbol) for argument in arguments):
             suffix = "_".join(argument.name for argument in arguments)
         else:
             suffix = str(1 + sum(i == index for i, _ in self._calls))
@@ -204,7 +201,7 @@ class Program:
         return rebuilt
 
     # -------------------------------------------------------------- order
-    def _emit(self, symbol: Symbol) -> None:
+    def _emit(self, symbol: sympy.Symbol) -> None:
         """Appends the statement of a symbol after those that it depends on."""
         stack = [symbol]
         while stack:
@@ -224,14 +221,14 @@ class Program:
             stack.pop()
 
 
-def _reads(statement: Statement) -> list[Symbol]:
+def _reads(statement: Statement) -> list[sympy.Symbol]:
     """The symbols that a statement uses, in a reproducible order."""
     values = (statement.value,) if isinstance(statement, Assignment) else statement.arguments
     found = {symbol for value in values for symbol in value.free_symbols}
     return sorted(found, key=sympy.default_sort_key)
 
 
-def _writes(statement: Statement) -> list[Symbol]:
+def _writes(statement: Statement) -> list[sympy.Symbol]:
     if isinstance(statement, Assignment):
         return [statement.symbol]
     return [symbol for symbol in statement.results if symbol is not None]

@@ -11,9 +11,9 @@ import numpy as np
 # <body>
 # ---------------------------------------------------------------------- arithmetic
 # One namespace a library, all with the same names, so that the equations are written once. `where(condition, a, b)`
-# chooses; `guard(condition, x)` is x, with its gradient cut off where the condition does not hold (in torch; elsewhere
-# plain x); `unpack` splits the last axis, `pack(like, parts)` joins parts along a new last axis in the shape and type of
-# `like`, `column` appends an axis.
+# chooses; `guard(condition, x)` is x, in torch with its gradient cut off where the condition does not hold; `unpack`
+# splits the last axis, `pack(like, parts)` joins parts along a new one in the shape and type of `like`, `column`
+# appends an axis.
 
 
 @functools.cache
@@ -39,13 +39,14 @@ def _torch_arithmetic() -> Any:
         return where(condition, x, x.detach()) if x.requires_grad else x
 
     def pack(like: Any, parts: Any) -> Any:
-        if not parts:
-            return like.new_zeros((*like.shape[:-1], 0))
         shape = like.shape[:-1]
+        if not parts:
+            return like.new_zeros((*shape, 0))
         if all(isinstance(part, Tensor) and part.shape == shape for part in parts):
             return torch.stack(parts, -1)
-        whole = [p if isinstance(p, Tensor) else like.new_tensor(p) for p in parts]
-        return torch.stack(torch.broadcast_tensors(like[..., 0] if like.shape[-1] else like.sum(-1), *whole)[1:], -1)
+        whole = [part if isinstance(part, Tensor) else like.new_tensor(part) for part in parts]
+        shape = np.broadcast_shapes(shape, *(part.shape for part in whole))
+        return torch.stack([part.expand(shape) for part in whole], -1)
 
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign"
     return SimpleNamespace(

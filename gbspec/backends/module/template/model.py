@@ -7,6 +7,7 @@ This file is a template and a valid module at once. A line that ends in `# {{key
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math as _math
 import os
@@ -127,7 +128,7 @@ class Template:  # {{class}}
         weights: dict[str, Any] = {"constants": cls._default_constants()}
         for network in cls.networks:
             prefix, sizes = f"network.{network['name']}.", network["sizes"]
-            for i, (n_in, n_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+            for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
                 bound = (0.1 if i == len(sizes) - 2 else 1.0) / n_in**0.5
                 weights[f"{prefix}{i}.weight"] = generator.uniform(-bound, bound, (n_out, n_in))
                 weights[f"{prefix}{i}.bias"] = generator.uniform(-bound, bound, n_out)
@@ -149,7 +150,7 @@ class Template:  # {{class}}
         table: dict[str, tuple[int, ...]] = {"constants": (len(cls.constants),)}
         for network in cls.networks:
             prefix, sizes = f"network.{network['name']}.", network["sizes"]
-            for i, (n_in, n_out) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+            for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
                 table[f"{prefix}{i}.weight"], table[f"{prefix}{i}.bias"] = (n_out, n_in), (n_out,)
             for side, size in (("input", sizes[0]), ("output", sizes[-1])):
                 table[f"{prefix}{side}_center"] = table[f"{prefix}{side}_scale"] = (size,)
@@ -198,9 +199,9 @@ class Template:  # {{class}}
         return tuple(_numpy_network(network, self.weights) for network in self.networks)
 
     # ------------------------------------------------------------------ torch
-    # Shapes: [...] is any batch, the same for all arguments up to broadcasting. Numbers, lists and arrays become float64
-    # tensors; tensors keep their type and device. `condition` and `inputs` may be left out where the model has none, or
-    # has defaults for all. `constants` replaces values by name (numbers, or tensors of the batch's shape).
+    # Shapes: [...] is any batch, the same for all arguments up to broadcasting. Numbers, lists and arrays become
+    # float64 tensors; tensors keep their type and device. `condition` and `inputs` may be left out where the model has
+    # none, or has defaults for all. `constants` replaces values by name (numbers, or tensors of the batch's shape).
 
     def rhs(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """dx/dt [..., n_states] at time t (a number or [...]), state x [..., n_states]; see above for the rest."""
@@ -238,25 +239,25 @@ class Template:  # {{class}}
     ) -> Any:
         """States [..., n_times, n_states] at `times` [n_times] (increasing; x0 [..., n_states] is the first) by RK4.
 
-        `inputs`: values at the times [..., n_times, n_inputs], held or interpolated as the model declares, or a function
-        of time that returns [..., n_inputs]. Between two times the step is even and at most `max_step` (default: that of
-        the training, where the weights tell it, else one step). Differentiable.
+        `inputs`: values at the times [..., n_times, n_inputs], held or interpolated as the model declares, or a
+        function of time that returns [..., n_inputs]. Between two times the step is even and at most `max_step`
+        (default: that of the training, where the weights tell it, else one step). Differentiable.
         """
         import torch
 
         x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
         k, f = self._parameters(x, constants)
         grid = [float(time) for time in times]
-        if any(not b > a for a, b in zip(grid[:-1], grid[1:], strict=True)):
+        if any(not b > a for a, b in itertools.pairwise(grid)):
             raise ValueError("times must increase")
         limit = max_step if max_step is not None else self.info.get("max_step")
         if limit is not None and not limit > 0:
             raise ValueError(f"max_step must be positive, not {limit}")
         signal = self._signal(inputs, grid, x)
-        batch = torch.broadcast_shapes(x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1])
+        batch = np.broadcast_shapes(x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1])
         x = x.expand(*batch, x.shape[-1])
         path = [x]
-        for i, (start, end) in enumerate(zip(grid[:-1], grid[1:], strict=True)):
+        for i, (start, end) in enumerate(itertools.pairwise(grid)):
             count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))
             h = (end - start) / count
             for j in range(count):
@@ -320,14 +321,9 @@ class Template:  # {{class}}
 
     def _parameters(self, like: Any, constants: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Constants and networks in the type and on the device of a tensor."""
-        import torch
-
         key = (like.dtype, like.device)
         if key not in self._ready:
-            weights = {
-                name: torch.as_tensor(value).to(dtype=like.dtype, device=like.device)
-                for name, value in self.weights.items()
-            }
+            weights = {name: self._like(value, like) for name, value in self.weights.items()}
             self._ready[key] = tuple(weights["constants"].unbind()), self.torch_networks(weights)
         k, f = self._ready[key]
         if constants:
@@ -360,8 +356,8 @@ class Template:  # {{class}}
         return value
 
     # ------------------------------------------------------------------ casadi
-    # Vectors are columns. With symbolic_constants the last input is the vector of constants in the order of `constants`;
-    # else they stand in the function as numbers.
+    # Vectors are columns. With symbolic_constants the last input is the vector of constants in the order of
+    # `constants`; else they stand in the function as numbers.
 
     def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function rhs(t, x, condition, inputs) -> dx, the networks inside."""
@@ -393,8 +389,8 @@ class Template:  # {{class}}
     ) -> Any:
         import casadi as ca
 
-        # Networks are products of matrices, which casadi keeps whole in MX; in SX they would be a node a multiplication.
-        kind = ca.MX if self.networks else ca.SX
+        # Networks are products of matrices, which casadi keeps whole in MX; in SX each multiplication is a node.
+        kind: Any = ca.MX if self.networks else ca.SX
         sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
         arguments = {key: kind.sym(key, size) for key, size in sizes.items()}
         values, k = [*arguments.values()], kind(ca.DM(self.weights["constants"]))

@@ -37,13 +37,15 @@ def _torch_activation(name: str) -> Any:
 def _activation(library: str, name: str) -> Any:
     """The activation for casadi or numpy; arguments of exp are kept where neither it nor its derivative overflows."""
     m = _arithmetic(library)
+    expm1: Any
+    log1p: Any
+    erf: Any
     if library == "casadi":
         import casadi
 
         expm1, log1p, erf = casadi.expm1, casadi.log1p, casadi.erf
     else:
-        expm1, log1p = np.expm1, np.log1p
-        erf = np.vectorize(_math.erf, otypes=[np.float64])
+        expm1, log1p, erf = np.expm1, np.log1p, np.vectorize(_math.erf, otypes=[np.float64])
     table = {
         "silu": lambda z: z / (1.0 + m.exp(m.minimum(-z, 300.0))),
         "tanh": m.tanh,
@@ -57,12 +59,12 @@ def _activation(library: str, name: str) -> Any:
     return table[name]
 
 
-def _layers(network: dict[str, Any], weights: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, Any, Any, Any]]:
+def _layers(network: dict[str, Any], weights: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
     """Weights and biases layer by layer; input center and scale, output center and scale."""
     prefix = f"network.{network['name']}."
     layers = [(weights[f"{prefix}{i}.weight"], weights[f"{prefix}{i}.bias"]) for i in range(len(network["sizes"]) - 1)]
     names = ("input_center", "input_scale", "output_center", "output_scale")
-    return layers, tuple(weights[prefix + name] for name in names)  # type: ignore[return-value]
+    return layers, tuple(weights[prefix + name] for name in names)
 
 
 def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list[Any] | None) -> Any:
@@ -72,12 +74,12 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
     layers, (center, scale, output_center, output_scale) = _layers(network, weights)
 
     def taped(*arguments: Any) -> Any:
-        a = (_stack(pack, arguments) - center) / scale
+        z = (_stack(pack, arguments) - center) / scale
         for i, (weight, bias) in enumerate(layers):
-            if i:
-                a = activation(z)  # noqa: F821 - z is the layer before
+            a = activation(z) if i else z
             z = linear(a, weight, bias)
-            tape.append((index, i, a, z))  # type: ignore[union-attr]
+            if tape is not None:
+                tape.append((index, i, a, z))
         return (output_center + output_scale * z).unbind(-1)
 
     if tape is not None:
@@ -99,16 +101,14 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
 
 
 def _stack(pack: Any, arguments: Any) -> Any:
-    """Arguments along a new last axis; their shapes broadcast."""
+    """Arguments along a new last axis; their shapes broadcast, numbers among them become tensors."""
     import torch
 
-    first = arguments[0]
-    try:
+    first, shape = arguments[0], np.broadcast_shapes(*(getattr(a, "shape", ()) for a in arguments))
+    if all(isinstance(a, torch.Tensor) and a.shape == shape for a in arguments):
         return torch.stack(arguments, -1)
-    except (RuntimeError, TypeError):
-        tensors = [a for a in arguments if isinstance(a, torch.Tensor)]
-        like = torch.broadcast_tensors(*tensors)[0] if tensors else torch.as_tensor(first, dtype=torch.float64)
-        return pack(like.unsqueeze(-1), arguments)
+    like = next((a for a in arguments if isinstance(a, torch.Tensor)), torch.as_tensor(first, dtype=torch.float64))
+    return pack(like.expand(shape)[..., None], arguments)
 
 
 def _numpy_network(network: dict[str, Any], weights: Any) -> Any:

@@ -1,0 +1,115 @@
+"""The class attributes of a generated module: names, defaults, ranges, units, descriptions, networks."""
+
+from __future__ import annotations
+
+import math
+from pprint import pformat
+
+from gbspec.ir.model import Condition, Declared, Input, Learnable, Model, Network, Range, State
+
+WIDTH = 120
+"""Columns of the generated text."""
+
+
+def sizes(network: Network) -> tuple[int, ...]:
+    """Numbers of arguments, hidden units layer by layer, and outputs."""
+    return (len(network.arguments), *network.hidden, len(network.outputs))
+
+
+def attributes(model: Model) -> str:
+    """Assignments in the body of the generated class."""
+    constants = (*(c.value for c in model.constants), *(k.start for k in model.learnables))
+    ranged: tuple[State | Condition | Input | Learnable, ...] = (
+        *model.states,
+        *model.conditions,
+        *model.inputs,
+        *model.learnables,
+    )
+    named: tuple[Declared, ...] = (
+        model.time,
+        *model.states,
+        *model.conditions,
+        *model.inputs,
+        *model.constants,
+        *model.learnables,
+        *model.unknowns,
+        *model.channels,
+    )
+    values: dict[str, object] = {
+        "title": model.title,
+        "time": model.time.name,
+        "states": tuple(state.name for state in model.states),
+        "conditions": tuple(condition.name for condition in model.conditions),
+        "inputs": tuple(item.name for item in model.inputs),
+        "channels": tuple(channel.name for channel in model.channels),
+        "unknowns": tuple(unknown.name for unknown in model.unknowns),
+        "constants": model.constant_names,
+        "learnables": tuple(learnable.name for learnable in model.learnables),
+        "per_trajectory": tuple(learnable.name for learnable in model.learnables if learnable.per_trajectory),
+        "doses": tuple(dose.state for dose in model.doses),
+        "interpolation": tuple(item.interpolation for item in model.inputs),
+        "channel_states": tuple(channel.state for channel in model.channels),
+        "defaults": {
+            "constants": constants,
+            "conditions": tuple(condition.default for condition in model.conditions),
+            "inputs": tuple(item.default for item in model.inputs),
+        },
+        "ranges": {item.name: _ends(item.range) for item in ranged if item.range is not None},
+        "units": {item.name: item.unit for item in reversed(named) if item.unit},
+        "descriptions": {item.name: item.description for item in reversed(named) if item.description},
+        "networks": tuple(_network(model, network) for network in model.networks),
+    }
+    comments = {
+        "constants": "known constants first, then the learnable ones",
+        "interpolation": "of the inputs between their values",
+        "channel_states": "the state that a channel is, None where it is an expression",
+    }
+    return "\n".join(_attribute(name, value, comments.get(name)) for name, value in values.items())
+
+
+def _network(model: Model, network: Network) -> dict[str, object]:
+    neutral = {unknown.name: unknown.neutral for unknown in model.unknowns}
+    return {
+        "name": network.name,
+        "outputs": network.outputs,
+        "arguments": tuple(argument.name for argument in network.arguments),
+        "sizes": sizes(network),
+        "activation": network.activation,
+        "ranges": tuple(None if argument.range is None else _ends(argument.range) for argument in network.arguments),
+        "neutral": tuple(neutral[output] for output in network.outputs),
+    }
+
+
+def _ends(span: Range) -> tuple[float, float]:
+    return float(span.low), float(span.high)
+
+
+def _attribute(name: str, value: object, comment: str | None) -> str:
+    text = pformat(_literal(value), width=WIDTH - 4 - len(name) - 3, compact=True, sort_dicts=False)
+    head, *rest = text.splitlines()
+    indent = " " * (len(name) + 3)
+    lines = [f"{name} = {head}", *(indent + line for line in rest)]
+    if comment:
+        lines[-1] += f"  # {comment}"
+    return "\n".join(lines)
+
+
+class _Infinite:
+    """An infinite number, written so that Python reads it back."""
+
+    def __init__(self, value: float) -> None:
+        self._value = value
+
+    def __repr__(self) -> str:
+        return "np.inf" if self._value > 0 else "-np.inf"
+
+
+def _literal(value: object) -> object:
+    """The value with its infinite numbers made printable."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else _Infinite(value)
+    if isinstance(value, tuple):
+        return tuple(_literal(part) for part in value)
+    if isinstance(value, dict):
+        return {key: _literal(part) for key, part in value.items()}
+    return value
