@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -30,9 +30,11 @@ ATTEMPTS = 200
 
 
 class Solver(Protocol):
-    """What simulation needs of an evaluator."""
+    """What simulation needs of an evaluator: numbers of constants, starts, solutions and channels."""
 
-    module: Any
+    @property
+    def constants(self) -> Array:
+        """The constants' values, in the model's order."""
 
     def initial(self, x0: Array, condition: Array) -> Array:
         """The starts [n], with those that the model expresses put in."""
@@ -42,15 +44,16 @@ class Solver(Protocol):
         x0: Array,
         times: Array,
         condition: Array,
-        inputs: tuple[Signal, ...] = (),
-        start: float | None = None,
-        doses: tuple[DoseEvents, ...] = (),
-        rtol: float = TOLERANCE,
+        inputs: tuple[Signal, ...],
+        start: float,
+        *,
+        doses: tuple[DoseEvents, ...],
+        rtol: float,
     ) -> Array:
         """States [T, n] at `times` from `x0` at `start`; raises ComputationError."""
 
-    def observations(self, times: Array, states: Array, condition: Array, inputs: Array) -> Array:
-        """Channels [T, C] at states [T, n] and inputs [T, m]."""
+    def observe_many(self, t: Array, x: Array, condition: Array, inputs: Array) -> Array:
+        """Channels [T, C] at times [T], states [T, n] and inputs [T, m]."""
 
 
 @dataclass(frozen=True)
@@ -158,16 +161,17 @@ def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ..
     grid = np.linspace(drawn.start, end, DENSE) if reject else np.zeros(0)
     times = np.unique(np.concatenate([drawn.times, grid]))
     x0 = evaluator.initial(drawn.x0, drawn.condition)
-    states = evaluator.integrate(x0, times, drawn.condition, drawn.inputs, drawn.start, drawn.doses, TOLERANCE)
+    states = evaluator.integrate(
+        x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
+    )
     if not np.isfinite(states).all():
         raise ComputationError("the solution is not finite", where=f"trajectory {drawn.label}")
     inputs = input_values(model, drawn.inputs, times)
-    constants = np.asarray(evaluator.module.weights["constants"], dtype=float)
     for region in reject:
-        if region.entered(times, states, drawn.condition, inputs, constants):
+        if region.entered(times, states, drawn.condition, inputs, evaluator.constants):
             return region
     at = np.searchsorted(times, drawn.times)
-    values = evaluator.observations(drawn.times, states[at], drawn.condition, inputs[at])
+    values = evaluator.observe_many(drawn.times, states[at], drawn.condition, inputs[at])
     if not np.isfinite(values).all():
         raise ComputationError("a channel is not finite", where=f"trajectory {drawn.label}")
     return Solved(drawn, values)
