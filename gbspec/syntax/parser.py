@@ -3,21 +3,46 @@
 from __future__ import annotations
 
 import re
-from typing import cast
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, cast
 
-from lark.exceptions import UnexpectedInput
+from lark import Token
+from lark.exceptions import UnexpectedInput, UnexpectedToken
 
-from gbspec.diagnostics import Findings, Source, Span
+from gbspec.diagnostics import Diagnostic, Findings, Label, Source, Span
 from gbspec.syntax import ast
+from gbspec.syntax.build import Clause
 from gbspec.syntax.characters import clean
 from gbspec.syntax.grammar import engine
-from gbspec.syntax.names import normalise
+from gbspec.syntax.mistakes import Slip, explain_slip, where
+from gbspec.syntax.names import STATEMENTS, normalise
 from gbspec.syntax.reading import read_source
-from gbspec.syntax.statements import Chunk, split
+from gbspec.syntax.statements import Chunk, Comment, split
 
-__all__ = ["parse", "parse_expression", "read_source"]
+__all__ = ["Parsed", "parse", "parse_expression", "parse_statements", "read_source"]
 
 _WORD = re.compile(r"[^\W\d]\w*")
+_HEAD = re.compile(rf"\s*({'|'.join(STATEMENTS)})\s+([^\W\d]\w*)")
+_BEGINS_STATEMENT = re.compile(rf"({'|'.join(STATEMENTS)})[ \t]+[^\W\d]|[^\W\d]\w*[ \t]*(\[[^\]\n]*\][ \t]*)?'[ \t]*=")
+_MAX_JOINED = 20
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """What came of one statement's text: the tree and its clauses in the order of the text, or what is wrong with it.
+
+    `broken` with a tree: the tree means what the user meant, though the text is wrong (a typographic sign).
+    """
+
+    chunk: Chunk
+    statement: Any
+    clauses: tuple[Clause, ...]
+    problems: tuple[Diagnostic, ...]
+    ended_early: bool = False
+    stopped_at: int = -1
 
 
 def parse(source: Source, findings: Findings) -> ast.File | None:
@@ -25,44 +50,203 @@ def parse(source: Source, findings: Findings) -> ast.File | None:
 
     None where no statement could be read though there are some.
     """
-    layout = split(source)
     statements: list[ast.Statement] = []
     uncertain: set[str] = set()
-    for chunk in layout.chunks:
-        statement = _statement(chunk, findings)
-        if statement is not None:
-            statements.append(statement)
+    parsed = parse_statements(source, findings)
+    for part in parsed:
+        if part.statement is not None:
+            statements.append(part.statement)
         else:
-            uncertain.update(normalise(word) for word in _WORD.findall(chunk.span.text))
-    if layout.chunks and not statements:
+            uncertain.update(normalise(word) for word in _WORD.findall(part.chunk.span.text))
+    if parsed and not statements:
         return None
     return ast.File(Span(source, 0, len(source.text)), tuple(statements), frozenset(uncertain))
 
 
-def _statement(chunk: Chunk, findings: Findings) -> ast.Statement | None:
-    text, problems = clean(chunk)
-    findings.extend(problems)
-    if text is None:
-        return None
-    lark, builder = engine()
-    builder.begin(chunk.source, chunk.start)
-    try:
-        statement = cast(ast.Statement, lark.parse(text, start="statement"))
-    except UnexpectedInput as error:
-        at = chunk.start + min(error.pos_in_stream or 0, len(text) - 1)
-        findings.error("GB100", "unexpected", Span(chunk.source, at, at + 1))
-        return None
-    findings.extend(builder.problems)
-    return None if builder.problems else statement
-
-
 def parse_expression(source: Source, findings: Findings) -> ast.Expression | None:
-    """The tree of a lone expression, a condition allowed (`x2 > 4`)."""
-    lark, builder = engine()
-    builder.begin(source, 0)
-    try:
-        return cast(ast.Expression, lark.parse(source.text, start="expression"))
-    except UnexpectedInput as error:
-        at = error.pos_in_stream or 0
-        findings.error("GB100", "unexpected", Span(source, at, at + 1))
+    """The tree of a lone expression, a condition allowed (`x2 > 4`); None where it cannot be read."""
+    end = len(source.text.rstrip())
+    start = len(source.text) - len(source.text.lstrip())
+    if start >= end:
+        findings.error("GB101", "an expression is missing", Span(source, 0, 0), label="nothing stands here")
         return None
+    parsed = _Reader(source, {}).read(Chunk(source, start, end, (start,), ()), "expression")
+    findings.extend(parsed.problems)
+    return cast("ast.Expression | None", parsed.statement)
+
+
+def parse_statements(source: Source, findings: Findings) -> list[Parsed]:
+    """Every statement of a file with its place, readable or not; what is wrong is recorded once."""
+    chunks = split(source).chunks
+    reader = _Reader(source, _declared(chunks))
+    done: list[Parsed] = []
+    waiting = deque(chunks)
+    while waiting:
+        chunk = waiting.popleft()
+        parsed = reader.read(chunk)
+        if parsed.problems and parsed.stopped_at in chunk.lines[1:]:
+            pieces = _unindented(chunk)
+            if len(pieces) > 1:
+                findings.add(_stray_indentation(pieces, chunk.indented))
+                waiting.extendleft(reversed(pieces))
+                continue
+        if chunk.indented:
+            findings.add(_stray_indentation([chunk], True))
+        if parsed.problems and done:
+            joined = reader.join(done[-1], parsed)
+            if joined is not None:
+                done[-1] = joined
+                continue
+        done.append(parsed)
+    for parsed in done:
+        findings.extend(parsed.problems)
+    return done
+
+
+def _declared(chunks: tuple[Chunk, ...]) -> Mapping[str, str]:
+    """What the file's statements declare, as far as their first two words say, with the kind of statement."""
+    found = {}
+    for chunk in chunks:
+        head = _HEAD.match(chunk.source.text, chunk.start, chunk.end)
+        if head is not None and head[1] not in (
+            "model",
+            "unit",
+            "initial",
+            "observe",
+            "dose",
+            "truth",
+            "allow",
+            "without",
+        ):
+            found[normalise(head[2])] = head[1]
+    return found
+
+
+# ------------------------------------------------------------------------------------------------ lines and statements
+
+
+def _unindented(chunk: Chunk) -> list[Chunk]:
+    """The statement cut at every indented line that begins like a statement."""
+    text = chunk.source.text
+    starts = [chunk.start, *(at for at in chunk.lines[1:] if _BEGINS_STATEMENT.match(text, at, chunk.end))]
+    pieces = []
+    for start, following in zip(starts, [*starts[1:], chunk.end], strict=True):
+        lines = tuple(at for at in chunk.lines if start <= at < following) or (start,)
+        comments = tuple(c for c in chunk.comments if start <= c.start < following)
+        end = start + len(_without_comments(text, start, following, comments).rstrip())
+        pieces.append(Chunk(chunk.source, start, end, lines, comments))
+    return pieces
+
+
+def _without_comments(text: str, start: int, end: int, comments: tuple[Comment, ...]) -> str:
+    part = text[start:end]
+    for comment in comments:
+        cut = slice(comment.start - start, min(comment.end, end) - start)
+        part = part[: cut.start] + " " * len(part[cut]) + part[cut.stop :]
+    return part
+
+
+def _stray_indentation(pieces: list[Chunk], first_too: bool) -> Diagnostic:
+    """The one finding for lines that begin statements and are indented."""
+    stray = pieces if first_too else pieces[1:]
+    spans = [Span(piece.source, _line_start(piece), piece.start) for piece in stray]
+    if len(spans) == 1:
+        message = "a statement starts in the first column, and this line is indented"
+    else:
+        message = f"statements start in the first column, and {len(spans)} lines here are indented"
+    return Diagnostic(
+        "GB110",
+        message,
+        spans[0],
+        "indented",
+        tuple(Label(span, "and this one") for span in spans[1:3]),
+        help="remove the spaces or tabs before it; an indented line continues the statement above",
+    )
+
+
+def _line_start(chunk: Chunk) -> int:
+    return chunk.source.text.rfind("\n", 0, chunk.start) + 1
+
+
+class _Reader:
+    """Parses the statements of one file."""
+
+    def __init__(self, source: Source, kinds: Mapping[str, str]) -> None:
+        self.source, self.kinds = source, kinds
+
+    @cached_property
+    def _joined(self) -> dict[int, int]:
+        """How many statements were joined to the one that starts at an offset."""
+        return {}
+
+    def read(self, chunk: Chunk, start: str = "statement") -> Parsed:
+        """Parses one statement."""
+        text, problems = clean(chunk)
+        if text is None:
+            return Parsed(chunk, None, (), tuple(problems))
+        deep = _too_deep(chunk, text)
+        if deep is not None:
+            return Parsed(chunk, None, (), (*problems, deep))
+        lark, builder = engine()
+        builder.begin(chunk.source, chunk.start)
+        try:
+            statement: Any = lark.parse(text, start=start)
+        except UnexpectedInput as error:
+            return self._failed(chunk, text, error, tuple(problems))
+        clauses, found = builder.clauses, tuple(builder.problems)
+        return Parsed(chunk, None if found else statement, clauses, (*problems, *found))
+
+    def _failed(self, chunk: Chunk, text: str, error: UnexpectedInput, problems: tuple[Diagnostic, ...]) -> Parsed:
+        lark, _ = engine()
+        state, _ = where(error)
+        token, expected = Token("?", text[error.pos_in_stream or 0 :][:1], error.pos_in_stream), frozenset[str]()
+        if isinstance(error, UnexpectedToken):
+            token, expected = error.token, frozenset(error.accepts or error.expected)
+        slip = Slip(chunk, text, state, token, expected, self.kinds)
+        if not problems:
+            problems = (explain_slip(lark, slip),)
+        return Parsed(chunk, None, (), problems, slip.at_end, chunk.start + slip.start)
+
+    def join(self, before: Parsed, after: Parsed) -> Parsed | None:
+        """Two statements that read as one: the second's lines should have been indented. None where they do not."""
+        first, second = before.chunk, after.chunk
+        count = self._joined.get(first.start, 0)
+        unfinished = before.statement is not None or before.ended_early or count
+        if not unfinished or count >= _MAX_JOINED or second.indented:
+            return None
+        comments = first.comments + second.comments
+        chunk = Chunk(self.source, first.start, second.end, first.lines + second.lines, comments)
+        parsed = self.read(chunk)
+        if parsed.problems and not (parsed.ended_early and before.ended_early and after.stopped_at >= 0):
+            return None
+        self._joined[first.start] = count + 1
+        if parsed.problems:
+            return replace(parsed, problems=parsed.problems if not count else before.problems)
+        label = Label(Span(self.source, first.start, first.end), "the statement that it continues")
+        finding = Diagnostic(
+            "GB111",
+            "a line that continues a statement is indented",
+            Span(self.source, second.start, second.end),
+            "not indented",
+            (label,),
+            help="put spaces before it",
+        )
+        return replace(parsed, problems=(finding,))
+
+
+def _too_deep(chunk: Chunk, text: str) -> Diagnostic | None:
+    """Brackets nested deeper than is read."""
+    if sum(map(text.count, "([")) <= ast.MAX_DEPTH:
+        return None
+    depth = 0
+    for found in re.finditer(r'"[^"\n]*"|[()\[\]]', text):
+        if found[0] in "([":
+            depth += 1
+        elif found[0] in ")]":
+            depth -= 1
+        if depth > ast.MAX_DEPTH:
+            at = chunk.start + found.start()
+            message = f"brackets are nested more than {ast.MAX_DEPTH} deep"
+            help = "give the inner parts names of their own with `let`"
+            return Diagnostic("GB138", message, Span(chunk.source, at, at + 1), help=help)
+    return None

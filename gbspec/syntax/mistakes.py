@@ -1,0 +1,383 @@
+"""From a parser's error to a sentence: the table of likely slips, and what was expected where none fits.
+
+The table is grammar/mistakes.toml. An entry gives malformed snippets; each is parsed once, and where the parser stops,
+its top state and the offending terminal are the key under which the entry is found again. (lark's own `match_examples`
+compares whole stacks, which differ with what stands before.) An entry may also name terminals that are a slip in any
+state, and say by patterns which of several entries for one key fits.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import cache, cached_property
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from lark import Lark, Token
+from lark.exceptions import UnexpectedInput, UnexpectedToken
+
+from gbspec.diagnostics import Diagnostic, Label, Span
+from gbspec.syntax.grammar import grammar_file
+from gbspec.syntax.names import STATEMENTS, normalise
+from gbspec.syntax.statements import Chunk
+
+_WORD = re.compile(r"[^\W\d]\w*")
+_OPERAND = frozenset({"NAME", "NUMBER", "PLUS", "MINUS", "LPAR"})
+_BRACKETS = {"(": ")", "[": "]", "{": "}"}
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """An entry of the table: when it fits, and what it says.
+
+    `snippets` and `terminals` say where the parser stops (either; neither: anywhere); `statement`, `before` and `found`
+    are patterns for the whole statement, for what stands before the offending token and for what begins with it;
+    `word` says what the statement's first word is (`state`: a declared state; `slip`: a keyword misspelt or a word for
+    one; else that word itself), `meant` that the offending word is a misspelt keyword, and `open` that a bracket is
+    open. `at` is the place of the finding: `found`, `before` (the token before), `after` (the point after it), `both`,
+    `word`, `statement`, or the name of a group of a pattern.
+    """
+
+    code: str
+    message: str
+    help: str = ""
+    snippets: tuple[str, ...] = ()
+    terminals: tuple[str, ...] = ()
+    statement: str = ""
+    before: str = ""
+    found: str = ""
+    word: str = ""
+    meant: bool = False
+    open: bool = False
+    at: str = "found"
+    label: str = ""
+
+
+@dataclass
+class Slip:
+    """Where and how the parser stopped in a statement; `text` is what it read, `kinds` what declares which name."""
+
+    chunk: Chunk
+    text: str
+    state: int
+    token: Token
+    expected: frozenset[str]
+    kinds: Mapping[str, str]
+    groups: dict[str, str] = field(default_factory=dict)
+    group_spans: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    @cached_property
+    def start(self) -> int:
+        """Where the offending token begins in the text; its end where the statement ends too early."""
+        at = self.token.start_pos
+        return len(self.text.rstrip()) if self.at_end or at is None else at
+
+    @cached_property
+    def end(self) -> int:
+        """Where the offending token ends."""
+        return self.start + (0 if self.at_end else len(self.token))
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the statement ends too early."""
+        return bool(self.token.type == "$END")
+
+    @cached_property
+    def before(self) -> str:
+        """What stands before the offending token, spaces at its end kept."""
+        return self.text[: self.start]
+
+    @cached_property
+    def last(self) -> tuple[int, int]:
+        """Where the token before the offending one stands."""
+        found = re.search(r'("[^"\n]*"|\w+(?:\.\w+)*|[^\w\s])\s*$', self.before)
+        return (found.start(1), found.end(1)) if found else (0, 0)
+
+    @cached_property
+    def word(self) -> str:
+        """The statement's first word."""
+        found = _WORD.match(self.text)
+        return normalise(found[0]) if found else ""
+
+    @cached_property
+    def meant(self) -> str:
+        """The expected keyword that the offending word resembles."""
+        if not _WORD.fullmatch(self.token):
+            return ""
+        keywords = [name.lower() for name in self.expected if len(name) > 1 and name.lower() in keyword_texts()]
+        return next(iter(get_close_matches(self.token.lower(), keywords, n=1, cutoff=0.65)), "")
+
+    @cached_property
+    def opener(self) -> int | None:
+        """Where the innermost bracket stands that is open before the offending token."""
+        opened, _ = brackets(self.before)
+        return opened[-1] if opened else None
+
+    def span(self, start: int, end: int) -> Span:
+        """A span in the source."""
+        return Span(self.chunk.source, self.chunk.start + start, self.chunk.start + end)
+
+
+def keyword_texts() -> frozenset[str]:
+    """Every word that the grammar gives a meaning to somewhere."""
+    clauses = (
+        "extends from in as held linear prior noise per trajectory rate times lag by zero at increasing decreasing"
+    )
+    return frozenset({*STATEMENTS, *clauses.split(), "if", "and", "or", "not"})
+
+
+def brackets(text: str) -> tuple[list[int], int | None]:
+    """The brackets left open, and the first that closes none or the wrong one (texts in quotes aside)."""
+    opened: list[int] = []
+    for found in re.finditer(r'"[^"\n]*"|[()\[\]{}]', text):
+        sign = found[0]
+        if sign in _BRACKETS:
+            opened.append(found.start())
+        elif sign in ")]}":
+            if not opened or _BRACKETS[text[opened[-1]]] != sign:
+                return opened, found.start()
+            opened.pop()
+    return opened, None
+
+
+def explain_slip(lark: Lark, slip: Slip) -> Diagnostic:
+    """The one finding that says what is wrong with a statement that could not be parsed."""
+    wrong_bracket = _wrong_bracket(slip)
+    if wrong_bracket is not None:
+        return wrong_bracket
+    for mistake in table(lark).candidates(slip.state, slip.token.type):
+        if _fits(mistake, slip):
+            return _say(mistake, slip)
+    return _expected(slip)
+
+
+# ------------------------------------------------------------------------------------------------------- the table
+
+
+@dataclass(frozen=True)
+class Table:
+    """The entries in their order, with the places (state, terminal) at which each is found."""
+
+    entries: tuple[Mistake, ...]
+    keys: tuple[frozenset[tuple[int, str]], ...]
+    words: Mapping[str, tuple[str, ...]]
+    clauses: Mapping[str, str]
+    terminals: Mapping[str, str]
+
+    def candidates(self, state: int, terminal: str) -> Iterator[Mistake]:
+        """The entries that may fit, the first in the file first."""
+        for mistake, keys in zip(self.entries, self.keys, strict=True):
+            anywhere = not mistake.snippets and not mistake.terminals
+            if anywhere or terminal in mistake.terminals or (state, terminal) in keys:
+                yield mistake
+
+
+_tables: WeakKeyDictionary[Lark, Table] = WeakKeyDictionary()
+
+
+def table(lark: Lark) -> Table:
+    """The table for a parser, made on the first error."""
+    if lark not in _tables:
+        data = _data()
+        entries = tuple(Mistake(**_tuples(entry)) for entry in data["mistake"])
+        keys = tuple(frozenset(_key(lark, snippet) for snippet in entry.snippets) for entry in entries)
+        words = {word: tuple(meant.split()) for word, meant in data["words"].items()}
+        _tables[lark] = Table(entries, keys, words, data["clauses"], data["terminals"])
+    return _tables[lark]
+
+
+@cache
+def _data() -> dict[str, Any]:
+    return tomllib.loads(grammar_file("mistakes.toml").read_text(encoding="utf-8"))
+
+
+def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+
+
+def _key(lark: Lark, snippet: str) -> tuple[int, str]:
+    """Where the parser stops in a snippet; `ValueError` where it does not."""
+    try:
+        lark.parse(snippet, start="statement")
+    except UnexpectedInput as error:
+        return where(error)
+    raise ValueError(f"the snippet `{snippet}` of mistakes.toml parses")
+
+
+def where(error: UnexpectedInput) -> tuple[int, str]:
+    """The top parser state and the offending terminal of an error."""
+    state = error.state if isinstance(error.state, int) else error.state.position
+    return state, error.token.type if isinstance(error, UnexpectedToken) else "?"
+
+
+# ---------------------------------------------------------------------------------------------------- does it fit
+
+
+def _fits(mistake: Mistake, slip: Slip) -> bool:
+    """Whether an entry's conditions hold; the groups of its patterns are kept in the slip."""
+    slip.groups, slip.group_spans = {}, {}
+    if mistake.open and slip.opener is None:
+        return False
+    if mistake.meant and not slip.meant:
+        return False
+    if mistake.word and not _word_is(mistake.word, slip):
+        return False
+    patterns = ((mistake.statement, slip.text, 0), (mistake.found, slip.text, slip.start))
+    for pattern, text, start in patterns:
+        if pattern and not _keep(_pattern(pattern).match(text, start), slip):
+            return False
+    return not mistake.before or _keep(_pattern(mistake.before + r"\s*\Z").search(slip.before), slip)
+
+
+@cache
+def _pattern(text: str) -> re.Pattern[str]:
+    return re.compile(text)
+
+
+def _keep(found: re.Match[str] | None, slip: Slip) -> bool:
+    if found is None:
+        return False
+    for name, value in found.groupdict().items():
+        if value is not None:
+            slip.groups[name] = value
+            slip.group_spans[name] = found.span(name)
+    return True
+
+
+def _word_is(kind: str, slip: Slip) -> bool:
+    if kind == "state":
+        return slip.kinds.get(slip.word) == "state"
+    if kind == "slip":
+        return slip.word not in slip.kinds and bool(_meant_statements(slip.word))
+    return slip.word in kind.split()
+
+
+def _meant_statements(word: str) -> tuple[str, ...]:
+    """The statements that a first word may have meant."""
+    words = _data()["words"]
+    lower = word.lower()
+    if lower in words:
+        return tuple(words[lower].split())
+    return tuple(get_close_matches(lower, STATEMENTS, n=1, cutoff=0.7))
+
+
+# ---------------------------------------------------------------------------------------------------- what it says
+
+
+def _say(mistake: Mistake, slip: Slip) -> Diagnostic:
+    fields = _fields(slip)
+    labels: tuple[Label, ...] = ()
+    if slip.opener is not None and (mistake.open or slip.at_end):
+        labels = (Label(slip.span(slip.opener, slip.opener + 1), "opened here"),)
+    return Diagnostic(
+        mistake.code,
+        mistake.message.format_map(fields),
+        _place(mistake.at, slip),
+        mistake.label.format_map(fields),
+        labels,
+        help=mistake.help.format_map(fields),
+    )
+
+
+def _fields(slip: Slip) -> dict[str, str]:
+    """What the messages of the table may mention."""
+    choices = [f"`{name}`" for name in _meant_statements(slip.word)]
+    opener = slip.text[slip.opener] if slip.opener is not None else "("
+    return {
+        "found": str(slip.token),
+        "last": slip.text[slip.last[0] : slip.last[1]],
+        "word": slip.word,
+        "meant": slip.meant,
+        "statement": listed(choices, "or"),
+        "clauses": _data()["clauses"].get(slip.word, ""),
+        "open": opener,
+        "close": _BRACKETS[opener],
+        **slip.groups,
+    }
+
+
+def _place(at: str, slip: Slip) -> Span:
+    match at:
+        case "found":
+            return slip.span(slip.start, max(slip.end, slip.start))
+        case "before":
+            return slip.span(*slip.last)
+        case "after":
+            return slip.span(slip.last[1], slip.last[1])
+        case "both":
+            return slip.span(slip.last[0], slip.end)
+        case "word":
+            return slip.span(0, len(slip.word))
+        case "statement":
+            return slip.span(0, len(slip.text))
+        case _:
+            return slip.span(*slip.group_spans[at])
+
+
+def _wrong_bracket(slip: Slip) -> Diagnostic | None:
+    """A closing bracket that closes nothing or the wrong one; a bracket open at the end of the statement."""
+    opened, wrong = brackets(slip.text)
+    if wrong is not None and wrong <= slip.start:
+        sign = slip.text[wrong]
+        if re.search(r"\bin\s*\Z", slip.text[:wrong]):
+            return None  # `in ]0, 1[`: the table says how a range is written
+        if not opened:
+            message = f"this `{sign}` closes nothing"
+            return Diagnostic(
+                "GB106", message, slip.span(wrong, wrong + 1), help="remove it, or open the bracket before"
+            )
+        opener = slip.text[opened[-1]]
+        message = f"`{opener}` is closed by `{sign}`"
+        label = Label(slip.span(opened[-1], opened[-1] + 1), "opened here")
+        help = f"write `{_BRACKETS[opener]}`"
+        return Diagnostic("GB107", message, slip.span(wrong, wrong + 1), labels=(label,), help=help)
+    if slip.at_end and opened and not _wants_operand(slip):
+        opener = slip.text[opened[-1]]
+        message = f"this `{opener}` is never closed"
+        return Diagnostic(
+            "GB105",
+            message,
+            slip.span(opened[-1], opened[-1] + 1),
+            "opened here",
+            (Label(slip.span(slip.start, slip.start), f"the statement ends without `{_BRACKETS[opener]}`"),),
+            help=f"write the `{_BRACKETS[opener]}`; a line that continues the statement is indented",
+        )
+    return None
+
+
+def _wants_operand(slip: Slip) -> bool:
+    return bool(re.search(r"[-+*/^]\s*\Z", slip.before))
+
+
+def _expected(slip: Slip) -> Diagnostic:
+    """What is said where no entry of the table fits."""
+    words = _data()["terminals"]
+    wanted = listed(_wanted(slip.expected, words), "or")
+    if slip.at_end:
+        message = "this statement ends too early"
+        return Diagnostic("GB101", message, slip.span(slip.start, slip.start), label=f"expected {wanted}")
+    message = f"`{slip.token}` cannot stand here"
+    labels: tuple[Label, ...] = ()
+    if slip.opener is not None:
+        labels = (Label(slip.span(slip.opener, slip.opener + 1), "inside this bracket"),)
+    return Diagnostic("GB100", message, slip.span(slip.start, slip.end), f"expected {wanted}", labels)
+
+
+def _wanted(terminals: Iterable[str], words: Mapping[str, str]) -> list[str]:
+    """The expected terminals in the user's words, those of one kind (operators, comparisons) as one."""
+    kinds = set(terminals)
+    if kinds >= _OPERAND:
+        kinds = kinds - _OPERAND - {"IF", "NOT"} | {"expression"}
+    found = {words.get(name, f"`{name.lower()}`") for name in kinds}
+    return sorted(found, key=lambda text: (text.startswith("`"), text))
+
+
+def listed(items: list[str], last: str) -> str:
+    """`a, b or c`."""
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {last} {items[-1]}"
