@@ -152,7 +152,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Contract:
-    """A guarantee on one output: `lower`, `upper` (bound `value`), `zero` at argument = value, `increasing`, `decreasing`."""
+    """A guarantee on one output: `lower`, `upper` (by `value`), `zero` at argument = value, `increasing`, `decreasing`."""
 
     kind: Literal["lower", "upper", "zero", "increasing", "decreasing"]
     value: Expr | None = None

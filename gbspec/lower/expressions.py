@@ -116,6 +116,7 @@ def build(node: ast.Expression, naming: Naming, calling: Calling) -> Expr:
 
 
 def parts_of(node: ast.Expression) -> tuple[ast.Expression, ...]:
+    """The operands of an expression that are lowered themselves: all but the state that `net` names."""
     net = isinstance(node, ast.Call) and node.function.text == "net"
     return () if net else operands(node)
 

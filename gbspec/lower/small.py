@@ -45,4 +45,5 @@ def unit_text(unit: ast.UnitExpression | None) -> str | None:
 
 
 def string(text: ast.Text | None) -> str:
+    """The value of an optional string."""
     return text.value if text is not None else ""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 
 from gbspec.diagnostics import Diagnostic, Findings, Severity
-from gbspec.semantics.merge import Item
+from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.table import Table
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
@@ -17,7 +17,7 @@ WARNINGS = re.compile(r"GB4\d\d|GB307|GB314|GB55\d|GB65\d")
 """Codes that are warnings about a model."""
 
 
-def allowed(items: Iterable[Item], table: Table, findings: Findings, *, complete: bool) -> Allowed:
+def allowed(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> Allowed:
     """What is accepted; an error where a code is no warning, or a name is not declared."""
     accepted: list[tuple[str, str | None]] = []
     for item in items:
@@ -32,7 +32,7 @@ def allowed(items: Iterable[Item], table: Table, findings: Findings, *, complete
                 code.span,
                 help="`allow` takes the code of a warning as it stands in brackets, such as `allow GB403`",
             )
-        elif name is not None and name.text not in table and complete:
+        elif name is not None and name.text not in table and merged.lacks(name.text):
             findings.error(
                 "GB201",
                 f"nothing is called `{name.text}`",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.graph import Graph
-from gbspec.semantics.merge import Item, keys, target_name
+from gbspec.semantics.merge import Item, Merged, keys, target_name
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Kind, Table
 from gbspec.semantics.vocabulary import suggestion
@@ -65,18 +65,18 @@ def _target_span(statement: ast.Statement) -> Span:
             return statement.span
 
 
-def targets(items: Iterable[Item], table: Table, findings: Findings, *, complete: bool) -> None:
+def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> None:
     """Balances, starts and doses are of states; what is observed by name alone can be measured."""
     for item in items:
         match item.statement:
             case ast.BalanceStatement(target=target):
-                _state(target, table, findings, "GB303", "a balance is of a state", complete=complete)
+                _state(target, table, findings, "GB303", "a balance is of a state", merged)
             case ast.InitialStatement(target=target):
-                _state(target, table, findings, "GB309", "only a state has a start", complete=complete)
+                _state(target, table, findings, "GB309", "only a state has a start", merged)
             case ast.DoseStatement(target=target):
-                _state(target, table, findings, "GB313", "a dose adds to a state", complete=complete)
+                _state(target, table, findings, "GB313", "a dose adds to a state", merged)
             case ast.ObserveStatement(target=ast.Name() as target, value=None):
-                _measurable(target, table, findings, complete=complete)
+                _measurable(target, table, findings, merged)
             case ast.ObserveStatement(target=ast.Index() as target) | ast.ClosureStatement(target=target):
                 _array(target, findings)
             case ast.StateStatement(declarator=declarator) if declarator.first is not None:
@@ -95,7 +95,7 @@ def _array(node: ast.Node, findings: Findings) -> None:
 
 
 def _state(
-    target: ast.Name | ast.Index, table: Table, findings: Findings, code: str, rule: str, *, complete: bool
+    target: ast.Name | ast.Index, table: Table, findings: Findings, code: str, rule: str, merged: Merged
 ) -> None:
     if isinstance(target, ast.Index):
         _array(target, findings)
@@ -103,7 +103,7 @@ def _state(
     name = target_name(target)
     declaration = table.get(name.text)
     if declaration is None:
-        if complete:
+        if merged.lacks(name.text):
             states = [n for n, d in table.items() if d.kind is Kind.STATE]
             findings.error(
                 "GB201",
@@ -123,10 +123,10 @@ def _state(
         )
 
 
-def _measurable(target: ast.Name, table: Table, findings: Findings, *, complete: bool) -> None:
+def _measurable(target: ast.Name, table: Table, findings: Findings, merged: Merged) -> None:
     declaration = table.get(target.text)
     if declaration is None:
-        if complete:
+        if merged.lacks(target.text):
             pool = [n for n, d in table.items() if d.kind in MEASURABLE]
             findings.error(
                 "GB201",
@@ -153,8 +153,7 @@ def coverage(
     sites: Iterable[Site],
     graph: Graph,
     findings: Findings,
-    *,
-    complete: bool,
+    merged: Merged,
 ) -> None:
     """Every state has a balance or takes part in a process; a balance with processes has `net`; `net` is not empty."""
     by_expression = {id(site.expression): site for site in sites}
@@ -170,16 +169,16 @@ def coverage(
                 balanced.add(array.text)
             case _:
                 pass
-    if complete:
-        for declaration in table.values():
-            if declaration.kind is Kind.STATE and declaration.name not in balanced and declaration.name not in takers:
-                findings.error(
-                    "GB301",
-                    f"the state `{declaration.name}` has no balance",
-                    declaration.span,
-                    help=f"say how it changes: `{declaration.name}' = …`",
-                    subject=declaration.name,
-                )
+    for declaration in table.values():
+        name = declaration.name
+        if declaration.kind is Kind.STATE and name not in balanced and name not in takers and merged.lacks(name):
+            findings.error(
+                "GB301",
+                f"the state `{declaration.name}` has no balance",
+                declaration.span,
+                help=f"say how it changes: `{declaration.name}' = …`",
+                subject=declaration.name,
+            )
     _empty_nets(sites, takers, findings)
 
 
@@ -224,7 +223,8 @@ def start_cycles(items: Iterable[Item], sites: Iterable[Site], table: Table, fin
     for item in items:
         match item.statement:
             case ast.InitialStatement(target=ast.Name(text=name), value=value) if value is not None:
-                names = by_expression[id(value)].references.names
+                site = by_expression[id(value)]
+                names = site.references.names if site.references.complete else {}
                 edges.setdefault(name, {n: s for n, s in names.items() if table[n].kind is Kind.STATE})
             case _:
                 pass

@@ -6,7 +6,7 @@ from gbspec.diagnostics import Findings
 from gbspec.semantics import allow, balances, columns, graph, places, processes, size, table, truths, unknowns, usage
 from gbspec.semantics.checked import Checked
 from gbspec.semantics.constants import Evaluator
-from gbspec.semantics.merge import Item, Load, merge
+from gbspec.semantics.merge import Item, Load, Merged, merge
 from gbspec.semantics.numbers import Numbers, constants, default_start, functions_of
 from gbspec.semantics.scope import Resolver
 from gbspec.semantics.sites import Site, sites
@@ -20,33 +20,30 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     """Checks a parsed file, with the files it extends, and records everything wrong with it.
 
     Args:
-        file: the syntax tree. Where `findings` holds errors already (of the parser), statements may be missing from it;
-            what their absence alone could explain is then not reported.
+        file: the syntax tree. Where statements are missing from it (they could not be read), nothing is said that their
+            absence alone could explain.
         findings: where to record errors and warnings; warnings that the file accepts by `allow` are left out.
         load: reads a file that is extended; may raise `OSError`, `UnicodeDecodeError` or `UserError`.
 
     Returns:
         What lowering needs, or None if there is any error.
     """
-    whole = not findings.failed
     local = Findings()
     merged = merge(file, local, load)
-    complete = whole and merged.complete and not local.failed
-    checked = _check_items(merged.items, local, complete=complete)
-    names = table.build(merged.items, Findings())
-    accepted = allow.allowed(merged.items, names, local, complete=complete)
+    names = table.build(merged.items, local)
+    accepted = allow.allowed(merged.items, names, local, merged)
+    checked = _check(merged, names, accepted, local)
     findings.extend(d for d in local if not allow.is_accepted(d, accepted))
-    return None if checked is None or findings.failed else checked
+    return None if findings.failed else checked
 
 
-def _check_items(items: tuple[Item, ...], findings: Findings, *, complete: bool) -> Checked | None:
-    names = table.build(items, findings)
+def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Findings) -> Checked | None:
+    items = merged.items
     places_of = list(sites(items, names))
     resolver = Resolver(names, findings)
     for site in places_of:
         resolver.resolve(site)
-    if complete:
-        resolver.report_missing()
+    resolver.report_missing(merged)
     takers = _takers(places_of, names)
     rests = graph.build(places_of, names, takers, findings)
     places.enforce(places_of, names, rests, findings)
@@ -58,19 +55,17 @@ def _check_items(items: tuple[Item, ...], findings: Findings, *, complete: bool)
     unknowns.check(items, numbers, findings)
     terms = _terms(places_of, names, findings)
     balances.once(items, findings)
-    balances.targets(items, names, findings, complete=complete)
-    balances.coverage(items, names, takers, places_of, rests, findings, complete=complete)
+    balances.targets(items, names, findings, merged)
+    balances.coverage(items, names, takers, places_of, rests, findings, merged)
     balances.start_cycles(items, places_of, names, findings)
     columns.check(items, names, findings)
-    known = _truths(items, places_of, names, values, numbers, findings, complete=complete)
-    if complete:
-        usage.observes_nothing(items, names, findings)
-    if findings.failed or not complete:
+    known = _truths(items, places_of, names, values, numbers, findings, merged)
+    if findings.failed or merged.uncertain:
         return None
+    usage.observes_nothing(items, names, findings)
     usage.unused(places_of, names, findings)
     usage.only_compared(places_of, usage.observed_names(items), names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
-    accepted = allow.allowed(items, names, Findings(), complete=complete)
     return Checked(items, names, order, values, numbers, terms, known, accepted)
 
 
@@ -104,10 +99,9 @@ def _truths(
     values: dict[str, float],
     numbers: Numbers,
     findings: Findings,
-    *,
-    complete: bool,
+    merged: Merged,
 ) -> dict[str, float]:
-    good = truths.check(items, names, findings, complete=complete)
+    good = truths.check(items, names, findings, merged)
     starts: dict[str, float] = {}
     bounds: dict[str, tuple[float, float]] = {}
     for item in items:

@@ -19,7 +19,7 @@ def check(items: Iterable[Item], table: Table, findings: Findings) -> None:
     }
     for column, what, span in _columns(items):
         earlier = first.setdefault(column, (what, span))
-        if earlier[1] is span:
+        if earlier[1] is span or earlier[0] == what:  # a name declared or observed twice is told elsewhere
             continue
         findings.error(
             "GB231",

@@ -49,10 +49,18 @@ class Item:
 
 @dataclass(frozen=True)
 class Merged:
-    """The statements of a model after `extends`; `complete` is False where a base could not be read."""
+    """The statements of a model after `extends`.
+
+    `complete` is False where a base could not be read; `uncertain` are names in statements that could not be read.
+    """
 
     items: tuple[Item, ...]
-    complete: bool
+    complete: bool = True
+    uncertain: frozenset[str] = frozenset()
+
+    def lacks(self, name: str) -> bool:
+        """Whether what is not found under a name is really not there, and not merely unreadable."""
+        return self.complete and name not in self.uncertain
 
 
 def target_name(target: ast.Name | ast.Index) -> ast.Name:
@@ -122,9 +130,10 @@ def merge(file: ast.File, findings: Findings, load: Load) -> Merged:
         own = [Item(s, s.span.text) for s in current.statements if not isinstance(s, ast.WithoutStatement)]
         removals = [s for s in current.statements if isinstance(s, ast.WithoutStatement)]
         extends = position > 0 or not complete
-        items = _removed(items, removals, findings, extends=extends, complete=complete)
+        items = _removed(items, removals, findings, extends=extends, complete=complete and not current.uncertain)
         items = _replaced(items, own)
-    return Merged(tuple(_without_extends(item) for item in items), complete)
+    uncertain = frozenset().union(*(current.uncertain for current in files))
+    return Merged(tuple(_without_extends(item) for item in items), complete, uncertain)
 
 
 def _without_extends(item: Item) -> Item:

@@ -39,12 +39,12 @@ def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findi
     evaluate = Evaluator(values, functions_of(table), not_finite)
     for name in graph.order:
         if table[name].kind is Kind.CONST and name in by_owner and name not in graph.broken:
-            count = len(told)
-            value = evaluate(by_owner[name].expression)
+            site, count = by_owner[name], len(told)
+            value = evaluate(site.expression)
             if value is not None:
                 values[name] = value
-            elif len(told) == count:
-                _not_known(by_owner[name].expression, name, findings)
+            elif len(told) == count and all(n in values for n in site.references.names if table[n].kind is Kind.CONST):
+                _not_known(site.expression, name, findings)
     for site in sites:
         if site.rule is not CONST_VALUE and site.references.complete:
             evaluate(site.expression, dict.fromkeys(site.formals))

@@ -6,14 +6,12 @@ from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.expressions import operands
+from gbspec.semantics.merge import Merged
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Declaration, Kind, Table
 from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
 from gbspec.syntax import ast
 from gbspec.syntax.names import FUNCTIONS
-
-DEEPEST = 100
-"""How deep an expression may be nested; sums and products count as one level, whatever their length."""
 
 _SUGGESTIONS = 20
 _PLACES = 4
@@ -35,16 +33,12 @@ class Resolver:
     table: Table
     findings: Findings
     missing: dict[str, Missing] = field(default_factory=dict)
-    _processed: frozenset[str] = frozenset()
 
     def resolve(self, site: Site) -> None:
-        """Fills the site's references; reports wrong calls, wrong places of `nn`, and what nests too deep."""
-        stack: list[tuple[ast.Expression, bool, int]] = [(site.expression, True, 0)]
+        """Fills the site's references; reports wrong calls, wrong places of `nn`, arrays."""
+        stack: list[tuple[ast.Expression, bool]] = [(site.expression, True)]
         while stack:
-            node, smooth, depth = stack.pop()
-            if depth > DEEPEST:
-                self._too_deep(site, node)
-                return
+            node, smooth = stack.pop()
             match node:
                 case ast.Name():
                     self._name(node, site, smooth)
@@ -60,15 +54,17 @@ class Resolver:
                     pass
             parts = operands(node)
             if isinstance(node, ast.Conditional):
-                stack.append((node.otherwise, smooth, depth + 1))
-                stack.append((node.then, smooth, depth + 1))
-                stack.append((node.condition, False, depth + 1))
+                stack.append((node.otherwise, smooth))
+                stack.append((node.then, smooth))
+                stack.append((node.condition, False))
             else:
-                stack.extend((part, smooth, depth + 1) for part in reversed(parts))
+                stack.extend((part, smooth) for part in reversed(parts))
 
-    def report_missing(self) -> None:
+    def report_missing(self, merged: Merged) -> None:
         """One finding for each name that nothing declares, at its first place."""
-        for number, (name, missing) in enumerate(self.missing.items()):
+        names = [name for name in self.missing if merged.lacks(name)]
+        for number, name in enumerate(names):
+            missing = self.missing[name]
             spans = sorted(missing.spans, key=lambda s: (s.source.path, s.start))
             what = "no function is called" if missing.called else "nothing is called"
             self.findings.error(
@@ -267,15 +263,6 @@ class Resolver:
             "arrays of states are not supported yet",
             node.span,
             help="write the states one by one: `c_1`, `c_2`, …",
-        )
-
-    def _too_deep(self, site: Site, node: ast.Expression) -> None:
-        site.references.complete = False
-        self.findings.error(
-            "GB235",
-            f"this expression is nested more than {DEEPEST} deep",
-            node.span,
-            help="name inner parts with `let`",
         )
 
 

@@ -8,7 +8,6 @@ from enum import Enum
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.merge import Item
 from gbspec.syntax import ast
-from gbspec.syntax.names import REFUSED, STATEMENTS
 
 
 class Kind(Enum):
@@ -61,18 +60,14 @@ _KINDS: dict[type[ast.Node], Kind] = {
 
 
 def build(items: tuple[Item, ...], findings: Findings) -> Table:
-    """Every declared name with its first declaration; a second one, or a refused name, is an error."""
+    """Every declared name with its first declaration; a second one is an error."""
     time = next((i.statement for i in items if isinstance(i.statement, ast.TimeStatement)), None)
     table: Table = {}
     name = ast.Name(time.name.span, time.name.text) if time is not None else None
     clock = name.text if name is not None else "t"
     table[clock] = Declaration(clock, Kind.TIME, time, name.span if name is not None else None)
-    if name is not None and name.text in REFUSED:
-        _refuse(name, findings)
     for item in items:
         for declaration, at in _declarations(item.statement):
-            if at.text in REFUSED or (declaration.kind is Kind.STATE and at.text in STATEMENTS):
-                _refuse(at, findings, keyword=at.text not in REFUSED)
             first = table.setdefault(at.text, declaration)
             if first is not declaration:
                 _duplicate(at, first, findings)
@@ -101,14 +96,6 @@ def _declarations(statement: ast.Statement) -> list[tuple[Declaration, ast.Name]
             return [(Declaration(name.text, _KINDS[type(statement)], statement, name.span), name)]
         case _:
             return []
-
-
-def _refuse(name: ast.Name, findings: Findings, *, keyword: bool = False) -> None:
-    if keyword:
-        reason = f"`{name.text}` begins a statement, so a state cannot be called so"
-    else:
-        reason = f"`{name.text}` has a meaning of its own in expressions and cannot be declared"
-    findings.error("GB203", reason, name.span, help=f"choose another name, such as `{name.text}_1`")
 
 
 def _duplicate(name: ast.Name, first: Declaration, findings: Findings) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.constants import Evaluator
-from gbspec.semantics.merge import Item
+from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.numbers import functions_of
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Declaration, Kind, Table
@@ -14,7 +14,7 @@ from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
 
 
-def check(items: Iterable[Item], table: Table, findings: Findings, *, complete: bool) -> list[ast.TruthStatement]:
+def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> list[ast.TruthStatement]:
     """The truths that name what exists with the right number of arguments; the others are reported."""
     good: list[ast.TruthStatement] = []
     for item in items:
@@ -22,7 +22,7 @@ def check(items: Iterable[Item], table: Table, findings: Findings, *, complete: 
             truth = item.statement
             declaration = table.get(truth.name.text)
             if declaration is None:
-                if complete:
+                if merged.lacks(truth.name.text):
                     _missing(truth, table, findings)
             elif declaration.kind not in (Kind.LEARN, Kind.UNKNOWN):
                 _known(truth, declaration, findings)
@@ -66,7 +66,8 @@ def _same_arguments(truth: ast.TruthStatement, declaration: Declaration, finding
         message, help_ = f"`{truth.name.text}` is a learnable constant and has no arguments", "leave the arguments out"
     else:
         names = ", ".join(a.name.text for a in unknown.arguments)
-        message = f"the truth of `{truth.name.text}` has {len(truth.parameters)} arguments, its declaration {expected}"
+        count = f"{len(truth.parameters)} argument{'' if len(truth.parameters) == 1 else 's'}"
+        message = f"the truth of `{truth.name.text}` has {count}, its declaration {expected}"
         help_ = f"write `truth {truth.name.text}({names}) = …`"
     findings.error("GB220", message, truth.name.span, labels=labels, help=help_)
     return False

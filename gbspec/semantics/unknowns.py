@@ -10,7 +10,6 @@ from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.vocabulary import ACTIVATIONS, suggestion
 from gbspec.syntax import ast
-from gbspec.syntax.names import REFUSED
 from gbspec.syntax.walk import ungrouped
 
 WIDEST = 4096
@@ -49,13 +48,6 @@ def _parameters(names: Sequence[ast.Name], owner: ast.Name, findings: Findings, 
         )
     first: dict[str, ast.Name] = {}
     for name in names:
-        if name.text in REFUSED:
-            findings.error(
-                "GB203",
-                f"`{name.text}` has a meaning of its own in expressions and cannot be an argument",
-                name.span,
-                help=f"choose another name, such as `{name.text}_1`",
-            )
         earlier = first.setdefault(name.text, name)
         if earlier is not name:
             findings.error(
