@@ -1,0 +1,176 @@
+"""Every mistake in a table gets its code, at the row and column where a person finds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from gbspec.data.table import read
+from gbspec.diagnostics import Cell, Diagnostic, Findings, Severity, UserError
+from gbspec.diagnostics.catalogue import entries
+from gbspec.ir.model import Condition, Model
+from tests.data.hand_models import decay, growth, patient, reactor, tank
+from tests.data.reader import Reader
+
+HEAD = "trajectory,t,x1,x2,Da\n"
+FIRST = "1,0,0.5,1.5,0.3\n"
+
+# text, model, then (code, row, column) of every finding
+WRONG: dict[str, tuple[str, Model, list[tuple[str, int | None, str | None]]]] = {
+    "empty file": ("", reactor(), [("GB704", None, None)]),
+    "header alone": (HEAD, reactor(), [("GB704", 1, None)]),
+    "semicolons": ("t;x1;x2;Da\n0;1;2;3\n", reactor(), [("GB705", 1, None)]),
+    "tabs in a csv": ("t\tx1\tx2\tDa\n0\t1\t2\t3\n", reactor(), [("GB705", 1, None)]),
+    "no header": ("0,0.5,1.5,0.3\n1,0.5,1.5,0.3\n", reactor(), [("GB706", 1, None)]),
+    "column twice": ("t,x1,x1,Da\n0,1,2,3\n", reactor(), [("GB707", 1, "x1")]),
+    "ragged": (HEAD + FIRST + "1,1,0.5\n1,2,0.5,1,0.3,9\n", reactor(), [("GB708", 3, None), ("GB708", 4, None)]),
+    "ragged after blank rows": (HEAD + FIRST + "\n\n1,1,0.5\n", reactor(), [("GB708", 5, None)]),
+    "open quote": (HEAD + '1,0,"0.5,1.5,0.3\n', reactor(), [("GB709", None, None)]),
+    "quote within a cell": (HEAD + '1,0,0"5,1"5,0.3\n', reactor(), [("GB708", 2, None)]),
+    "missing columns": ("t,x1\n0,1\n1,1\n", reactor(), [("GB710", 1, "x2"), ("GB710", 1, "Da")]),
+    "misspelt column": ("t,x1,X2,Da\n0,.5,1,.3\n1,.5,1,.3\n", reactor(), [("GB710", 1, "x2")]),
+    "no time": ("time,x1,x2,Da\n0,.5,1,.3\n1,.5,1,.3\n", reactor(), [("GB710", 1, "t")]),
+    "no dose": ("t,plasma mg/L\n0,1\n1,1\n", patient(), [("GB710", 1, "dose_S")]),
+    "surplus column": ("t,x1,x2,Da,note\n0,.5,1,.3,\n1,.5,1,.3,\n", reactor(), [("GB711", 1, "note")]),
+    "not a number": (HEAD + FIRST + "1,1,oops,1.5,0.3\n", reactor(), [("GB712", 3, "x1")]),
+    "decimal comma": (HEAD + FIRST + '1,1,"0,5",1.5,0.3\n', reactor(), [("GB712", 3, "x1")]),
+    "time not a number": (HEAD + FIRST + "1,noon,0.5,1.5,0.3\n", reactor(), [("GB712", 3, "t")]),
+    "infinite": (HEAD + FIRST + "1,1,inf,1e999,0.3\n", reactor(), [("GB713", 3, "x1"), ("GB713", 3, "x2")]),
+    "infinite time": (HEAD + FIRST + "1,inf,0.5,1,0.3\n", reactor(), [("GB713", 3, "t")]),
+    "no time in a row": (HEAD + FIRST + "1,,0.5,1.5,0.3\n", reactor(), [("GB714", 3, "t")]),
+    "time goes back": (HEAD + FIRST + "1,-1,0.5,1.5,0.3\n", reactor(), [("GB715", 3, "t")]),
+    "time twice": (HEAD + FIRST + "1,0,0.5,1.5,0.3\n", reactor(), [("GB716", 3, "t")]),
+    "before the start": ("t,plasma mg/L,dose_S\n-1,1,\n1,1,\n", patient(), [("GB717", 2, "t")]),
+    "no label": (HEAD + FIRST + ",1,0.5,1.5,0.3\n", reactor(), [("GB718", 3, "trajectory")]),
+    "condition changes": (HEAD + FIRST + "1,1,0.5,1.5,0.4\n1,2,.5,1,.4\n", reactor(), [("GB719", 3, "Da")]),
+    "condition missing": (HEAD + FIRST + "1,1,.5,1,\n2,0,.5,1,\n2,1,.5,1,\n", reactor(), [("GB720", 4, "Da")]),
+    "input late": ("t,V,F\n0,1,\n1,2,3\n", tank(), [("GB721", 2, "F")]),
+    "input never": ("trajectory,t,V,F\n1,0,1,1\n1,1,1,\n2,0,1,\n2,1,1,\n", tank(), [("GB721", 4, "F")]),
+    "input twice": ("t,name,value\n0,V,1\n0,F,1\n0,F,2\n1,V,1\n", tank(), [("GB722", 4, "F")]),
+    "sd zero": ("t,x1,x2,Da,sd_x2\n0,.5,1,.3,.1\n1,.5,1,.3,0\n", reactor(), [("GB723", 3, "sd_x2")]),
+    "sd negative": ("t,name,value,sd\n0,x1,.5,-1\n1,x2,1,\n0,Da,.3,\n", reactor(), [("GB723", 2, "sd_x1")]),
+    "lognormal": ("t,plasma mg/L,dose_S\n0,0,\n1,-1,\n2,1,\n", patient(), [("GB724", 2, "plasma mg/L"),
+                                                                     ("GB724", 3, "plasma mg/L")]),
+    "range": (HEAD + FIRST + "1,1,1.5,1,.3\n1,2,2,1,.3\n", reactor(), [("GB725", 3, "x1")]),
+    "range of a condition": (HEAD + "1,0,.5,1,3\n1,1,.5,1,3\n", reactor(), [("GB725", 2, "Da")]),
+    "nothing measured": (HEAD + "1,0,,,0.3\n1,1,,,0.3\n", reactor(), [("GB726", None, None)]),
+    "measured once": (HEAD + FIRST + "1,1,.5,1,.3\n2,0,.5,1,.3\n", reactor(), [("GB727", 4, None)]),
+    "never measured": (HEAD + FIRST + "1,1,.5,1,.3\n2,0,,,.3\n2,1,,,\n", reactor(), [("GB728", 4, None)]),
+    "unknown name": ("t,name,value\n0,x1,.5\n1,x2,1\n0,Da,.3\n1,pH,7\n", reactor(), [("GB711", 5, "name")]),
+    "no rows of a name": ("t,name,value\n0,x1,.5\n1,x1,.6\n0,Da,.3\n", reactor(), [("GB710", None, "name")]),
+}  # fmt: skip
+
+
+def places(findings: list[Diagnostic]) -> list[tuple[str, int | None, str | None]]:
+    found = []
+    for diagnostic in findings:
+        assert isinstance(diagnostic.place, Cell)
+        found.append((diagnostic.code, diagnostic.place.row, diagnostic.place.column))
+    return found
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_mistake_is_found_where_it_is(reading: Reader, name: str) -> None:
+    text, model, expected = WRONG[name]
+    found, findings = reading(text, model)
+    assert sorted(places(findings), key=str) == sorted(expected, key=str)
+    warnings_only = all(d.severity is Severity.WARNING for d in findings)
+    assert (found is not None) == warnings_only
+    assert all(d.code in entries() for d in findings)
+
+
+@pytest.mark.parametrize("data", [b"t,x1,x2,Da\n0,\xff,1,0.3\n", "t,x1,x2,Da\n0,1,1,1\n".encode("utf-16"),
+                                  b"t,x1,x2,Da\n0,\0,1,0.3\n"])  # fmt: skip
+def test_bytes_that_are_no_text(reading: Reader, data: bytes) -> None:
+    found, findings = reading(data)
+    assert found is None and [d.code for d in findings] == ["GB703"]
+
+
+def test_files_that_are_no_tables(reading: Reader, tmp_path: Path) -> None:
+    assert places(reading("x", name="t.xlsx")[1]) == [("GB702", None, None)]
+    assert places(reading("x", name="table")[1]) == [("GB702", None, None)]
+    assert places(reading(b"PAR1 nonsense", name="t.parquet")[1]) == [("GB709", None, None)]
+    findings = Findings()
+    with pytest.raises(UserError):
+        read(tmp_path / "absent.csv", reactor(), findings)
+    assert [d.code for d in findings] == ["GB701"]
+    (tmp_path / "folder.csv").mkdir()
+    with pytest.raises(UserError) as caught:
+        read(tmp_path / "folder.csv", reactor(), Findings())
+    assert caught.value.diagnostics[0].code == "GB701"
+
+
+@pytest.mark.parametrize("column", ["t", "x1", "trajectory"])
+def test_columns_of_another_kind(tmp_path: Path, column: str) -> None:
+    from datetime import datetime
+
+    columns: dict[str, list[object]] = {
+        "trajectory": [1, 1], "t": [0.0, 1.0], "x1": [0.5, 0.6], "x2": [1.0, 1.0], "Da": [0.3, 0.3]
+    }  # fmt: skip
+    columns[column] = [[1.0], [2.0]] if column == "trajectory" else [datetime(2020, 1, 1), datetime(2020, 1, 2)]
+    pl.DataFrame(columns).write_parquet(tmp_path / "t.parquet")
+    findings = Findings()
+    with pytest.raises(UserError):
+        read(tmp_path / "t.parquet", reactor(), findings)
+    assert ("GB730", None, column) in places(list(findings))
+
+
+def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
+    _, findings = reading("t,x1,X2,Da\n0,.5,1,.3\n1,.5,1,.3\n")
+    assert "`X2`" in findings[0].help
+    _, findings = reading("t,x1,x2,Da,sd_X2\n0,.5,1,.3,1\n1,.5,1,.3,1\n")
+    assert [d.code for d in findings] == ["GB711"] and "`sd_x2`" in findings[0].help
+
+
+@pytest.mark.parametrize(
+    ("cell", "hint"),
+    [('"2,5"', "2.5"), ("<0.1", "limit"), ("5 mg", "`5`"), ("10:30", "`10`"), ('"1,234,567"', "thousands")],
+)
+def test_a_cell_that_is_no_number_gets_a_hint(reading: Reader, cell: str, hint: str) -> None:
+    _, findings = reading(HEAD + FIRST + f"1,1,{cell},1,0.3\n")
+    assert [d.code for d in findings] == ["GB712"] and hint in findings[0].help
+
+
+def test_many_mistakes_of_one_kind_are_counted_not_listed(reading: Reader) -> None:
+    rows = "".join(f"1,{i},bad,1,0.3\n" for i in range(100))
+    _, findings = reading(HEAD + rows)
+    cells = [d for d in findings if d.code == "GB712"]
+    assert len(cells) == 5
+    assert cells[-1].notes == ("and 95 more such cells",)
+
+
+def test_mistakes_of_all_kinds_come_at_once(reading: Reader) -> None:
+    text = "trajectory,t,x1,x2,Da\n1,0,oops,1,0.3\n1,0,0.5,inf,0.4\n,3,0.5,1,0.3\n"
+    _, findings = reading(text)
+    assert {d.code for d in findings} >= {"GB712", "GB713", "GB716", "GB718", "GB719"}
+    rows = [d.place.row or 0 for d in findings if isinstance(d.place, Cell)]
+    assert rows == sorted(rows)
+
+
+def test_without_a_default_a_condition_is_required(reading: Reader) -> None:
+    model = reactor(conditions=(Condition("Da", default=0.4),))
+    found, findings = reading("t,x1,x2\n0,.5,1\n1,.5,1\n", model)
+    assert found is not None and findings == []
+
+
+TABLES = [
+    code
+    for code, entry in entries().items()
+    if entry.topic == "data" and code <= "GB728" and not entry.wrong.startswith(("gbspec ", "iconv "))
+]
+
+
+@pytest.mark.parametrize("code", TABLES)
+def test_the_catalogues_examples(reading: Reader, code: str) -> None:
+    entry = entries()[code]
+    models = {"decay": decay(), "tank": tank(), "growth": growth()}
+
+    def codes(example: str) -> set[str]:
+        head, _, table = example.rpartition("---\n")
+        model = next((m for name, m in models.items() if head.startswith(f"model {name}")), reactor())
+        return {d.code for d in reading(table.strip("\n") + "\n", model)[1]}
+
+    assert code in codes(entry.wrong)
+    assert codes(entry.right) == set()
