@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import math
-from pprint import pformat
 
 from gbspec.ir.model import Condition, Declared, Input, Learnable, Model, Network, Range, State
 
@@ -85,31 +85,33 @@ def _ends(span: Range) -> tuple[float, float]:
 
 
 def _attribute(name: str, value: object, comment: str | None) -> str:
-    text = pformat(_literal(value), width=WIDTH - 4 - len(name) - 3, compact=True, sort_dicts=False)
-    head, *rest = text.splitlines()
-    indent = " " * (len(name) + 3)
-    lines = [f"{name} = {head}", *(indent + line for line in rest)]
-    if comment:
-        lines[-1] += f"  # {comment}"
-    return "\n".join(lines)
+    """`name = value  # comment`."""
+    head, *rest = _lines(f"{name} = ", value, "", WIDTH - 4)
+    remark = f"  # {comment}" if comment else ""
+    return "\n".join([head + (remark if len(head) + len(remark) <= WIDTH - 4 else ""), *rest])
 
 
-class _Infinite:
-    """An infinite number, written so that Python reads it back."""
+def _lines(head: str, value: object, tail: str, width: int) -> list[str]:
+    """A literal on one line if it fits, else an entry a line."""
+    line = f"{head}{_text(value)}{tail}"
+    if len(line) <= width or not isinstance(value, dict | tuple):
+        return [line]
+    opening, closing = "{}" if isinstance(value, dict) else "()"
+    entries = [(f"{_text(k)}: ", v) for k, v in value.items()] if isinstance(value, dict) else [("", v) for v in value]
+    inside = [f"    {part}" for key, entry in entries for part in _lines(key, entry, ",", width - 4)]
+    return [head + opening, *inside, closing + tail]
 
-    def __init__(self, value: float) -> None:
-        self._value = value
 
-    def __repr__(self) -> str:
-        return "np.inf" if self._value > 0 else "-np.inf"
-
-
-def _literal(value: object) -> object:
-    """The value with its infinite numbers made printable."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else _Infinite(value)
-    if isinstance(value, tuple):
-        return tuple(_literal(part) for part in value)
-    if isinstance(value, dict):
-        return {key: _literal(part) for key, part in value.items()}
-    return value
+def _text(value: object) -> str:
+    """A literal that Python reads back as the same value; texts between double quotes, as JSON writes them."""
+    match value:
+        case str():
+            return json.dumps(value, ensure_ascii=False)
+        case float() if not math.isfinite(value):
+            return "np.nan" if math.isnan(value) else "np.inf" if value > 0 else "-np.inf"
+        case tuple():
+            inside = ", ".join(map(_text, value))
+            return f"({inside},)" if len(value) == 1 else f"({inside})"
+        case dict():
+            return "{" + ", ".join(f"{_text(key)}: {_text(part)}" for key, part in value.items()) + "}"
+    return repr(value)

@@ -121,6 +121,24 @@ def initial_method(model: Model) -> str:
     return _method("@classmethod", "_initial", parameters, document, body)
 
 
+def doses_method(model: Model) -> str:
+    """`_doses`: what of each dose arrives, and how much later; only models with doses have it."""
+    names = Names(PARAMETERS)
+    for item in (*model.conditions, *model.constants, *model.learnables):
+        names.claim(item.symbol)
+    outputs = []
+    for i, dose in enumerate(model.doses):
+        outputs.append(Assignment(temporary(f"fraction{i}"), dose.fraction, f"{dose.state}_fraction"))
+        outputs.append(Assignment(temporary(f"lag{i}"), dose.lag, f"{dose.state}_lag"))
+    program = Program(model, outputs, ()).statements
+    body = _unpacked(model, names, _used(program)) + _statements(program, names, model)
+    found = [names[output.symbol] for output in outputs]
+    pairs = [f"({fraction}, {lag})" for fraction, lag in zip(found[::2], found[1::2], strict=True)]
+    body.append(f"return ({_comma(pairs)})")
+    document = "For each dose the fraction of it that arrives, and the lag after which it does."
+    return _method("@classmethod", "_doses", ["cls", "math", "condition", "constants"], document, body)
+
+
 def step_method(tableau: Tableau) -> str:
     """`_step`: one step of an explicit Runge-Kutta method."""
     nodes = sorted(set(tableau.c))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Mapping
 from importlib import resources
@@ -63,6 +64,7 @@ def _places(model: Model, class_name: str) -> dict[str, str]:
         equations.rhs_method(model),
         equations.observe_method(model),
         equations.initial_method(model),
+        *([equations.doses_method(model)] if model.doses else []),
         equations.step_method(RK4),
         _unknown_table(model),
     ]
@@ -80,8 +82,8 @@ def _places(model: Model, class_name: str) -> dict[str, str]:
 _COMMENT = """\
 # ------------------------------------------------------------------ the equations, for torch, casadi and numpy
 # math: the arithmetic of one of these; state, condition, inputs: vectors, components on the last axis (in casadi,
-# columns); constants: a tuple; networks: a tuple of functions, each called with its arguments one by one and returning
-# a tuple of its outputs.
+# columns); constants: a tuple; networks: a tuple of functions, each called with its arguments one by one and
+# returning a tuple of its outputs.
 
 """
 
@@ -135,7 +137,8 @@ def _entry(item: Declared) -> str:
 
 def _network_entry(network: Network) -> str:
     arguments = ", ".join(argument.name for argument in network.arguments)
-    return f"{', '.join(network.outputs)}({arguments}): mlp {'-'.join(map(str, attributes.sizes(network)))}, {network.activation}"
+    sizes = "-".join(map(str, attributes.sizes(network)))
+    return f"{', '.join(network.outputs)}({arguments}): mlp {sizes}, {network.activation}"
 
 
 def _class_document(model: Model) -> str:
@@ -162,5 +165,7 @@ def _unknown_table(model: Model) -> str:
     lines = ["_unknowns = {  # name: (number of its network, number of its output there, method)"]
     for unknown in model.unknowns:
         method = equations.method_name(model.networks[unknown.network])
-        lines.append(f"    {unknown.name!r}: ({unknown.network}, {unknown.output}, {method}),")
+        lines.append(
+            f"    {json.dumps(unknown.name, ensure_ascii=False)}: ({unknown.network}, {unknown.output}, {method}),"
+        )
     return "\n".join([*lines, "}"])

@@ -10,6 +10,8 @@ import sympy
 class Temporary(sympy.Dummy):  # type: ignore[misc]  # sympy is untyped
     """A symbol of the backend's own; in products it stands behind the model's, as `B*phi` does in the user's text."""
 
+    is_Dummy = False  # noqa: N815 - sympy's name; else sympy could not sort it among symbols
+
     @classmethod
     def class_key(cls) -> tuple[int, int, str]:
         """Sorts it among symbols."""

@@ -142,9 +142,11 @@ class Printer(ABC):
 
     # -------------------------------------------------------------- sums, products, powers
     def _sum(self, node: sympy.Add) -> str:
+        terms = [self._signed(term) for term in node.as_ordered_terms()]
+        # A sum begins with its first positive term, if it has one: `u_f - u` rather than `-u + u_f`.
+        first = next((i for i, (negative, _) in enumerate(terms) if not negative), 0)
         text = ""
-        for term in node.as_ordered_terms():
-            negative, size = self._signed(term)
+        for negative, size in (terms[first], *terms[:first], *terms[first + 1 :]):
             text += f" {'-' if negative else '+'} {size}" if text else f"-{size}" if negative else size
         return text
 

@@ -15,7 +15,7 @@ import sympy
 from sympy.core.function import AppliedUndef
 from sympy.logic.boolalg import Boolean
 
-from gbspec.backends.printing.nodes import Guard, Where, temporary
+from gbspec.backends.printing.nodes import Guard, Temporary, Where, temporary
 from gbspec.diagnostics import Defect
 from gbspec.ir.model import Intermediate, Model, Network
 
@@ -193,7 +193,7 @@ class Program:
         arguments = [self._extract(argument, counts, table) for argument in node.args]
         rebuilt = node if all(a is b for a, b in zip(arguments, node.args, strict=True)) else _rebuild(node, arguments)
         if counts.get(node, 0) > 1:
-            wish = _wish(node, sum(value.is_Dummy for value in table.values()) + 1)
+            wish = _wish(node, sum(isinstance(value, Temporary) for value in table.values()) + 1)
             symbol = temporary(wish, real=not isinstance(node, Boolean))
             self._pending[symbol] = Assignment(symbol, rebuilt, wish)
             rebuilt = symbol
