@@ -141,11 +141,11 @@ class System:
 
 def system_of(evaluator: Any, model: Model) -> System:
     """The system of an evaluator: constants as they stand in its module, ranges declared or, failing that, trained."""
-    module = evaluator.module
+    module = evaluator.instance
     values: dict[str, float] = {}
     external: tuple[Condition | Input, ...] = (*model.conditions, *model.inputs)
     values.update({item.name: float(item.default) for item in external if item.default is not None})
-    values.update(zip(model.constant_names, map(float, module.weights["constants"]), strict=True))
+    values.update(zip(model.constant_names, map(float, evaluator.constants), strict=True))
     ranged: tuple[State | Condition | Input, ...] = (*model.states, *external)
     declared = {item.name: _box(item.range) for item in ranged if item.range is not None}
     return System(

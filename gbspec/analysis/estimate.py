@@ -1,0 +1,116 @@
+"""Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
+
+Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
+trajectory has its own. The residuals are the differences at all measured values, each over its channel's spread; a
+weak pull towards the first guess keeps what the data do not determine from running away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.predict import Prediction, Start, measured_start, needed, predict
+
+if TYPE_CHECKING:
+    from gbspec.data.trajectories import Trajectory
+    from gbspec.ir.model import Model
+
+Array = NDArray[np.float64]
+
+PULL = 1e-3
+"""Weight of the pull towards the first guess, in units of the states' spread."""
+TRIALS = 8
+"""Starts that are tried before the best one is polished."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of starts before a trajectory is looked at: centre and spread [n] of the states."""
+
+    centre: Array
+    spread: Array
+
+
+def prior_of(member: Any, model: Model) -> Prior:
+    """From the learned starts of the training data; where there are none, from declared guesses and ranges."""
+    learned = member.weights.get("initial")
+    if learned is not None and len(learned):
+        spread = learned.std(axis=0)
+        return Prior(learned.mean(axis=0), np.where(spread > 0, spread, np.maximum(np.abs(learned).max(axis=0), 1.0)))
+    centre, spread = [], []
+    for state in model.states:
+        box = state.range if state.range is not None and state.range.bounded else None
+        guess = state.start if state.start is not None else ((box.low + box.high) / 2 if box else 0.0)
+        centre.append(guess)
+        spread.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
+    return Prior(np.array(centre, dtype=float), np.array(spread, dtype=float))
+
+
+class Estimator:
+    """Least squares for the start of one trajectory. `spreads` [C] scale the channels' residuals."""
+
+    def __init__(self, evaluator: Any, model: Model, spreads: Array) -> None:
+        self.evaluator, self.model, self.spreads = evaluator, model, spreads
+        self.prior = prior_of(evaluator.instance, model)
+        self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
+
+    def start(self, item: Trajectory) -> Start:
+        """The start of a trajectory: known, or estimated from its data; `failed` where no start can be integrated."""
+        free = needed(self.model, item)
+        state = measured_start(self.model, item, self._nearest(item))
+        constants = np.array(self.evaluator.constants, dtype=float)
+        if not free and not self.own:
+            return Start(self.evaluator.initial(state, item.condition, constants), constants, "known")
+        return self._estimate(item, state, constants, free)
+
+    def _nearest(self, item: Trajectory) -> Array:
+        """The prior's centre, with the first value of every state that is measured early in the trajectory."""
+        state = self.prior.centre.copy()
+        early = max(3, len(item.times) // 10)
+        for j, channel in enumerate(self.model.channels):
+            rows = np.flatnonzero(np.isfinite(item.values[:early, j]))
+            if channel.state is not None and len(rows):
+                state[channel.state] = item.values[rows[0], j]
+        return state
+
+    def _estimate(self, item: Trajectory, state: Array, constants: Array, free: tuple[int, ...]) -> Start:
+        from scipy.optimize import least_squares
+
+        columns = list(free)
+        scale = np.concatenate([self.prior.spread[columns], np.maximum(np.abs(constants[list(self.own)]), 1e-3)])
+        weights = np.isfinite(item.values) / self.spreads
+        measured = np.nan_to_num(item.values)
+        worst = np.full(int(np.sum(weights > 0)) + len(scale), 1e3)
+
+        def moved(z: Array) -> Start:
+            x0, k = state.copy(), constants.copy()
+            x0[columns] += scale[: len(columns)] * z[: len(columns)]
+            k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
+            return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
+
+        def residuals(z: Array) -> Array:
+            found: Prediction = predict(self.evaluator, self.model, item, moved(z))
+            if found.failure:
+                return worst
+            error = ((found.channels - measured) * weights)[weights > 0]
+            return np.concatenate([error, PULL * z])
+
+        trials = self._trials(len(scale))
+        costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
+        best = trials[int(np.argmin(costs))]
+        if min(costs) >= float(np.sum(worst**2)):
+            return Start(state, constants, "failed", "no start was found from which it can be integrated")
+        solution = least_squares(residuals, best, diff_step=1e-4, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=30)
+        return moved(np.asarray(solution.x, dtype=float))
+
+    @staticmethod
+    def _trials(size: int) -> list[Array]:
+        """The guess itself and points around it, in units of the spread."""
+        from scipy.stats import qmc
+
+        around = 3.0 * qmc.Sobol(size, seed=0).random(TRIALS) - 1.5
+        return [np.zeros(size), *around]
