@@ -63,6 +63,8 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     if findings.failed or merged.uncertain:
         return None
     usage.observes_nothing(items, names, findings)
+    if findings.failed:
+        return None
     usage.unused(places_of, names, findings)
     usage.only_compared(places_of, usage.observed_names(items), names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))

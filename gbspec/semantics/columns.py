@@ -12,11 +12,8 @@ from gbspec.syntax import ast
 
 def check(items: Iterable[Item], table: Table, findings: Findings) -> None:
     """Channels, inputs, conditions, doses, the time and `trajectory` have columns of different names."""
-    time = next(d for d in table.values() if d.kind is Kind.TIME)
-    first: dict[str, tuple[str, Span | None]] = {
-        "trajectory": ("the number of the trajectory", None),
-        time.name: ("the time", time.span),
-    }
+    first: dict[str, tuple[str, Span | None]] = {"trajectory": ("the number of the trajectory", None)}
+    first.update({d.name: ("the time", d.span) for d in table.values() if d.kind is Kind.TIME})
     for column, what, span in _columns(items):
         earlier = first.setdefault(column, (what, span))
         if earlier[1] is span or earlier[0] == what:  # a name declared or observed twice is told elsewhere

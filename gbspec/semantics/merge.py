@@ -203,8 +203,11 @@ def _load(path: Path, string: ast.Text, findings: Findings, load: Load) -> Sourc
     try:
         return load(path)
     except UserError as error:
-        findings.extend(error.diagnostics)
-        return None
+        inside = [d for d in error.diagnostics if isinstance(d.place, Span)]
+        if inside:  # the file is there, and something in it cannot be read
+            findings.extend(inside)
+            return None
+        reason, help_ = "; ".join(d.message for d in error.diagnostics), error.diagnostics[0].help
     except FileNotFoundError:
         near = sorted(p.name for p in path.parent.glob("*.gb")) if path.parent.is_dir() else []
         reason, help_ = "there is no such file", suggestion(path.name, near)

@@ -71,6 +71,8 @@ def build(items: tuple[Item, ...], findings: Findings) -> Table:
             first = table.setdefault(at.text, declaration)
             if first is not declaration:
                 _duplicate(at, first, findings)
+                if first.kind is Kind.TIME or declaration.kind is Kind.STATE:
+                    table[at.text] = declaration  # more likely what the rest of the text means by the name
     _time_once(items, findings)
     return table
 
