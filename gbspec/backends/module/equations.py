@@ -15,6 +15,7 @@ from gbspec.backends.printing import (
     Program,
     PythonPrinter,
     Statement,
+    docstring,
     identifier,
     temporary,
 )
@@ -68,7 +69,8 @@ def unknown_method(model: Model, index: int) -> str:
 
 def _described(unknowns: Sequence[Unknown]) -> str:
     """What the outputs are, for the method's docstring."""
-    return "; ".join(f"{unknown.name}: {unknown.description}" for unknown in unknowns if unknown.description)
+    described = (f"{unknown.name}: {unknown.description}" for unknown in unknowns if unknown.description)
+    return " ".join("; ".join(described).split())
 
 
 def rhs_method(model: Model) -> str:
@@ -227,5 +229,5 @@ def _comma(names: Iterable[str]) -> str:
 def _method(decorator: str, name: str, parameters: Sequence[str], document: str, body: Iterable[str]) -> str:
     lines = [decorator, f"def {name}({', '.join(parameters)}):"]
     if document:
-        lines.append(f'    """{document}"""')
+        lines.append(f"    {docstring(document)}")
     return "\n".join([*lines, *(f"    {line}" for line in body)])

@@ -8,8 +8,7 @@ import linecache
 import sys
 from typing import Any
 
-from gbspec.backends.module.render import generate
-from gbspec.backends.printing import identifier
+from gbspec.backends.module.render import class_name, generate
 from gbspec.diagnostics import Defect
 from gbspec.ir.model import Model
 
@@ -25,7 +24,7 @@ def load_module(model: Model) -> type[Any]:
     text = generate(model)
     digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
     if digest not in _loaded:
-        _loaded[digest] = _execute(text, f"gbspec_generated_{digest[:16]}", identifier(model.class_name))
+        _loaded[digest] = _execute(text, f"gbspec_generated_{digest[:16]}", class_name(model))
     return _loaded[digest]
 
 

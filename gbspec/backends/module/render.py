@@ -3,59 +3,34 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Iterable, Mapping
-from importlib import resources
+import keyword
+from collections.abc import Iterable
 
 import gbspec
 from gbspec.backends.module import attributes, equations
-from gbspec.backends.printing import TextPrinter, identifier
-from gbspec.diagnostics import Defect
+from gbspec.backends.module.filling import fill, template
+from gbspec.backends.printing import TextPrinter, docstring, identifier
 from gbspec.ir.model import NN, Declared, Model, Network, Range
 from gbspec.ir.tableaus import RK4
 
 INTERFACE = 1
 """The version of the generated module's interface; training and analysis refuse another."""
 
-PARTS = ("model", "networks", "arithmetic", "tensors")
-"""The template's files in the order of the generated module."""
-
 
 def generate(model: Model) -> str:
     """The standalone Python module of a model: the text that `gbspec compile` writes and that training runs."""
-    text = "\n\n\n".join(_part(name) for name in PARTS) + "\n"
-    class_name = identifier(model.class_name)
-    text = _fill(text, _places(model, class_name)).replace("-> Template:", f"-> {class_name}:")
-    return re.sub(r"\n{4,}", "\n\n\n", re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text))
+    name = class_name(model)
+    return fill(template().replace("-> Template:", f"-> {name}:"), _places(model, name))
 
 
-def _part(name: str) -> str:
-    """A file of the template; of all but the first what follows the line `# <body>`."""
-    text = resources.files("gbspec.backends.module.template").joinpath(f"{name}.py").read_text(encoding="utf-8")
-    return (text if name == PARTS[0] else text.split("# <body>\n", 1)[1]).strip()
+def class_name(model: Model) -> str:
+    """The generated class: the model's name in CamelCase, with `_` where Python or the module needs that name."""
+    name = identifier(model.class_name)
+    return f"{name}_" if keyword.iskeyword(name) or name in _MODULE_NAMES else name
 
 
-def _fill(text: str, places: Mapping[str, str]) -> str:
-    """Replaces marked lines and regions, indented as the mark is; every place is filled exactly once."""
-    left = dict(places)
-
-    def replacement(indent: str, key: str) -> str:
-        if key not in left:
-            raise Defect(f"the template's place `{key}` is unknown or occurs twice")
-        value = left.pop(key)
-        return "".join(f"{indent}{line}".rstrip() + "\n" for line in value.splitlines())
-
-    # The docstring's marks stand on the line that ends it, so a marked text may span lines between triple quotes.
-    text = re.sub(
-        r'^( *)"""(?:(?!""").)*?"""  # \{\{([a-z ]+)\}\}\n', lambda m: replacement(*m.groups()), text, flags=re.M | re.S
-    )
-    text = re.sub(r"^( *)\S.*?  # \{\{([a-z ]+)\}\}\n", lambda m: replacement(*m.groups()), text, flags=re.M)
-    text = re.sub(
-        r"^( *)# \{\{([a-z ]+)\n.*?^\1# \2\}\}\n", lambda m: replacement(*m.groups()), text, flags=re.M | re.S
-    )
-    if left or "{{" in text:
-        raise Defect(f"places not filled in the template: {', '.join(left) or 'a mark that cannot be read'}")
-    return text
+_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "ClassVar", "Mapping", "Path", "SimpleNamespace"})
+"""What the generated module itself calls by names that a class could have."""
 
 
 def _places(model: Model, class_name: str) -> dict[str, str]:
@@ -69,11 +44,11 @@ def _places(model: Model, class_name: str) -> dict[str, str]:
         _unknown_table(model),
     ]
     return {
-        "docstring": _docstring(_module_document(model)),
+        "docstring": docstring(_module_document(model)),
         "siblings": "",
         "interface": f"INTERFACE = {INTERFACE}",
         "class": f"class {class_name}:",
-        "class docstring": _docstring(_class_document(model)),
+        "class docstring": docstring(_class_document(model)),
         "attributes": attributes.attributes(model),
         "equations": _COMMENT + "\n\n".join(methods),
     }
@@ -89,12 +64,6 @@ _COMMENT = """\
 
 
 # ---------------------------------------------------------------------- documents
-def _docstring(text: str) -> str:
-    """The text as a docstring; a backslash or triple quote in it stays what it is."""
-    safe = text.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
-    return f'"""{safe}\n"""' if "\n" in safe else f'"""{safe}"""'
-
-
 def _module_document(model: Model) -> str:
     parts = [
         _title(model),

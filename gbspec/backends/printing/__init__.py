@@ -1,6 +1,6 @@
 """Expressions as text: one printer base, straight lists of statements, safe names."""
 
-from gbspec.backends.printing.names import Names, identifier
+from gbspec.backends.printing.names import Names, docstring, identifier
 from gbspec.backends.printing.nodes import temporary
 from gbspec.backends.printing.printer import Printer, PythonPrinter, TextPrinter
 from gbspec.backends.printing.statements import Assignment, NetworkCall, Program, Statement
@@ -14,6 +14,7 @@ __all__ = [
     "PythonPrinter",
     "Statement",
     "TextPrinter",
+    "docstring",
     "identifier",
     "temporary",
 ]

@@ -18,6 +18,14 @@ def identifier(name: str) -> str:
     return text if text.isidentifier() else f"_{text}"
 
 
+def docstring(text: str) -> str:
+    """A text as a Python docstring; backslashes and quotes in it stay what they are."""
+    safe = text.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
+    if "\n" in safe:
+        return f'"""{safe}\n"""'
+    return f'"""{safe[:-1]}\\""""' if safe.endswith('"') else f'"""{safe}"""'
+
+
 class Names:
     """The identifiers of one scope, one a symbol; a taken or reserved name gets underscores at its end.
 

@@ -109,9 +109,10 @@ class Program:
         self._pending: dict[sympy.Symbol, Statement] = {}
         self._done: set[sympy.Symbol] = set()
         self.statements: list[Statement] = []
-        self._share(self._without_applications(self._bodies(outputs)))
-        for output in outputs:
-            self._emit(output.symbol)
+        bodies = self._without_applications(self._bodies(outputs))
+        self._share(bodies)
+        for body in bodies:
+            self._emit(body.symbol)
 
     def _bodies(self, targets: Sequence[Assignment]) -> list[Assignment]:
         """The targets and, before them, the intermediates that they need, choices guarded."""
