@@ -1,0 +1,52 @@
+"""Every wrong file under tests/bad gets exactly the findings that its `.expected` file shows.
+
+`GBSPEC_REWRITE=1 pytest tests/bad` writes the expected files anew; read the difference before committing it.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from gbspec.diagnostics import Findings, UserError
+from gbspec.diagnostics.render import render_text
+from gbspec.syntax.parser import parse, read_source
+
+HERE = Path(__file__).parent
+FILES = sorted(path for path in HERE.glob("*/*.gb") if not path.stem.startswith("_"))
+
+
+def rendered_findings(path: Path) -> str:
+    """What the whole front end says of a file, paths relative to the file's folder."""
+    findings = Findings()
+    try:
+        run_front_end(path, findings)
+    except UserError as error:
+        findings.extend(error.diagnostics)
+    return render_text(findings).replace(f"{path.parent}{os.sep}", "")
+
+
+def run_front_end(path: Path, findings: Findings) -> None:
+    """Reads, parses, checks and, where there is no error, lowers a file."""
+    from gbspec.lower import lower
+    from gbspec.semantics import check
+
+    file = parse(read_source(path), findings)
+    if file is None:
+        return
+    checked = check(file, findings, read_source)
+    if checked is not None and not findings.failed:
+        lower(checked, findings)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_wrong_file_gets_its_findings(path: Path) -> None:
+    found = rendered_findings(path)
+    expected = path.with_suffix(".expected")
+    if os.environ.get("GBSPEC_REWRITE"):
+        expected.write_text(found, encoding="utf-8")
+    assert expected.is_file(), f"no {expected.name}; run with GBSPEC_REWRITE=1 and read what it says"
+    assert found == expected.read_text(encoding="utf-8")
+    assert found, "a file under tests/bad has something wrong with it"
