@@ -13,6 +13,9 @@ from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Findings, Source
 from gbspec.ir.model import Model
 
+CONDITIONS = (sympy.core.relational.Relational, sympy.logic.boolalg.BooleanFunction, sympy.logic.boolalg.BooleanAtom)
+"""What a condition is in sympy (whose symbols count as conditions too, and are none here)."""
+
 
 @dataclass(frozen=True)
 class Region:
@@ -49,7 +52,7 @@ def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Reg
         findings.extend(own)
         if lowered is None or own.failed:
             continue
-        if not isinstance(lowered, sympy.logic.boolalg.Boolean):
+        if not isinstance(lowered, CONDITIONS):
             findings.error(
                 "GB755",
                 f'`--reject "{text}"` is a number, not a condition',
@@ -61,4 +64,3 @@ def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Reg
         arguments = [item.symbol for item in names]
         found.append(Region(text, sympy.lambdify(arguments, expanded, modules="numpy", dummify=True)))
     return tuple(found)
-

@@ -72,6 +72,14 @@ class Tally:
     failed: int = 0
     reason: str = ""
 
+    def reject(self, reason: str) -> None:
+        """Counts a plan that may not be used."""
+        self.rejected, self.reason = self.rejected + 1, reason
+
+    def fail(self, reason: str) -> None:
+        """Counts a plan that could not be solved."""
+        self.failed, self.reason = self.failed + 1, reason
+
 
 def simulate(
     evaluator: Solver,
@@ -96,10 +104,10 @@ def simulate(
     box = boxes(model, options, findings, given=like is not None)
     reject = regions(options.reject, model, findings)
     findings.raise_if_failed()
-    tally, solved = Tally(), []
+    draws, tally, solved = _Draws(evaluator, model, options, box, reject, like), Tally(), []
     count = options.trajectories if like is None else len(like)
     for i in range(count):
-        solved.append(_one(evaluator, model, options, box, reject, i, like, tally))
+        solved.append(draws.solved(i, tally))
         if progress is not None:
             progress(i + 1, count)
     items = _noisy(solved, model, options)
@@ -109,47 +117,49 @@ def simulate(
     return Trajectories(items, channels, rows=rows, meta=meta)
 
 
-def _one(
-    evaluator: Solver,
-    model: Model,
-    options: SimulateOptions,
-    box: Boxes,
-    reject: tuple[Region, ...],
-    index: int,
-    like: Trajectories | None,
-    tally: Tally,
-) -> Solved:
-    """Draws trajectory `index` until it can be solved and is not rejected."""
-    random = np.random.default_rng([options.seed, index, 0])
-    own = Tally()
-    for _ in range(ATTEMPTS):
-        if like is None:
-            drawn = plan(model, options, box, str(index + 1), random)
-        else:
-            drawn = plan_like(like.items[index], model, options, box, random)
-        if drawn is None:
-            own.rejected += 1
-            own.reason = "fewer than two measurements fell into the span"
-            continue
-        try:
-            solved = solve(evaluator, model, drawn, reject)
-        except ComputationError as error:
-            own.failed += 1
-            own.reason = error.what
-            continue
-        if isinstance(solved, Region):
-            own.rejected += 1
-            own.reason = f"`{solved.text}` came true"
-            continue
-        tally.rejected += own.rejected
-        tally.failed += own.failed
-        return solved
-    raise ComputationError(
-        f"trajectory {index + 1} was drawn {ATTEMPTS} times, and none could be used: "
-        f"{own.failed} could not be solved, {own.rejected} were rejected; the last: {own.reason}",
-        where=f"trajectory {index + 1}",
-        remedy="narrow the box of starts with `--initial`, shorten `--span`, or reject less",
-    )
+@dataclass(frozen=True)
+class _Draws:
+    """Everything that trajectories are drawn from."""
+
+    evaluator: Solver
+    model: Model
+    options: SimulateOptions
+    box: Boxes
+    reject: tuple[Region, ...]
+    like: Trajectories | None
+
+    def plan(self, index: int, random: np.random.Generator) -> Plan | None:
+        """One plan for trajectory `index`; None where fewer than two measurements fell into the span."""
+        if self.like is None:
+            return plan(self.model, self.options, self.box, str(index + 1), random)
+        return plan_like(self.like.items[index], self.model, self.options, self.box, random)
+
+    def solved(self, index: int, tally: Tally) -> Solved:
+        """Trajectory `index`, drawn until it can be solved and is not rejected; ComputationError after 200 times."""
+        random = np.random.default_rng([self.options.seed, index, 0])
+        own = Tally()
+        for _ in range(ATTEMPTS):
+            drawn = self.plan(index, random)
+            if drawn is None:
+                own.reject("fewer than two measurements fell into the span")
+                continue
+            try:
+                solved = solve(self.evaluator, self.model, drawn, self.reject)
+            except ComputationError as error:
+                own.fail(error.what)
+                continue
+            if isinstance(solved, Region):
+                own.reject(f"`{solved.text}` came true")
+                continue
+            tally.rejected += own.rejected
+            tally.failed += own.failed
+            return solved
+        raise ComputationError(
+            f"trajectory {index + 1} was drawn {ATTEMPTS} times, and none could be used: "
+            f"{own.failed} could not be solved, {own.rejected} were rejected; the last: {own.reason}",
+            where=f"trajectory {index + 1}",
+            remedy="narrow the box of starts with `--initial`, change `--span` or `--dt`, or reject less",
+        )
 
 
 def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ...] = ()) -> Solved | Region:

@@ -130,8 +130,10 @@ def load_cases(path: str | Path) -> Cases:
     entries = document.pop("case", {})
     base = _Reader(path, findings, "").case(document, Case("", "", None))
     cases = []
-    for name in _Reader(path, findings, "").table({"case": entries}, "case"):
-        entry = _Reader(path, findings, "case.").table(entries, name)
+    for name, entry in _Reader(path, findings, "").table({"case": entries}, "case").items():
+        if not isinstance(entry, dict):
+            _Reader(path, findings, "case.").table({name: entry}, name)
+            continue
         cases.append(_Reader(path, findings, f"case.{name}.").case(entry, dataclasses.replace(base, name=name)))
     findings.raise_if_failed()
     return Cases(path, base, tuple(cases))

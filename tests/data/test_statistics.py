@@ -1,0 +1,40 @@
+"""Location and spread of channels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from gbspec.data.statistics import channel_statistics
+from gbspec.data.trajectories import Trajectories, Trajectory
+
+
+def data(*columns: list[float]) -> Trajectories:
+    values = np.array(columns).T
+    item = Trajectory("1", 0.0, np.arange(float(len(values))), values, values, values, np.zeros(0))
+    return Trajectories((item,), tuple(f"c{i}" for i in range(values.shape[1])))
+
+
+def test_statistics_of_what_was_measured() -> None:
+    nan = math.nan
+    first, second = channel_statistics(data([1, 2, 3, nan, 100], [5, nan, 5, 5, 5]))
+    assert (first.n, first.mean, first.median, first.low, first.high) == (4, 26.5, 2.5, 1, 100)
+    assert first.sd == pytest.approx(np.std([1, 2, 3, 100]))
+    assert first.spread == pytest.approx(1.4826 * np.median([1.5, 0.5, 0.5, 97.5]))
+    assert (second.n, second.sd, second.scale) == (4, 0.0, 5.0)
+
+
+def test_a_scale_is_always_positive() -> None:
+    nan = math.nan
+    never, zero = channel_statistics(data([nan, nan], [0.0, 0.0]))
+    assert never.n == 0 and math.isnan(never.mean) and never.scale == 1.0
+    assert zero.scale == 1.0
+    assert channel_statistics(Trajectories((), ("a",)))[0].scale == 1.0
+
+
+def test_the_robust_spread_of_normal_values_is_their_deviation() -> None:
+    values = np.random.default_rng(0).normal(3.0, 2.0, 20_000)
+    (found,) = channel_statistics(data(values.tolist()))
+    assert found.spread == pytest.approx(2.0, rel=0.03) and found.sd == pytest.approx(2.0, rel=0.03)
