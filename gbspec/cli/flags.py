@@ -66,8 +66,8 @@ def flag(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     kind, value = _simple(hint), default(field)
     if "parse" in meta:
         kind, value = list[str], []
-    elif kind is bool and not value:
-        spelling = spelling.split("/")[0]
+    elif kind is bool and value:
+        spelling = f"{spelling}/--no-{spelling.removeprefix('--')}"
     shown = value not in (None, [], ())
     option = typer.Option(spelling, help=meta.get("help"), metavar=meta.get("metavar"), show_default=shown)
     return inspect.Parameter(

@@ -160,9 +160,9 @@ def file_trouble(error: OSError) -> Diagnostic | None:
         case errno.EISDIR:
             return Diagnostic("GB802", f"{shown} is a directory; a file is wanted", None, help="name a file in it")
         case errno.EACCES | errno.EPERM | errno.EROFS:
-            return Diagnostic("GB803", f"{shown} cannot be used: permission denied", None, help="choose another path")
+            return Diagnostic("GB805", f"{shown} cannot be used: permission denied", None, help="choose another path")
         case errno.ENOSPC | errno.EDQUOT | errno.ENAMETOOLONG | errno.ELOOP:
             reason = (error.strerror or "").lower()
-            return Diagnostic("GB803", f"{shown} cannot be used: {reason}", None, help="choose another path")
+            return Diagnostic("GB805", f"{shown} cannot be used: {reason}", None, help="choose another path")
         case _:
             return None

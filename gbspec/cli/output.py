@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -71,6 +72,17 @@ class Output:
         if self.json and not self.answered:
             self.answered = True
             print(json.dumps(jsonable(value), indent=2, ensure_ascii=False, allow_nan=False), flush=True)
+
+    @contextmanager
+    def bar(self, word: str) -> Iterator[Callable[[int, int], None]]:
+        """A progress bar on standard error (a terminal's only); gives a function of how many of how many are done."""
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        console = self.console()
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task(word, total=None)
+            yield lambda done, total: progress.update(task, completed=done, total=total)
 
     def findings(self, diagnostics: Iterable[Diagnostic], *, errors_only: bool = False) -> None:
         """Diagnostics with excerpts on standard error; with `errors_only` (or `--quiet`) the errors alone."""

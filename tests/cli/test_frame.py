@@ -33,7 +33,7 @@ def raising(error: BaseException) -> Callable[[], None]:
         (ZeroDivisionError("division by zero"), 70, "ZeroDivisionError"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (FileNotFoundError(errno.ENOENT, "no such file", "x.csv"), 1, "GB801"),
-        (PermissionError(errno.EACCES, "denied", "x.csv"), 1, "GB803"),
+        (PermissionError(errno.EACCES, "denied", "x.csv"), 1, "GB805"),
         (OSError(errno.ENOSPC, "No space left on device", "x.csv"), 1, "no space left"),
         (MemoryError(), 3, "memory"),
     ],

@@ -167,7 +167,7 @@ def test_compile_emits_the_intermediate_form(gbspec: Run, decay: Path) -> None:
 def test_compile_to_a_folder_that_is_not_there(gbspec: Run, decay: Path) -> None:
     result = gbspec("compile", decay, "-o", "no/such/decay.py")
     assert result.exit_code == 1
-    assert "GB803" in result.stderr
+    assert "GB805" in result.stderr
 
 
 def test_an_unknown_form_is_usage(gbspec: Run, decay: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+import sympy
 import typer
 
 from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
@@ -94,7 +95,7 @@ def start(initial: Initial) -> str:
     """How a state starts, in words."""
     match initial.kind:
         case "expression":
-            return f"= {initial.value}"
+            return f"= {sympy.sstr(initial.value, full_prec=False)}"
         case "learned":
             return "learned"
         case "measured":

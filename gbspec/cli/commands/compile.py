@@ -10,6 +10,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 
 Form = Literal["module", "ir"]
+"""The names of `gbspec.backends.registry.BACKENDS`, which is not imported to show the help."""
 
 
 @command(
@@ -27,21 +28,14 @@ def run(
 ) -> None:
     """Compile a model to a standalone Python module (torch to run it, casadi to analyse it, gbspec for neither)."""
     from gbspec import driver
+    from gbspec.backends.registry import BACKENDS
     from gbspec.diagnostics import Findings
     from gbspec.files import write_text
 
     findings = Findings()
     compiled = driver.load_model(model, findings)
     output.findings(findings)
-    match emit:
-        case "module":
-            from gbspec.backends.module import generate
-
-            text = generate(compiled)
-        case "ir":
-            from gbspec.ir.dump import dump
-
-            text = dump(compiled)
+    text = BACKENDS[emit].emit(compiled)
     write_text(to, text)
     output.say(f"wrote {to}")
     output.document({"model": compiled.name, "emit": emit, "path": to, "class": compiled.class_name})

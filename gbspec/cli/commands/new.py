@@ -35,7 +35,7 @@ observe X
 observe S
 
 # A truth to try things with (`gbspec simulate` makes data from it; training never sees it). Delete it for real data.
-truth Y     = 0.5
+truth Y = 0.5
 truth mu(S) = 0.6*S/(2 + S)
 initial X = 0.2
 initial S = 10

@@ -1,0 +1,145 @@
+"""`gbspec demo`: the main job from end to end, on a model whose truth is known."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output, number, table
+from gbspec.diagnostics import Diagnostic, UserError
+
+if TYPE_CHECKING:
+    from gbspec.analysis.validate import Validation
+
+MODEL = "urp_gb2"
+ROWS = (
+    ("solution", "solution"),
+    ("rhs", "right-hand side"),
+    ("functions", "kinetic function"),
+    ("constants", "constants"),
+)
+"""Metrics of the validation and what they are called in the table."""
+
+
+@command("demo", "gbspec demo", "gbspec demo -o /tmp/demo --seed 3")
+def run(
+    output: Output,
+    to: Annotated[str, typer.Option("--output", "-o", help="The folder to write into.", metavar="DIR")] = "demo",
+    seed: Annotated[int, typer.Option("--seed", help="Seed of data and training.", min=0)] = 0,
+) -> None:
+    """Simulate a reactor, learn its unknown kinetics and constants from the data, and show what came out."""
+    from gbspec import driver
+    from gbspec.cli.results import fitted
+    from gbspec.report.style import save
+
+    began = time.monotonic()
+    folder = Path(to)
+    data, directory, picture = folder / f"{MODEL}.csv", folder / f"{MODEL}_run", folder / f"{MODEL}.png"
+    _prepare(folder, directory)
+    published, options = _simulate(output, data, seed)
+    made, found = _learn(output, data, directory, options)
+    save(driver.figure("summary", made, driver.training_data(made, _findings())), picture)
+    seconds = time.monotonic() - began
+    errors = _errors(found)
+    output.result(f"\n{fitted(made)}\n\n{_comparison(errors, published)}\n")
+    output.result(f"picture: {picture}   run: {directory}   data: {data}   ({seconds:.0f} s)")
+    output.summary(_next(directory, data))
+    output.document(
+        {
+            "seconds": seconds,
+            "errors": errors,
+            "published": dict(published),
+            "constants": made.fit.get("constants", {}),
+            "picture": picture,
+            "run": directory,
+            "data": data,
+        }
+    )
+
+
+def _findings() -> Any:
+    from gbspec.diagnostics import Findings
+
+    return Findings()
+
+
+def _prepare(folder: Path, directory: Path) -> None:
+    """Makes the folder and clears an earlier demo's run; anything else in the way is an error (GB802, GB806)."""
+    if folder.exists() and not folder.is_dir():
+        message = f"`{folder}` is a file; the demo writes a folder"
+        raise UserError([Diagnostic("GB802", message, None, help="choose another with `-o`")])
+    folder.mkdir(parents=True, exist_ok=True)
+    if directory.exists():
+        if not (directory / "model.gb").is_file():
+            message = f"`{directory}` exists and is not an earlier demo's run"
+            raise UserError([Diagnostic("GB806", message, None, help="choose another folder with `-o`")])
+        shutil.rmtree(directory)
+
+
+def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], Any]:
+    """Writes the table; returns the published errors and the training options of the case."""
+    from dataclasses import replace
+
+    from gbspec import driver
+    from gbspec.data.cases import find_cases
+    from gbspec.data.shipped import shipped_model
+    from gbspec.data.table import write
+    from gbspec.training.options import TrainOptions
+
+    path = shipped_model(MODEL)
+    case = find_cases(path).of_model(MODEL)
+    source = driver.subject(path, {}, _findings())
+    output.say(f"{MODEL}: {case.title}")
+    with output.bar("simulating") as advance:
+        made = driver.simulate(source, replace(case.sampling, seed=seed), None, advance)
+    write(data, made, source.model)
+    output.say(f"simulated {len(made)} trajectories, {made.measurements} values at irregular times: {data}")
+    return dict(case.published), TrainOptions(max_step=case.training.max_step, seed=seed)
+
+
+def _learn(output: Output, data: Path, directory: Path, options: Any) -> tuple[Any, Validation]:
+    """Trains and validates."""
+    from gbspec import driver
+    from gbspec.cli.progress import shown
+
+    findings = _findings()
+    output.say("learning the kinetics phi(x1, x2, Da) and the constants B and beta")
+    with shown(output) as progress:
+        made = driver.train(MODEL, data, directory, options, {}, findings, progress)
+    output.say("validating against the truth")
+    return made, driver.validate(made, driver.training_data(made, findings))
+
+
+def _errors(found: Validation) -> dict[str, float | None]:
+    """The L2 errors by metric, for constants the mean relative one."""
+    truth: dict[str, Any] = found.to_json().get("truth", {})  # type: ignore[assignment]  # its keys are the contract's
+    functions = truth.get("functions", {})
+    over_all = functions.get("all") or next(iter(functions.values()), {})
+    return {
+        "solution": truth.get("solution", {}).get("L2"),
+        "rhs": truth.get("rhs", {}).get("L2"),
+        "functions": over_all.get("L2"),
+        "constants": truth.get("constants", {}).get("all"),
+    }
+
+
+def _comparison(errors: dict[str, float | None], published: dict[str, float]) -> str:
+    rows = []
+    for key, word in ROWS:
+        mine, theirs = errors.get(key), published.get(key)
+        times = f"{theirs / mine:.0f} times less" if mine and theirs and mine < theirs else "-"
+        rows.append((word, number(mine, 3), number(theirs, 3), times))
+    return table(("error against the truth", "this run", "published", ""), rows)
+
+
+def _next(directory: Path, data: Path) -> str:
+    return (
+        f"next: gbspec plot {directory} fit -o fit.png\n"
+        f'      gbspec eigen {directory} --steady --at "Da=0.35"\n'
+        f"      gbspec new my_model      # and then: gbspec train my_model.gb my_data.csv -o my_run"
+    )

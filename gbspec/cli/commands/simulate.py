@@ -1,0 +1,60 @@
+"""`gbspec simulate MODEL|RUN -o DATA`: measurements from a model's truth or from what a run learned."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
+from gbspec.data.sampling import SimulateOptions
+
+
+@command(
+    "simulate",
+    "gbspec simulate urp_gb2 -o urp.csv --sampling gamma --channels own-clock --seed 1",
+    'gbspec simulate urp_gb2 -o urp.csv --initial x1=0.2:0.9 --condition Da=0.3 --reject "x2 > 4" --noise 0.02',
+)
+def run(
+    output: Output,
+    source: Annotated[str, typer.Argument(help="A model with a truth, or a run.", metavar="MODEL|RUN")],
+    to: Annotated[str, typer.Option("--output", "-o", help="The table: .csv, .tsv or .parquet.", metavar="DATA")],
+    options: SimulateOptions,
+    like: Annotated[
+        str | None, typer.Option("--like", help="Take times, inputs and doses from this table.", metavar="TABLE")
+    ] = None,
+    set_values: Settings = None,
+    member: Annotated[
+        int | None, typer.Option("--member", help="Which member of a run; the best.", metavar="K")
+    ] = None,
+) -> None:
+    """Simulate a table of measurements, solved by an adaptive integrator to 1e-10."""
+    from gbspec import driver
+    from gbspec.data.table import read, write
+    from gbspec.diagnostics import Findings
+    from gbspec.files import writable
+
+    findings = Findings()
+    writable(to)
+    subject = driver.subject(source, settings(set_values), findings, member)
+    table = None if like is None else read(like, subject.model, findings, require_channels=False)
+    output.findings(findings)
+    with output.bar("simulating") as advance:
+        data = driver.simulate(subject, options, table, advance)
+    write(to, data, subject.model)
+    rejected = int(data.meta.get("rejected", 0)) + int(data.meta.get("failed", 0))
+    again = f" ({rejected} drawn again)" if rejected else ""
+    output.say(f"wrote {to}: {len(data)} trajectories{again}, {data.measurements} measured values")
+    output.document(
+        {
+            "path": to,
+            "model": subject.model.name,
+            "trajectories": len(data),
+            "rows": data.rows,
+            "values": data.measurements,
+            "redrawn": rejected,
+            "options": options,
+        }
+    )

@@ -1,0 +1,58 @@
+"""`gbspec train MODEL DATA -o RUN`: learns what the model leaves open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.cli.results import fitted
+from gbspec.cli.settings import Settings, settings
+from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.training.options import TrainOptions
+
+
+@command(
+    "train",
+    "gbspec train my_model.gb data.csv -o my_run",
+    "gbspec train urp_gb2 urp.csv -o urp_run --members 3 --max-step 0.1 --effort high",
+    "gbspec train urp_gb2 urp.csv -o urp_run --resume",
+)
+def run(
+    output: Output,
+    model: Annotated[str, typer.Argument(help="A model file (.gb).", metavar="MODEL")],
+    data: Annotated[str, typer.Argument(help="A table of measurements.", metavar="DATA")],
+    to: Annotated[str, typer.Option("--output", "-o", help="The run directory to make.", metavar="RUN")],
+    options: TrainOptions,
+    set_values: Settings = None,
+) -> None:
+    """Learn the unknown functions and constants of a model from a table, into a run directory."""
+    from gbspec import driver
+    from gbspec.cli.progress import shown
+
+    findings = Findings()
+    directory = target(to, resume=options.resume)
+    options.check(findings)
+    findings.raise_if_failed()
+    with shown(output) as progress:
+        made = driver.train(model, data, directory, options, settings(set_values), findings, progress)
+    output.findings(findings)
+    output.say(f"wrote {to}")
+    output.summary(fitted(made))
+    output.document(made.fit)
+
+
+def target(to: str, *, resume: bool) -> Path:
+    """The directory, if a run may be written there; raises `UserError` (GB802, GB806) otherwise."""
+    directory = Path(to)
+    if directory.exists() and not directory.is_dir():
+        message = f"`{to}` is a file; a run is a directory"
+        raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
+    if directory.is_dir() and any(directory.iterdir()) and not resume:
+        message = f"`{to}` exists already and is not empty"
+        help = "choose another name, remove it, or continue an interrupted run with `--resume`"
+        raise UserError([Diagnostic("GB806", message, None, help=help)])
+    return directory

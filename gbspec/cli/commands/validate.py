@@ -1,0 +1,47 @@
+"""`gbspec validate RUN [DATA]`: how good is what was learned."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.diagnostics import Diagnostic, UserError
+
+
+@command("validate", "gbspec validate my_run", "gbspec validate my_run test.csv --member 0 --json")
+def run(
+    output: Output,
+    directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
+    data: Annotated[
+        str | None, typer.Argument(help="A table; without it the one trained on.", metavar="[DATA]")
+    ] = None,
+    member: Annotated[str, typer.Option("--member", help="A member, or the mean of all.", metavar="K|mean")] = "mean",
+) -> None:
+    """Give the errors of a run: on data, at half the step, by an adaptive solver, and against the truth."""
+    from gbspec import driver
+    from gbspec.data.table import read
+    from gbspec.diagnostics import Findings
+
+    findings = Findings()
+    made = driver.open_run(directory)
+    chosen = which(member)
+    measured = driver.training_data(made, findings) if data is None else read(data, made.model, findings)
+    output.findings(findings)
+    if data is None and measured is not None:
+        output.say(f"on the table that it was trained on, {measured.path}")
+    found = driver.validate(made, measured, chosen)
+    output.document(found.to_json())
+    output.result(str(found))
+
+
+def which(member: str) -> int | Literal["mean"]:
+    """The member meant by `--member`. Raises `UserError` (GB814)."""
+    if member == "mean":
+        return "mean"
+    if member.isdigit():
+        return int(member)
+    help = "members count from 0; `mean` is the mean of all"
+    raise UserError([Diagnostic("GB814", f"`--member {member}` is not a member", None, help=help)])

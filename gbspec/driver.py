@@ -1,0 +1,191 @@
+"""The pipeline: from a path to a Model, from a Model to an evaluator, data, a trained run, and what it says.
+
+Every stage is imported when it is used, so that checking a model loads neither torch nor casadi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from gbspec.diagnostics import Findings, Source, UserError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gbspec.analysis.eigen import Eigen
+    from gbspec.analysis.system import System
+    from gbspec.analysis.validate import Validation
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.data.sampling import SimulateOptions
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.ir.model import Model
+    from gbspec.runs.store import Run
+    from gbspec.training import Progress
+    from gbspec.training.options import TrainOptions
+
+
+# ---------------------------------------------------------------------------------------------- text to Model
+def resolve(path: str | Path) -> Path:
+    """The path itself where it exists; else the shipped model of that name, if there is one; else the path."""
+    from gbspec.data.shipped import shipped_models
+
+    given = Path(path)
+    return given if given.exists() else shipped_models().get(str(path), given)
+
+
+def read_source(path: str | Path) -> Source:
+    """The text of a model file. Raises `UserError` (GB001 to GB003) where there is none."""
+    from gbspec.syntax.reading import read_source as read
+
+    return read(resolve(path))
+
+
+def load_model(path: str | Path, findings: Findings) -> Model:
+    """Reads, parses, checks, lowers and verifies a model.
+
+    Everything found is recorded in `findings` (warnings remain there). Raises `UserError` with all of them if one is an
+    error, `Defect` if the Model that comes out is not well formed.
+    """
+    from gbspec.ir.verify import verify
+    from gbspec.lower import lower
+    from gbspec.semantics import check
+    from gbspec.syntax.parser import parse
+
+    file = parse(read_source(path), findings)
+    checked = check(file, findings, read_source) if file is not None else None
+    findings.raise_if_failed()
+    if checked is None:
+        raise UserError(findings)
+    model = lower(checked, findings)
+    findings.raise_if_failed()
+    verify(model)
+    return model
+
+
+# ------------------------------------------------------------------------------------------- Model to numbers
+@dataclass(frozen=True)
+class Subject:
+    """What can be evaluated: a model at its truth (which stands in `model`), or a run at what it learned."""
+
+    model: Model
+    evaluator: Evaluator
+    run: Run | None = None
+
+
+def is_run(path: str | Path) -> bool:
+    """Whether a path is meant as a run directory."""
+    return Path(path).is_dir()
+
+
+def open_run(path: str | Path) -> Run:
+    """A trained run. Raises `UserError` (GB851 to GB853) where the path is none, or damaged."""
+    from gbspec.runs.store import open_run as open_directory
+
+    return open_directory(path)
+
+
+def subject(path: str | Path, values: Mapping[str, float], findings: Findings, member: int | None = None) -> Subject:
+    """A MODEL at its truth, or a RUN at what it learned, with `values` put in for constants and conditions."""
+    if is_run(path):
+        return learned(open_run(path), values, member)
+    return reference(load_model(path, findings), values)
+
+
+def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
+    """What a member of a run learned (the best one where none is named). Raises `UserError` (GB804, GB854)."""
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.passes import with_values
+
+    instance = run.member(run.best if member is None else member)
+    model = with_values(run.model, values or {})
+    if values:
+        constants = [
+            values.get(k, old) for k, old in zip(instance.constants, instance.weights["constants"], strict=True)
+        ]
+        instance = type(instance)({**instance.weights, "constants": constants}, instance.info)
+    return Subject(model, Evaluator(instance), run)
+
+
+def reference(model: Model, values: Mapping[str, float] | None = None) -> Subject:
+    """A model at its truth. Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`."""
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends.module import load_module
+    from gbspec.passes import with_truth, with_values
+
+    known = with_values(with_truth(model), values or {})
+    return Subject(known, Evaluator(load_module(known)()))
+
+
+# ------------------------------------------------------------------------------------- what the commands are made of
+def simulate(
+    source: Subject,
+    options: SimulateOptions,
+    like: Trajectories | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectories:
+    """Simulated measurements of a subject."""
+    from gbspec.analysis.simulate import simulate as run
+
+    return run(source.evaluator, source.model, options, like, progress)
+
+
+def train(
+    path: str | Path,
+    data: str | Path,
+    directory: Path,
+    options: TrainOptions,
+    values: Mapping[str, float],
+    findings: Findings,
+    progress: Progress | None = None,
+) -> Run:
+    """Trains a model on a table, into a run directory."""
+    from gbspec.data.table import read
+    from gbspec.passes import with_values
+    from gbspec.training import train as run
+
+    model = with_values(load_model(path, findings), values)
+    return run(model, read(data, model, findings), options, directory, progress)
+
+
+def eigen(
+    source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
+) -> Eigen:
+    """Eigenvalues of a subject; of a run beside those of its model's truth, where it has one."""
+    from gbspec.analysis.eigen import eigen as run
+
+    truth = None
+    if source.run is not None and source.model.has_truth:
+        truth = system(reference(source.model))
+    return run(system(source), truth=truth, at=at, along=along, steady=steady)
+
+
+def training_data(run: Run, findings: Findings) -> Trajectories | None:
+    """The table that a run was trained on, None where it is no longer where it was."""
+    from gbspec.data.table import read
+
+    path = run.fit.get("data", {}).get("path")
+    return read(path, run.model, findings) if path and Path(path).is_file() else None
+
+
+def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] = "mean") -> Validation:
+    """Errors of a run on data, at half its step, by an adaptive solver, and against the truth."""
+    from gbspec.analysis.validate import validate as check
+
+    return check(run, data, member=member)
+
+
+def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
+    """A figure of a run: one of `gbspec.report.KINDS`."""
+    from gbspec.report.figures import draw
+
+    return draw(kind, run, data, show)
+
+
+def system(source: Subject) -> System:
+    """A subject as a dynamical system to analyse."""
+    from gbspec.analysis.system import system_of
+
+    return system_of(source.evaluator, source.model)

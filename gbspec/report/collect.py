@@ -1,0 +1,224 @@
+"""From a run and its data to what the figures show: solutions of every member, the truth's, values of the unknowns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gbspec.analysis.estimate import Estimator
+from gbspec.analysis.metrics import spread
+from gbspec.analysis.predict import Start, input_values, learned_positions, learned_start, predict
+from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.ir.model import Model
+from gbspec.passes import with_truth
+from gbspec.report.content import (
+    ChannelFit,
+    History,
+    LearnedConstant,
+    Orbit,
+    Residuals,
+    TrajectoryFit,
+)
+from gbspec.runs.store import Run
+
+DENSE = 240
+"""Points of a curve over one trajectory."""
+
+
+class Fitted:
+    """A run over a data set: every member's evaluator and where each trajectory starts under it."""
+
+    def __init__(self, run: Run, data: Trajectories) -> None:
+        self.run, self.data, self.model = run, data, run.model
+        self.evaluators = [Evaluator(member) for member in run.members]
+        self.spreads = self._spreads()
+        self.truth = self._truth()
+        self._starts: dict[tuple[int, int], Start] = {}
+
+    def _spreads(self) -> Array:
+        """The standard deviation [C] of each channel over all measurements; 1 where it does not vary."""
+        everything = np.concatenate([item.values for item in self.data.items])
+        found = [spread(column[np.isfinite(column)]) for column in everything.T]
+        return np.array([s if s > 0 and math.isfinite(s) else 1.0 for s in found])
+
+    def _truth(self) -> Evaluator | None:
+        """The evaluator of the model's truth, None where an unknown or a learnable has none."""
+        model = self.model
+        known = {t.name for t in model.truth_constants}
+        if not model.has_truth or not (model.unknowns or known) or any(k.name not in known for k in model.learnables):
+            return None
+        return Evaluator(load_module(with_truth(model))())
+
+    def start(self, member: int, index: int) -> Start:
+        """Where trajectory `index` starts under a member: as learned, as known, or estimated from its own data."""
+        if (member, index) not in self._starts:
+            evaluator, item = self.evaluators[member], self.data.items[index]
+            position = learned_positions(evaluator.instance, self.data, self.run.fit.get("data", {}))[index]
+            if position is not None:
+                found = learned_start(evaluator, position, item)
+            else:
+                found = Estimator(evaluator, self.model, self.spreads).start(item)
+            self._starts[member, index] = found
+        return self._starts[member, index]
+
+    def solutions(self, index: int, times: Array) -> tuple[Array, Array]:
+        """States [M, T, n] and channels [M, T, C] of every member over one trajectory; NaN where one fails."""
+        item = at_times(self.data.items[index], times)
+        found = [predict(e, self.model, item, self.start(m, index)) for m, e in enumerate(self.evaluators)]
+        return np.stack([one.states for one in found]), np.stack([one.channels for one in found])
+
+    def true_solution(self, index: int, times: Array) -> tuple[Array, Array] | None:
+        """States and channels of the truth from the same (mean) start; None where there is no truth."""
+        if self.truth is None:
+            return None
+        starts = [self.start(m, index).state for m in range(len(self.evaluators))]
+        start = Start(np.mean(starts, axis=0), self.truth.constants, "known")
+        found = predict(self.truth, self.model, at_times(self.data.items[index], times), start)
+        return found.states, found.channels
+
+
+def at_times(item: Trajectory, times: Array) -> Trajectory:
+    """The trajectory with other rows: its conditions, inputs and doses at `times` [T], nothing measured."""
+    shape = (len(times), item.values.shape[1])
+    nothing = np.full(shape, np.nan)
+    return replace(item, times=times, values=nothing, counts=np.zeros(shape), sd=nothing)
+
+
+def dense_times(item: Trajectory) -> Array:
+    """Times of a curve over a trajectory."""
+    return np.linspace(item.start, item.end, DENSE) if item.end > item.start else np.array([item.start])
+
+
+def trajectory_fits(fitted: Fitted, indices: Sequence[int]) -> tuple[TrajectoryFit, ...]:
+    """Measurements and curves of these trajectories."""
+    return tuple(_trajectory_fit(fitted, index) for index in indices)
+
+
+def _trajectory_fit(fitted: Fitted, index: int) -> TrajectoryFit:
+    item = fitted.data.items[index]
+    grid = dense_times(item)
+    _, channels = fitted.solutions(index, grid)
+    true = fitted.true_solution(index, grid)
+    shown = []
+    for j, channel in enumerate(fitted.model.channels):
+        measured = np.isfinite(item.values[:, j])
+        reference = None if true is None else true[1][:, j]
+        values = item.values[measured, j]
+        curve = ChannelFit(channel.name, item.times[measured], values, grid, channels[:, :, j], reference)
+        shown.append(replace(curve, unit=channel.unit or ""))
+    return TrajectoryFit(item.label, condition_text(fitted.model, item), tuple(shown))
+
+
+def condition_text(model: Model, item: Trajectory) -> str:
+    """The conditions of a trajectory in words."""
+    return ", ".join(f"{c.name} = {value:.3g}" for c, value in zip(model.conditions, item.condition, strict=True))
+
+
+def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
+    """Measured minus fitted (mean of the members), over each channel's standard deviation, at every measurement."""
+    rows = []
+    for index, item in enumerate(fitted.data.items):
+        _, channels = fitted.solutions(index, item.times)
+        rows.append((item.times, item.values, channels.mean(axis=0)))
+    found = []
+    for j, channel in enumerate(fitted.model.channels):
+        times = np.concatenate([t for t, _, _ in rows])
+        measured = np.concatenate([v[:, j] for _, v, _ in rows])
+        predicted = np.concatenate([c[:, j] for _, _, c in rows])
+        seen = np.isfinite(measured) & np.isfinite(predicted)
+        residual = (measured - predicted)[seen] / fitted.spreads[j]
+        found.append(Residuals(channel.name, times[seen], predicted[seen], residual))
+    return tuple(found)
+
+
+def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tuple[Orbit, ...]:
+    """Trajectories in the plane of two states; measured are the rows in which both are channels of their own."""
+    columns = [_channel_of(fitted.model, state) for state in plane]
+    found = []
+    for index in indices:
+        item = fitted.data.items[index]
+        grid = dense_times(item)
+        states, _ = fitted.solutions(index, grid)
+        true = fitted.true_solution(index, grid)
+        seen = np.zeros((0, 2))
+        if None not in columns:
+            both = item.values[:, [c for c in columns if c is not None]]
+            seen = both[np.isfinite(both).all(axis=1)]
+        path = states.mean(axis=0)[:, list(plane)]
+        found.append(Orbit(item.label, path, None if true is None else true[0][:, list(plane)], seen))
+    return tuple(found)
+
+
+def _channel_of(model: Model, state: int) -> int | None:
+    return next((j for j, channel in enumerate(model.channels) if channel.state == state), None)
+
+
+def constants(run: Run) -> tuple[LearnedConstant, ...]:
+    """The learned constants of `fit.json` beside their truths."""
+    truths = {t.name: t.value for t in run.model.truth_constants}
+    starts = {k.name: k.start for k in run.model.learnables}
+    found = []
+    for name, entry in run.fit.get("constants", {}).items():
+        if not isinstance(entry.get("value"), int | float):  # a constant of each trajectory has no single value
+            continue
+        ends = entry.get("interval")
+        interval = (float(ends[0]), float(ends[1])) if ends and None not in ends else None
+        members = tuple(float(value) for value in entry.get("per_member") or ())
+        start = entry.get("start", starts.get(name))
+        found.append(LearnedConstant(name, float(entry["value"]), interval, members, start, truths.get(name)))
+    return tuple(found)
+
+
+def history(run: Run) -> tuple[History, ...]:
+    """The history of every member, stages in their order, time counted on."""
+    names = [k.name for k in run.model.learnables if not k.per_trajectory]
+    by_member: dict[int, list[dict[str, str]]] = {}
+    for row in run.history():
+        by_member.setdefault(int(row["member"]), []).append(row)
+    return tuple(
+        History(
+            member,
+            tuple(row["stage"] for row in rows),
+            np.array([float(row["seconds"]) for row in rows]),
+            np.array([_positive(row["loss"]) for row in rows]),
+            {name: np.array([float(row[name]) for row in rows]) for name in names if name in rows[0]},
+        )
+        for member, rows in sorted(by_member.items())
+    )
+
+
+def _positive(text: str) -> float:
+    """A loss on a logarithmic axis: NaN (a gap) where it is not above zero."""
+    value = float(text) if text else math.nan
+    return value if value > 0 else math.nan
+
+
+def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
+    """The arguments [P, A] with which the model calls a network along its solutions at the measured rows."""
+    evaluator = fitted.evaluators[0]
+    member: Any = evaluator.instance
+    calls: list[Array] = []
+    plain = member.numpy_networks()
+
+    def recorded(*arguments: Any) -> Any:
+        calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
+        return plain[network](*arguments)
+
+    networks = tuple(recorded if i == network else one for i, one in enumerate(plain))
+    for index, item in enumerate(fitted.data.items):
+        states, _ = fitted.solutions(index, item.times)
+        rows = np.isfinite(states[0]).all(axis=1)
+        x, t = states[0][rows], item.times[rows]
+        condition = np.broadcast_to(item.condition, (len(x), len(item.condition)))
+        inputs = input_values(fitted.model, item, item.times)[rows]
+        own = tuple(np.float64(value) for value in fitted.start(0, index).constants)
+        for method in (member._rhs, member._observe):
+            method(member.arithmetic("numpy"), t, x, condition, inputs, own, networks)
+    found = np.concatenate(calls) if calls else np.zeros((0, len(fitted.model.networks[network].arguments)))
+    return found[:: max(1, len(found) // limit)]

@@ -1,0 +1,118 @@
+"""The learned functions over what the data visit: along each argument, over planes, beside the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import Channel, Condition, Model, State
+from gbspec.passes import with_truth
+from gbspec.report.collect import Fitted, visited
+from gbspec.report.content import LearnedFunction, Plane, Slice
+
+CURVE, GRID = 160, 60
+EDGE = 0.02
+"""The share of visited points left out at either end of an argument's range: a few outliers do not set the axis."""
+
+
+def learned_functions(fitted: Fitted) -> tuple[LearnedFunction, ...]:
+    """Every unknown of the model, in order."""
+    found = []
+    for unknown in fitted.model.unknowns:
+        arguments = fitted.model.networks[unknown.network].arguments
+        points = visited(fitted, unknown.network)
+        truth = _Truth.of(fitted.model, unknown.name) if fitted.truth is not None else None
+        found.append(_Drawn(fitted, unknown.name, tuple(a.name for a in arguments), points, truth).function())
+    return tuple(found)
+
+
+class _Truth:
+    """A truth function at given arguments, by the same printer as everything else.
+
+    It is evaluated as the channel of a model that has the arguments as conditions.
+    """
+
+    def __init__(self, model: Model, name: str) -> None:
+        truth = next(t for t in model.truth_functions if t.name == name)
+        clock = State("gbspec_clock")
+        stand_in = replace(
+            with_truth(model),
+            states=(clock,),
+            balances=(clock.symbol * 0,),
+            conditions=tuple(Condition(parameter) for parameter in truth.parameters),
+            inputs=(),
+            intermediates=(),
+            processes=(),
+            channels=(Channel("value", value=truth.value),),
+            doses=(),
+            claims=(),
+            constants=tuple(c for c in with_truth(model).constants if c.name not in truth.parameters),
+        )
+        self.evaluator = Evaluator(load_module(stand_in)())
+
+    @classmethod
+    def of(cls, model: Model, name: str) -> _Truth | None:
+        """The truth of an unknown, None where there is none."""
+        return cls(model, name) if any(t.name == name for t in model.truth_functions) else None
+
+    def __call__(self, arguments: Array) -> Array:
+        """Values [P] at arguments [P, A]."""
+        return self.evaluator.observe_many(0.0, np.zeros((len(arguments), 1)), arguments)[:, 0]
+
+
+class _Drawn:
+    """One unknown over the points [P, A] that were visited."""
+
+    def __init__(
+        self, fitted: Fitted, name: str, arguments: tuple[str, ...], points: Array, truth: _Truth | None
+    ) -> None:
+        self.fitted, self.name, self.arguments, self.points, self.truth = fitted, name, arguments, points, truth
+        self.low = np.quantile(points, EDGE, axis=0)
+        self.high = np.quantile(points, 1 - EDGE, axis=0)
+        self.middle = np.median(points, axis=0)
+
+    def function(self) -> LearnedFunction:
+        """Slices, plane and values at the points."""
+        varying = [i for i in range(len(self.arguments)) if self.high[i] > self.low[i]]
+        return LearnedFunction(
+            self.name,
+            self.arguments,
+            self.points,
+            self.members(self.points),
+            self.true(self.points),
+            tuple(self.slice(i) for i in varying),
+            self.plane(varying[0], varying[1]) if len(varying) > 1 else None,
+        )
+
+    def members(self, points: Array) -> Array:
+        """Values [M, P] of every member."""
+        return np.stack([e.functions_many(self.name, points) for e in self.fitted.evaluators])
+
+    def true(self, points: Array) -> Array | None:
+        """Values [P] of the truth."""
+        return None if self.truth is None else self.truth(points)
+
+    def slice(self, i: int) -> Slice:
+        """The function along argument `i`, the others at their medians."""
+        x = np.linspace(self.low[i], self.high[i], CURVE)
+        points = np.tile(self.middle, (CURVE, 1))
+        points[:, i] = x
+        return Slice(self.arguments[i], x, self.members(points), self.true(points), self._label({i}))
+
+    def plane(self, i: int, j: int) -> Plane:
+        """The function over the plane of two arguments, the others at their medians."""
+        x, y = np.linspace(self.low[i], self.high[i], GRID), np.linspace(self.low[j], self.high[j], GRID)
+        points = np.tile(self.middle, (GRID * GRID, 1))
+        points[:, i], points[:, j] = (axis.ravel() for axis in np.meshgrid(x, y))
+        true = self.true(points)
+        learned = self.members(points).mean(axis=0).reshape(GRID, GRID)
+        reference = None if true is None else true.reshape(GRID, GRID)
+        return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}))
+
+    def _label(self, varied: set[int]) -> str:
+        fixed = [i for i in range(len(self.arguments)) if i not in varied]
+        return ", ".join(f"{self.arguments[i]} = {self.middle[i]:.3g}" for i in fixed)
