@@ -78,7 +78,7 @@ def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Mer
             case ast.ObserveStatement(target=ast.Name() as target, value=None):
                 _measurable(target, table, findings, merged)
             case ast.ObserveStatement(target=ast.Index() as target) | ast.ClosureStatement(target=target):
-                _array(target, findings)
+                _element(target, table, findings, merged)
             case ast.StateStatement(declarator=declarator) if declarator.first is not None:
                 _array(declarator, findings)
             case _:
@@ -94,11 +94,19 @@ def _array(node: ast.Node, findings: Findings) -> None:
     )
 
 
+def _element(target: ast.Index, table: Table, findings: Findings, merged: Merged) -> None:
+    """An element must be of a declared array; that these are not supported yet is told where one is declared."""
+    declaration = table.get(target.array.text)
+    statement = declaration.statement if declaration is not None else None
+    if not (isinstance(statement, ast.StateStatement) and statement.declarator.first is not None):
+        _state(target.array, table, findings, "GB303", "only an array of states has elements", merged)
+
+
 def _state(
     target: ast.Name | ast.Index, table: Table, findings: Findings, code: str, rule: str, merged: Merged
 ) -> None:
     if isinstance(target, ast.Index):
-        _array(target, findings)
+        _element(target, table, findings, merged)
         return
     name = target_name(target)
     declaration = table.get(name.text)
@@ -179,7 +187,7 @@ def coverage(
                 help=f"say how it changes: `{declaration.name}' = …`",
                 subject=declaration.name,
             )
-    _empty_nets(sites, takers, findings)
+    _empty_nets(sites, takers, findings, merged)
 
 
 def _has_net(state: str, site: Site, graph: Graph) -> bool:
@@ -203,10 +211,10 @@ def _net_omitted(
     )
 
 
-def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], findings: Findings) -> None:
+def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], findings: Findings, merged: Merged) -> None:
     for site in sites:
         for state, span in site.references.nets.items():
-            if state not in takers:
+            if state not in takers and merged.lacks(state):
                 findings.warning(
                     "GB314",
                     f"`net({state})` is zero, for no process consumes or produces `{state}`",

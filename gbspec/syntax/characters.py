@@ -144,7 +144,8 @@ def _unusual(chunk: Chunk, character: str, places: list[int]) -> Diagnostic:
         message = f"`{character}` ({_described(character)}) is written `{plain}` here"
         return Diagnostic("GB005", message, spans[0], labels=again, help=f"write `{plain}`")
     if unicodedata.category(character) in ("Cc", "Cf", "Zl", "Zp", "Co", "Cn", "Cs"):
-        message = f"an invisible character (U+{ord(character):04X}, {_described(character)}) stands here"
+        name = unicodedata.name(character, "a control character").lower()
+        message = f"an invisible character (U+{ord(character):04X}, {name}) stands here"
         return Diagnostic("GB004", message, spans[0], labels=again, help="delete it; it often comes with pasted text")
     plain = unicodedata.normalize("NFKC", character)
     if unicodedata.decomposition(character).startswith("<super>"):

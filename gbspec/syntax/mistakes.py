@@ -271,7 +271,7 @@ def _meant_statements(word: str) -> tuple[str, ...]:
 def _say(mistake: Mistake, slip: Slip) -> Diagnostic:
     fields = _fields(slip)
     labels: tuple[Label, ...] = ()
-    if slip.opener is not None and (mistake.open or slip.at_end):
+    if slip.opener is not None and (mistake.code == "GB105" or slip.at_end):
         labels = (Label(slip.span(slip.opener, slip.opener + 1), "opened here"),)
     return Diagnostic(
         mistake.code,
