@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 RTOL = 1e-8
+"""Relative tolerance of the truth's solutions, from given starts."""
+DRAWN = 1e-6
+"""Relative tolerance of the solutions that lead to a test point: where exactly it lies does not matter."""
 ATTEMPTS = 200
 CHECKS = 32
 """At how many times of a trajectory regions to reject are looked for."""
@@ -105,7 +108,7 @@ class Sampler:
         times[-1] = time
         x0 = self.evaluator.initial(drawn.x0, drawn.condition)
         states = self.evaluator.integrate(
-            x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=RTOL, atol=RTOL
+            x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=DRAWN, atol=DRAWN
         )
         inputs = self.inputs_at(drawn.inputs, times)
         path = np.vstack([x0, states]), np.append(drawn.start, times), np.vstack([inputs[:1], inputs])

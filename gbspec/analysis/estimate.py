@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 PULL = 1e-3
 """Weight of the pull towards the first guess, in units of the states' spread."""
+TOLERANCE = 1e-6
+"""Relative tolerance of the solutions while a start is sought."""
 TRIALS = 8
 """Starts that are tried before the best one is polished."""
 
@@ -93,7 +95,7 @@ class Estimator:
             return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
 
         def residuals(z: Array) -> Array:
-            found: Prediction = predict(self.evaluator, self.model, item, moved(z))
+            found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)
             if found.failure:
                 return worst
             error = ((found.channels - measured) * weights)[weights > 0]
@@ -104,7 +106,7 @@ class Estimator:
         best = trials[int(np.argmin(costs))]
         if min(costs) >= float(np.sum(worst**2)):
             return Start(state, constants, "failed", "no start was found from which it can be integrated")
-        solution = least_squares(residuals, best, diff_step=1e-4, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=30)
+        solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
         return moved(np.asarray(solution.x, dtype=float))
 
     @staticmethod

@@ -1,0 +1,378 @@
+"""Bifurcation diagrams over one parameter: all branches of steady states found, and the limit cycles that they lead to.
+
+Steady states are sought from many starts at several values of the parameter; each that lies on no branch found so far
+starts another, and every branch point sends its other branches out. Cycles start at Hopf points and, where nothing
+found so far is stable, from what the flow settles to. Truth and fitted runs go through the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.continuation import Branch, Followed, SpecialPoint, SteadyCurve
+from gbspec.analysis.curve import CurvePoint, Steps
+from gbspec.analysis.cycles import Cycle, CycleBranch, CycleCurve, CycleOptions
+from gbspec.analysis.family import Family
+from gbspec.analysis.hopf import analyse_hopf
+from gbspec.analysis.settle import settle
+from gbspec.analysis.steady import steady_states
+from gbspec.analysis.system import System
+from gbspec.diagnostics import Findings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BifurcationOptions:
+    """How a diagram is made: where steady states are sought, and how branches and cycles are followed."""
+
+    values: int = 9
+    """At how many values of the parameter, ends included, steady states are sought."""
+    starts: int = 64
+    cycles: bool = True
+    most_branches: int = 40
+    steps: Steps = field(default_factory=Steps)
+    cycle: CycleOptions = field(default_factory=CycleOptions)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """A bifurcation diagram of `states` over `parameter` in `low`..`high`.
+
+    `outside` is the part of the range that lies outside of the parameter's plausible or trained range (None: nothing
+    is known of it, or all lies within).
+    """
+
+    name: str
+    parameter: str
+    low: float
+    high: float
+    states: tuple[str, ...]
+    branches: tuple[Branch, ...]
+    special: tuple[SpecialPoint, ...]
+    cycles: tuple[CycleBranch, ...]
+    trained: tuple[float, float] | None = None
+
+    def of_kind(self, *kinds: str) -> tuple[SpecialPoint, ...]:
+        """The special points of some kinds, by the parameter."""
+        return tuple(point for point in self.special if point.kind in kinds)
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `bifurcate --json`."""
+        return {
+            "parameter": self.parameter,
+            "range": [self.low, self.high],
+            "branches": [self._branch(branch) for branch in self.branches],
+            "special": [self._special(point) for point in self.special],
+            "cycles": [self._cycle(cycle, i) for i, branch in enumerate(self.cycles) for cycle in branch.cycles],
+            "states": list(self.states),
+            "trained": list(self.trained) if self.trained else None,
+            "cycle_branches": [
+                {"start": branch.start, "end": branch.end, "cycles": len(branch.cycles)} for branch in self.cycles
+            ],
+        }
+
+    def _named(self, state: Array) -> dict[str, float]:
+        return dict(zip(self.states, map(float, state), strict=True))
+
+    def _branch(self, branch: Branch) -> dict[str, object]:
+        points = [
+            {
+                "value": point.value,
+                "state": self._named(point.state),
+                "stable": point.stable,
+                "eigenvalues": [[float(one.real), float(one.imag)] for one in point.eigenvalues],
+            }
+            for point in branch.points
+        ]
+        return {"points": points, "ends": list(branch.ends)}
+
+    def _special(self, point: SpecialPoint) -> dict[str, object]:
+        return {
+            "type": point.kind,
+            "value": point.value,
+            "state": self._named(point.state),
+            "criticality": point.criticality,
+            "period": point.period,
+            "interval": None if point.interval is None else list(point.interval),
+            "frequency": point.frequency,
+            "l1": point.l1,
+            "branch": point.branch,
+        }
+
+    def _cycle(self, cycle: Cycle, branch: int) -> dict[str, object]:
+        return {
+            "value": cycle.value,
+            "period": cycle.period,
+            "max": self._named(cycle.maximum),
+            "min": self._named(cycle.minimum),
+            "stable": cycle.stable,
+            "multipliers": [[float(one.real), float(one.imag)] for one in cycle.multipliers],
+            "branch": branch,
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{self.name} over {self.parameter} from {self.low:.6g} to {self.high:.6g}"]
+        for i, branch in enumerate(self.branches):
+            stable = sum(point.stable for point in branch.points)
+            lines.append(
+                f"  branch {i}: {len(branch.points)} steady states, {stable} stable; ends: {', '.join(branch.ends)}"
+            )
+        lines += [f"  {_describe(point, self.parameter, self.states)}" for point in self.special]
+        for family in self.cycles:
+            if family.cycles:
+                values = [cycle.value for cycle in family.cycles]
+                periods = [cycle.period for cycle in family.cycles]
+                stable = sum(cycle.stable for cycle in family.cycles)
+                lines.append(
+                    f"  cycles from {family.start}: {len(values)}, {stable} stable, {self.parameter} "
+                    f"{min(values):.6g} to {max(values):.6g}, period {min(periods):.6g} to {max(periods):.6g}; "
+                    f"end: {family.end}"
+                )
+        return "\n".join(lines)
+
+
+NAMES = {
+    "fold": "fold",
+    "hopf": "Hopf point",
+    "branch": "branch point",
+    "cycle_fold": "fold of cycles",
+    "period_doubling": "period doubling",
+    "torus": "torus bifurcation",
+}
+
+
+def _describe(point: SpecialPoint, parameter: str, states: Sequence[str]) -> str:
+    text = f"{NAMES[point.kind]} at {parameter} = {point.value:.10g}"
+    if point.interval is not None:
+        text += f" [{point.interval[0]:.6g}, {point.interval[1]:.6g}]"
+    if point.criticality is not None:
+        text += f", {point.criticality}critical (l1 = {point.l1:.4g})"
+    if point.period is not None:
+        text += f", period {point.period:.8g}"
+    return text + ": " + ", ".join(f"{name} = {value:.6g}" for name, value in zip(states, point.state, strict=True))
+
+
+def bifurcate(
+    system: System,
+    over: str,
+    low: float,
+    high: float,
+    options: BifurcationOptions | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Diagram:
+    """The bifurcation diagram over `low` <= `over` <= `high`, everything else at the system's values.
+
+    Raises UserError where there is no such parameter (GB872), where the system depends on time (GB873) or lacks a
+    number (GB871), and where the range is none (GB875).
+    """
+    options = options or BifurcationOptions()
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        findings = Findings()
+        findings.error(
+            "GB875",
+            f"`{over}` cannot be varied from {low:.6g} to {high:.6g}",
+            None,
+            help="give two numbers, the lower one first: `--range 0.2 0.5`",
+        )
+        findings.raise_if_failed()
+    family = Family(system, over)
+    explorer = _Explorer(SteadyCurve(family, low, high, options.steps), options, progress or (lambda text: None))
+    explorer.steady()
+    if options.cycles:
+        explorer.cycles_from_hopf()
+        explorer.cycles_from_flow()
+    bounds = system.range(over)
+    return Diagram(
+        name=system.name,
+        parameter=over,
+        low=low,
+        high=high,
+        states=system.states,
+        branches=tuple(explorer.branches),
+        special=tuple(sorted(explorer.special, key=lambda point: (point.value, point.kind))),
+        cycles=tuple(explorer.cycles),
+        trained=bounds if np.isfinite(bounds).all() else None,
+    )
+
+
+class _Explorer:
+    """Finds branch after branch."""
+
+    def __init__(self, curve: SteadyCurve, options: BifurcationOptions, progress: Callable[[str], None]) -> None:
+        self.curve, self.options, self.progress = curve, options, progress
+        self.followed: list[list[CurvePoint]] = []
+        self.branches: list[Branch] = []
+        self.special: list[SpecialPoint] = []
+        self.cycles: list[CycleBranch] = []
+        self.values = np.linspace(curve.low, curve.high, options.values)
+
+    # ------------------------------------------------------------------ steady states
+    def steady(self) -> None:
+        """All branches of steady states that the starts lead to."""
+        family = self.curve.family
+        # Inner values first: a branch that crosses the range is then followed once, in both directions.
+        order = sorted(self.values, key=lambda value: abs(value - (self.curve.low + self.curve.high) / 2.0))
+        for value in order:
+            seeds = np.array([points[len(points) // 2].y[:-1] * self.curve.scale[:-1] for points in self.followed])
+            found = steady_states(
+                family.at(float(value)), starts=self.options.starts, seed=self.options.seed, extra=seeds
+            )
+            for one in found:
+                self._explore(one.state, float(value))
+            self.progress(f"steady states at {family.name} = {value:.6g}: {len(found)}")
+
+    def _explore(self, state: Array, value: float) -> None:
+        """Follows the branch through a steady state in both directions, unless it is known."""
+        start = self.curve.start(state, value, forward=True)
+        if start is None or self.curve.on_branch(start.y, self.followed):
+            return
+        forward = self.curve.follow(start)
+        if forward.end == "closed":
+            self._add(Followed([start]), forward)
+            return
+        back = CurvePoint(start.y, -start.tangent, start.derivative)
+        self._add(self.curve.follow(back), forward)
+
+    def _add(self, backward: Followed, forward: Followed) -> None:
+        """Keeps a branch, its special points, and what leaves its branch points."""
+        if len(self.branches) >= self.options.most_branches:
+            return
+        points = backward.points[:0:-1] + forward.points
+        self.followed.append(points)
+        number = len(self.branches)
+        ends = backward.end or forward.end, forward.end
+        self.branches.append(Branch(tuple(self.curve.steady_point(point.y) for point in points), ends))
+        found = backward.special + forward.special
+        crossings = [point for kind, point in found if kind == "branch"]
+        for kind, point in found:
+            # The side branch of a pitchfork turns where it crosses: that is its branch point, not a fold.
+            if kind == "fold" and any(np.max(np.abs(point.y - other.y)) < 1e-5 for other in crossings):
+                continue
+            self._mark(kind, point, number)
+        for point in crossings:
+            for tangent in self.curve.crossing_tangents(point):
+                for direction in (tangent, -tangent):
+                    self._leave(point, direction)
+
+    def _leave(self, at: CurvePoint, tangent: Array) -> None:
+        """Follows a branch out of a branch point, unless it is known or leaves what is admissible at once."""
+        point = self.curve.switch(at, tangent)
+        if point is None or self.curve.on_branch(point.y, self.followed):
+            return
+        state, value = self.curve.unscaled(point.y)
+        if self.curve.low <= value <= self.curve.high and self.curve.family.system.admissible(state):
+            followed = self.curve.follow(point)
+            self._add(Followed([point], end="branch point"), followed)
+
+    def _mark(self, kind: str, point: CurvePoint, branch: int) -> None:
+        """Keeps a special point once; of a Hopf point with its criticality."""
+        state, value = self.curve.unscaled(point.y)
+        if not self.curve.family.system.admissible(state):
+            return
+        scaled = [(other.kind, self.curve.scaled(other.state, other.value)) for other in self.special]
+        if any(other == kind and np.max(np.abs(y - point.y)) < 1e-5 for other, y in scaled):
+            return
+        if kind == "hopf":
+            hopf = analyse_hopf(self.curve.family, state, value)
+            special = SpecialPoint("hopf", value, state, branch, hopf.frequency, hopf.l1, hopf.criticality, hopf.period)
+        else:
+            special = SpecialPoint("fold" if kind == "fold" else "branch", value, state, branch)
+        self.special.append(special)
+
+    # ------------------------------------------------------------------ cycles
+    def cycles_from_hopf(self) -> None:
+        """The cycles born at each Hopf point, unless another's branch of cycles ends there."""
+        curve = CycleCurve(self.curve.family, self.curve.low, self.curve.high, self.options.cycle)
+        for point in [one for one in self.special if one.kind == "hopf"]:
+            if self._ends_at(point):
+                continue
+            hopf = analyse_hopf(self.curve.family, point.state, point.value)
+            branch = curve.from_hopf(point.state, point.value, hopf)
+            self._keep(branch)
+            self.progress(f"cycles from the Hopf point at {point.value:.6g}: {len(branch.cycles)} ({branch.end})")
+
+    def _ends_at(self, point: SpecialPoint) -> bool:
+        """Whether a branch of cycles found so far ends at this Hopf point."""
+        scale = self.curve.scale
+        for branch in self.cycles:
+            if branch.end != "hopf":
+                continue
+            last = branch.cycles[-1]
+            apart = np.abs((last.maximum + last.minimum) / 2.0 - point.state) / scale[:-1]
+            size = float(np.max((last.maximum - last.minimum) / scale[:-1]))
+            if abs(last.value - point.value) / scale[-1] < 0.02 and np.max(apart) < max(0.01, size):
+                return True
+        return False
+
+    def cycles_from_flow(self) -> None:
+        """Cycles at values of the parameter where nothing found is stable, from what the flow settles to."""
+        curve = CycleCurve(self.curve.family, self.curve.low, self.curve.high, self.options.cycle)
+        for value in self.values[1:-1]:
+            if self._something_stable(float(value)):
+                continue
+            orbit = settle(self.curve.family, float(value), self._start(float(value)))
+            place = None if orbit is None else curve.at(orbit.period, orbit.states, float(value))
+            if place is None:
+                continue
+            ahead, behind = curve.from_cycle(place)
+            self._keep(replace(ahead, cycles=behind.cycles[:0:-1] + ahead.cycles, found=behind.found + ahead.found,
+                               end=f"{behind.end}; {ahead.end}"))  # fmt: skip
+            self.progress(f"cycles from the flow at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
+
+    def _something_stable(self, value: float) -> bool:
+        """Whether a stable steady state or cycle is known on both sides of a value, close to it."""
+        near = 0.6 * (self.values[1] - self.values[0])
+        for branch in self.branches:
+            for a, b in zip(branch.points[:-1], branch.points[1:], strict=True):
+                if min(a.value, b.value) <= value <= max(a.value, b.value) and (a.stable or b.stable):
+                    return True
+        for cycles in self.cycles:
+            stable = np.array([cycle.value for cycle in cycles.cycles if cycle.stable])
+            if stable.size and np.min(np.abs(stable - value)) < near:
+                below, above = stable[stable <= value], stable[stable >= value]
+                if below.size and above.size:
+                    return True
+        return False
+
+    def _start(self, value: float) -> Array:
+        """A point from which to follow the flow: off an unstable steady state, else the middle of the box."""
+        low, high = self.curve.family.system.start_box
+        for branch in self.branches:
+            values = branch.values
+            i = int(np.argmin(np.abs(values - value)))
+            if abs(values[i] - value) < 0.05 * self.curve.scale[-1]:
+                return np.asarray(np.clip(branch.states[i] + 0.02 * (high - low), low, high))
+        return np.asarray((low + high) / 2.0)
+
+    def _keep(self, branch: CycleBranch) -> None:
+        """Keeps a branch of cycles and what was passed on it."""
+        number = len(self.cycles)
+        self.cycles.append(branch)
+        for kind, cycle in branch.found:
+            self.special.append(SpecialPoint(kind, cycle.value, cycle.states[0], number, period=cycle.period))
+
+
+# ---------------------------------------------------------------------- ensembles
+def with_intervals(diagrams: Sequence[Diagram]) -> Diagram:
+    """The first diagram with an interval on each fold and Hopf point: the range of the closest ones of all members.
+
+    A point that not every other member has keeps None: the members disagree on whether it is there.
+    """
+    first, others = diagrams[0], diagrams[1:]
+    special = []
+    for point in first.special:
+        values = [point.value]
+        order = sorted(one.value for one in first.special if one.kind == point.kind)
+        for other in others:
+            same = sorted(one.value for one in other.special if one.kind == point.kind)
+            if len(same) == len(order):
+                values.append(same[order.index(point.value)])
+        complete = bool(others) and len(values) == len(diagrams)
+        special.append(replace(point, interval=(min(values), max(values)) if complete else None))
+    return replace(first, special=tuple(special))
