@@ -1,0 +1,168 @@
+"""Opening a run directory: its model, its members' weights, what was found, and predictions of all members."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.ir.model import Model
+from gbspec.runs import files
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory. `fit` is the content of `fit.json`; `numbers` are the members that have weights."""
+
+    path: Path
+    model: Model
+    fit: dict[str, Any]
+    numbers: tuple[int, ...]
+
+    @cached_property
+    def module(self) -> type[Any]:
+        """The class of the generated module."""
+        return load_module(self.model)
+
+    @cached_property
+    def _loaded(self) -> dict[int, Any]:
+        return {}
+
+    def member(self, number: int = 0) -> Any:
+        """The generated module with the weights of one member.
+
+        Raises `UserError` (GB854) where there is no such member, (GB853) where its weights are damaged or belong to
+        another model.
+        """
+        if number not in self.numbers:
+            there = ", ".join(map(str, self.numbers))
+            message = f"the run `{self.path}` has no member {number}"
+            raise UserError([Diagnostic("GB854", message, None, help=f"its members are {there}")])
+        if number not in self._loaded:
+            try:
+                self._loaded[number] = self.module.load(self.path, number)
+            except (ValueError, OSError, KeyError) as error:
+                message = f"the weights of member {number} of `{self.path}` cannot be read: {error}"
+                help_text = "train again, or restore the file from a copy"
+                raise UserError([Diagnostic("GB853", message, None, help=help_text)]) from None
+        return self._loaded[number]
+
+    @property
+    def members(self) -> tuple[Any, ...]:
+        """The generated module with the weights of each member."""
+        return tuple(self.member(number) for number in self.numbers)
+
+    @property
+    def best(self) -> int:
+        """The number of the member whose loss is least."""
+        losses = {n: _loss(entry) for n, entry in zip(self.numbers, self.fit.get("members", []), strict=False)}
+        return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
+
+    def mean(self, predict: Callable[[Any], Array]) -> Array:
+        """The mean over members of what `predict` (module instance -> array) gives."""
+        return np.asarray(np.mean([predict(member) for member in self.members], axis=0), dtype=np.float64)
+
+    def spread(self, predict: Callable[[Any], Array]) -> Array:
+        """The standard deviation over members of what `predict` gives (zero for a single member)."""
+        return np.asarray(np.std([predict(member) for member in self.members], axis=0), dtype=np.float64)
+
+    @property
+    def max_step(self) -> float | None:
+        """The largest step of the solver that it was trained with."""
+        value = self.member(self.numbers[0]).info.get("max_step")
+        return float(value) if value is not None else None
+
+    def history(self) -> list[dict[str, str]]:
+        """The rows of `history.csv`; none where the file is not there."""
+        import csv
+
+        path = self.path / files.HISTORY
+        if not path.is_file():
+            return []
+        with path.open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+
+def _loss(entry: dict[str, Any]) -> float:
+    value = entry.get("loss")
+    return float(value) if value is not None else float("inf")
+
+
+def open_run(path: str | Path) -> Run:
+    """Reads a run directory.
+
+    Raises `UserError`: GB851 where it is no run, GB852 where a file of it is missing or damaged, GB853 where no member
+    has weights; and whatever is wrong with its `model.gb`.
+    """
+    directory = Path(path)
+    if not (directory / files.FIT).is_file() and not (directory / files.MODEL).is_file():
+        message = f"`{directory}` is not a run directory"
+        help_text = "a run is what `gbspec train MODEL DATA -o RUN` writes: it holds `model.gb` and `fit.json`"
+        raise UserError([Diagnostic("GB851", message, None, help=help_text)])
+    findings = Findings()
+    fit = _read_fit(directory / files.FIT, findings)
+    if not (directory / files.MODEL).is_file():
+        findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=_DAMAGED)
+    findings.raise_if_failed()
+    model = read_model(directory / files.MODEL)
+    numbers = member_numbers(directory)
+    if not numbers:
+        message = f"no member of the run `{directory}` has weights"
+        help_text = "its training stopped before the first iteration; train again (`--resume` continues)"
+        raise UserError([Diagnostic("GB853", message, None, help=help_text)])
+    return Run(directory, model, fit, numbers)
+
+
+_DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
+
+
+def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
+    if not path.is_file():
+        findings.error("GB852", f"`{path}` is missing", None, help=_DAMAGED)
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        findings.error("GB852", f"`{path}` is damaged: {error}", None, help=_DAMAGED)
+        return {}
+    if not isinstance(content, dict) or "gbspec" not in content or "model" not in content:
+        findings.error("GB852", f"`{path}` does not describe a fit of gbspec", None, help=_DAMAGED)
+        return {}
+    return content
+
+
+def read_model(path: Path) -> Model:
+    """The model of a run, from its text. Raises `UserError` with what is wrong with it."""
+    from gbspec.lower import lower
+    from gbspec.semantics import check
+    from gbspec.syntax.parser import parse
+    from gbspec.syntax.reading import read_source
+
+    findings = Findings()
+    file = parse(read_source(path), findings)
+    checked = check(file, findings, read_source) if file is not None else None
+    if checked is None:
+        raise UserError(findings)
+    model = lower(checked, findings)
+    findings.raise_if_failed()
+    return model
+
+
+def member_numbers(directory: Path) -> tuple[int, ...]:
+    """The members of a run that have weights, in order."""
+    folder = directory / files.MEMBERS
+    found = folder.iterdir() if folder.is_dir() else ()
+    return tuple(sorted(int(d.name) for d in found if d.name.isdigit() and (d / files.WEIGHTS).is_file()))
+
+
+def names(values: Sequence[str]) -> str:
+    """Names in backticks, joined by commas."""
+    return ", ".join(f"`{value}`" for value in values)

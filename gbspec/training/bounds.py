@@ -1,0 +1,88 @@
+"""Smooth bijections between a constant's allowed range and the whole line, so that bounds hold by construction.
+
+Two-sided bounds use the logistic function, one-sided ones the exponential, none the identity scaled by the start. The
+optimiser sees `u`, whose value is that of the bijection at `STRETCH * u`: a unit step of `u` is about a factor of e^3,
+because constants are few and start far off more often than weights do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import Learnable
+
+STRETCH = 3.0
+MARGIN = 1e-3
+"""A start on a bound is moved inside by this fraction of the range (the exact bound lies at infinity)."""
+
+
+@dataclass(frozen=True)
+class Bijections:
+    """One bijection a learnable, evaluated together. Arrays are [n_learnables]."""
+
+    low: Array
+    high: Array
+    scale: Array
+
+    @staticmethod
+    def of(learnables: tuple[Learnable, ...]) -> Bijections:
+        """The bijections of a model's learnables."""
+        return Bijections(
+            np.array([k.range.low for k in learnables], dtype=np.float64),
+            np.array([k.range.high for k in learnables], dtype=np.float64),
+            np.array([abs(k.start) if k.start != 0 else 1.0 for k in learnables], dtype=np.float64),
+        )
+
+    def kind(self, i: int) -> str:
+        """`both`, `low`, `high` or `none`: which ends of constant i are bounded."""
+        low, high = math.isfinite(self.low[i]), math.isfinite(self.high[i])
+        return "both" if low and high else "low" if low else "high" if high else "none"
+
+    def to_natural(self, u: Tensor) -> Tensor:
+        """Natural values [..., n] of trainable values `u` [..., n]."""
+        raw = STRETCH * u
+        parts = []
+        for i in range(len(self.low)):
+            match self.kind(i):
+                case "both":
+                    value = self.low[i] + (self.high[i] - self.low[i]) * torch.sigmoid(raw[..., i])
+                case "low":
+                    value = self.low[i] + self.scale[i] * torch.exp(raw[..., i])
+                case "high":
+                    value = self.high[i] - self.scale[i] * torch.exp(raw[..., i])
+                case _:
+                    value = self.scale[i] * raw[..., i]
+            parts.append(value)
+        return torch.stack(parts, -1) if parts else u
+
+    def derivative(self, u: Array) -> Array:
+        """d natural / d u, elementwise."""
+        x = torch.tensor(u, dtype=torch.float64, requires_grad=True)
+        if x.shape[-1] == 0:
+            return np.zeros_like(u)
+        (slope,) = torch.autograd.grad(self.to_natural(x).sum(), x)
+        return np.asarray(slope.numpy(), dtype=np.float64)
+
+    def from_natural(self, value: Array) -> Array:
+        """Trainable values of natural ones [..., n]; values on or beyond a bound are moved inside."""
+        out = np.empty_like(value, dtype=np.float64)
+        for i in range(len(self.low)):
+            v, low, high, scale = value[..., i], self.low[i], self.high[i], self.scale[i]
+            match self.kind(i):
+                case "both":
+                    fraction = np.clip((v - low) / (high - low), MARGIN, 1 - MARGIN)
+                    raw = np.log(fraction / (1 - fraction))
+                case "low":
+                    raw = np.log(np.maximum((v - low) / scale, MARGIN))
+                case "high":
+                    raw = np.log(np.maximum((high - v) / scale, MARGIN))
+                case _:
+                    raw = v / scale
+            out[..., i] = raw / STRETCH
+        return out

@@ -1,0 +1,196 @@
+"""Training as a whole: the directory, the members, and what `fit.json` says of them."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import gbspec
+from gbspec.backends.module import generate, load_module
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.ir.model import Model
+from gbspec.runs import files
+from gbspec.runs.store import Run
+from gbspec.training.options import TrainOptions
+from gbspec.training.parallel import fit_members
+from gbspec.training.progress import Progress, Silent
+from gbspec.training.summary import MemberResult
+
+FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
+
+
+def train(
+    model: Model,
+    trajectories: Trajectories,
+    options: TrainOptions,
+    directory: Path | str,
+    progress: Progress | None = None,
+) -> Run:
+    """Fits all members and writes the run directory.
+
+    Raises UserError (GB850 options, GB855 the directory is in use, GB856 nothing to learn from), ComputationError where
+    the estimation fails (what was reached before stays in the directory), and KeyboardInterrupt on SIGINT after writing
+    a run that can be used and resumed.
+    """
+    findings = Findings()
+    options.check(findings)
+    _check_data(trajectories, findings)
+    findings.raise_if_failed()
+    path = Path(directory)
+    record = _record(model, trajectories, options)
+    _prepare(path, model, record, options)
+    threads = options.threads or max(1, (os.cpu_count() or 1) // options.workers)
+    torch.set_num_threads(threads)
+    results: dict[int, MemberResult] = {}
+    module = load_module(model)
+    try:
+        fit_members(model, module, trajectories, options, path, progress or Silent(), threads, results)
+    finally:
+        if results:
+            _write_results(path, model, record, results, options)
+    return Run(path, model, record, tuple(sorted(results)))
+
+
+def _check_data(trajectories: Trajectories, findings: Findings) -> None:
+    if trajectories.measurements == 0:
+        findings.error("GB856", "the data hold no measured value, so there is nothing to learn from", None)
+    elif not any(np.any(item.times > item.start) for item in trajectories.items):
+        message = "no trajectory has a measurement after its start, so nothing can be learned of its dynamics"
+        findings.error("GB856", message, None, help="add later rows, or say when trajectories start: `time t from 0`")
+
+
+def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> dict[str, Any]:
+    """What is known before training: the first part of `fit.json`."""
+    packages = ("torch", "numpy", "scipy", "sympy", "casadi")
+    return {
+        "gbspec": gbspec.__version__,
+        "model": model.name,
+        "data": {
+            "path": trajectories.path,
+            "sha256": trajectories.sha256,
+            "trajectories": len(trajectories),
+            "rows": trajectories.rows or sum(len(item.times) for item in trajectories.items),
+            "values": trajectories.measurements,
+        },
+        "options": options.to_json(),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
+        "constants": {},
+        "noise": {},
+        "members": [],
+        "warnings": [],
+    }
+
+
+# -------------------------------------------------------------------------------------------------- the directory
+def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOptions) -> None:
+    """Makes the directory, or finds the run to resume in it."""
+    if path.exists() and not path.is_dir():
+        raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
+    existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
+    strangers = [name for name in existing if name not in FOREIGN]
+    if strangers:
+        message = f"`{path}` holds files that are not of a run, such as `{strangers[0]}`"
+        raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
+    if options.resume and (path / files.FIT).is_file():
+        _check_resumable(path, model, record)
+    elif files.FIT in existing:
+        message = f"`{path}` already holds a run"
+        help_text = "name another directory with `-o`, delete this one, or continue it with `--resume`"
+        raise UserError([Diagnostic("GB855", message, None, help=help_text)])
+    path.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(path / files.MODEL, model.text.encode("utf-8"))
+    files.write_bytes(path / files.MODULE, generate(model).encode("utf-8"))
+    if not (path / files.FIT).is_file():
+        files.write_json(path / files.FIT, record)
+
+
+def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
+    """Refuses to continue with another model, other data or other options than the run began with."""
+    try:
+        before = json.loads((path / files.FIT).read_text(encoding="utf-8"))
+        text = (path / files.MODEL).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise UserError([Diagnostic("GB852", f"the run `{path}` cannot be resumed: {error}", None)]) from None
+    findings = Findings()
+    if text != model.text:
+        findings.error("GB855", f"the run `{path}` was started with another model", None, help=_OTHER)
+    if before.get("data", {}).get("sha256") != record["data"]["sha256"]:
+        findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
+    may_change = {"members", "workers", "threads"}
+    for name, value in record["options"].items():
+        old = before.get("options", {}).get(name)
+        if name not in may_change and old != value:
+            flag = name.replace("_", "-")
+            findings.error(
+                "GB855", f"the run `{path}` was started with `--{flag} {old}`, not {value}", None, help=_OTHER
+            )
+    findings.raise_if_failed()
+
+
+_OTHER = "continue it as it began, or name another directory with `-o`"
+
+
+# -------------------------------------------------------------------------------------------------- results
+def _write_results(
+    path: Path, model: Model, record: dict[str, Any], results: dict[int, MemberResult], options: TrainOptions
+) -> None:
+    """Completes `fit.json` and writes `history.csv`."""
+    ordered = [results[k] for k in sorted(results)]
+    record["constants"] = {k.name: _constant(k.name, k.start, ordered) for k in model.learnables}
+    record["noise"] = {c.name: float(np.mean([r.noise[c.name] for r in ordered])) for c in model.channels}
+    record["members"] = [
+        {"seed": r.seed, "loss": r.loss, "rmse": r.rmse, "seconds": r.seconds, "stages": r.stages} for r in ordered
+    ]
+    record["warnings"] = warnings_of(results, options)
+    files.write_json(path / files.FIT, record)
+    rows = [
+        [member, stage, iteration, seconds, loss, *constants]
+        for member in sorted(results)
+        for stage, iteration, seconds, loss, constants in results[member].history
+    ]
+    files.write_history(path / files.HISTORY, [k.name for k in model.learnables], rows)
+
+
+def _constant(name: str, start: float, results: list[MemberResult]) -> dict[str, Any]:
+    """Mean over members, standard deviation (within and between members), and a 90 % interval."""
+    values = np.array([r.constants[name] for r in results])
+    within = np.array([r.sd[name] for r in results])
+    between = values.var(ddof=1) if len(values) > 1 else 0.0
+    sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
+    center = float(values.mean())
+    interval = [center - 1.645 * sd, center + 1.645 * sd] if math.isfinite(sd) else None
+    return {
+        "value": center,
+        "sd": sd if math.isfinite(sd) else None,
+        "interval": interval,
+        "start": start,
+        "per_member": values.tolist(),
+    }
+
+
+def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:
+    """Plain words on what a user must know before trusting the fit."""
+    out = []
+    for member, result in sorted(results.items()):
+        if result.failed:
+            names = ", ".join(f"`{label}`" for label in result.failed[:5])
+            more = f" and {len(result.failed) - 5} more" if len(result.failed) > 5 else ""
+            out.append(
+                f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
+                "these do not count as fitted"
+            )
+        if not result.finished:
+            out.append(f"member {member}: training was interrupted; `--resume` continues it")
+    missing = options.members - len(results)
+    if missing > 0:
+        out.append(f"{missing} of {options.members} members were not fitted")
+    return out

@@ -1,0 +1,162 @@
+"""Refits the initial states (and own constants) trajectory by trajectory, everything shared being frozen.
+
+Candidates around the current start are tried for all trajectories in one batch; the best of each is polished by
+Levenberg-Marquardt steps on the trajectories' own blocks, each with its own damping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.stats import qmc
+
+from gbspec.data.trajectories import Array
+from gbspec.training.jacobian import linearise
+from gbspec.training.packing import Integers, Packed
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Forcing, Problem
+from gbspec.training.unroll import unroll
+
+POLISH_STEPS = 12
+HUBER = 0.3
+"""Residuals beyond this many deviations of the data count linearly: one bad value must not set a start."""
+
+
+def refit_starts(
+    problem: Problem, parameters: Parameters, theta: Array, seed: int, candidates: int = 32, radius: float = 1.0
+) -> Array:
+    """The vector with better starts: no trajectory's own loss over its first rows increases.
+
+    `radius` is the size of the box of candidates in units of the states' deviations.
+    """
+    if not parameters.start_free.any():
+        return theta
+    window = first_rows(problem, _influence(problem))
+    best, losses = theta, _trajectory_losses(window, parameters, theta)
+    starts = _starts(parameters, theta)
+    width = parameters.start_free * parameters.start_scale * radius
+    points = 2 * qmc.Sobol(len(parameters.start_scale), seed=np.random.default_rng([seed, 23])).random(candidates) - 1
+    for fraction in (1.0, 0.25):
+        found = _best_candidates(window, parameters, best, starts, points * fraction, width)
+        best, losses = _keep_better(window, parameters, best, found, losses)
+        starts = _starts(parameters, best)
+    return _polish(window, parameters, best, losses)
+
+
+def first_rows(problem: Problem, count: int) -> Problem:
+    """The problem with no more than the first `count` key rows of each trajectory."""
+    packed = problem.packed
+    keep = packed.row_index < count
+    steps = np.zeros(packed.trajectories, dtype=np.int64)
+    np.maximum.at(steps, packed.row_trajectory[keep], packed.row_step[keep])
+    depth = int(steps.max(initial=0))
+    h = packed.h[:depth].copy()
+    h[np.arange(depth)[:, None] >= steps[None, :]] = 0.0
+    cut = {
+        name: getattr(packed, name)[keep]
+        for name in (
+            "row_trajectory",
+            "row_index",
+            "row_step",
+            "row_time",
+            "values",
+            "weights",
+            "sd",
+            "row_inputs",
+            "dose",
+        )
+    }
+    shorter: Packed = replace(packed, t=packed.t[:depth], h=h, inputs=packed.inputs[:depth], steps=steps, **cut)
+    forcing = Forcing(problem.forcing.value[keep], problem.forcing.weight[keep])
+    scaling = replace(problem.scaling, row_scale=problem.scaling.row_scale[keep])
+    return replace(problem, packed=shorter, forcing=forcing, scaling=scaling)
+
+
+def _influence(problem: Problem) -> int:
+    """After how many rows a start no longer matters: every state reset once, and a few rows more for what is hidden."""
+    packed, weight = problem.packed, problem.forcing.weight
+    resettable = weight.max(axis=0, initial=0.0) >= 1.0
+    if not resettable.all():
+        return int(packed.row_index.max(initial=0)) + 1
+    seen = np.zeros((packed.trajectories, weight.shape[1]), dtype=np.int64) + int(packed.row_index.max(initial=0))
+    for state in range(weight.shape[1]):
+        rows = np.flatnonzero(weight[:, state] >= 1.0)[::-1]
+        seen[packed.row_trajectory[rows], state] = packed.row_index[rows]
+    return int(seen.max(initial=0)) + 2
+
+
+def _starts(parameters: Parameters, theta: Array) -> Array:
+    with torch.no_grad():
+        return np.asarray(parameters.starts(torch.from_numpy(theta)).numpy(), dtype=np.float64)
+
+
+def _trajectory_losses(problem: Problem, parameters: Parameters, theta: Array) -> Array:
+    """Huber loss of each trajectory; infinite where it blew up [N]."""
+    with torch.no_grad():
+        residuals = unroll(problem, parameters, torch.from_numpy(theta)).residuals.numpy()
+    size = np.abs(residuals)
+    rho = np.where(size <= HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER)).sum(axis=1)
+    rho = np.where(np.isfinite(rho), rho, np.inf)
+    losses = np.zeros(problem.packed.trajectories)
+    np.add.at(losses, problem.packed.row_trajectory, rho)
+    return losses
+
+
+def _best_candidates(
+    problem: Problem, parameters: Parameters, theta: Array, starts: Array, points: Array, width: Array
+) -> Array:
+    """Each trajectory's best start among `starts + width * points` [N, n_states]."""
+    count, n = len(points), parameters.trajectories
+    index: Integers = np.repeat(np.arange(n, dtype=np.int64), count)
+    many, wide = problem.take(index), parameters.take(index)
+    tried = starts[index] + width[index] * np.tile(points, (n, 1))
+    vector = wide.with_starts(parameters.take_vector(theta, index), tried)
+    losses = _trajectory_losses(many, wide, vector).reshape(n, count)
+    return np.asarray(tried.reshape(n, count, -1)[np.arange(n), losses.argmin(axis=1)], dtype=np.float64)
+
+
+def _keep_better(
+    problem: Problem, parameters: Parameters, theta: Array, starts: Array, losses: Array
+) -> tuple[Array, Array]:
+    trial = parameters.with_starts(theta, starts)
+    return _keep_blocks(problem, parameters, theta, trial, losses)
+
+
+def _keep_blocks(
+    problem: Problem, parameters: Parameters, old: Array, new: Array, losses: Array
+) -> tuple[Array, Array]:
+    """Takes each trajectory's block from `new` where its loss fell."""
+    trial = _trajectory_losses(problem, parameters, new)
+    better = trial < losses
+    out = old.copy()
+    blocks = out[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+    blocks[better] = new[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)[better]
+    return out, np.where(better, trial, losses)
+
+
+def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Array) -> Array:
+    n, width = parameters.trajectories, parameters.n_local
+    damping = np.full(n, 1e-2)
+    for _ in range(POLISH_STEPS):
+        system = linearise(problem, parameters, theta, only_local=True)
+        residuals = system.residuals.numpy()
+        if len(system.owner) == 0 or not np.isfinite(residuals).all():
+            break
+        size = np.abs(residuals)
+        weight = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, 1e-300))
+        local, owner = system.local.numpy(), system.owner.numpy()
+        hessian, gradient = np.zeros((n, width, width)), np.zeros((n, width))
+        np.add.at(hessian, owner, local[:, :, None] * (weight[:, None] * local)[:, None, :])
+        np.add.at(gradient, owner, local * (weight * residuals)[:, None])
+        step = -np.linalg.solve(hessian + damping[:, None, None] * np.eye(width), gradient[:, :, None])[:, :, 0]
+        trial = theta.copy()
+        trial[parameters.n_shared :] += step.ravel()
+        theta, new = _keep_blocks(problem, parameters, theta, trial, losses)
+        improved = new < losses
+        damping = np.where(improved, damping / 5, damping * 4)
+        if not (new < losses * (1 - 1e-6) - 1e-15).any() and (damping > 1e3).all():
+            break
+        losses = new
+    return theta

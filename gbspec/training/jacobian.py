@@ -1,0 +1,408 @@
+"""The exact Jacobian of all residuals with respect to everything that is trained.
+
+Segments are the stretches between consecutive key rows of a trajectory. One solution gives every segment's start, so
+all segments are recomputed as one batch, sorted by length, whose live prefix shrinks. Cotangents of the networks'
+pre-activations, of the starts and of the constants come from one backward pass for each state; the weights' part of
+a segment's Jacobian is a batched product of these cotangents with the layers' inputs. Then a state-sized recursion
+chains the segments of each trajectory: with A = d end / d start and J = d end / d parameters of a segment, the
+sensitivity S of the state becomes `A S + J` on arrival; resets by forcing scale its rows by `1 - weight`.
+Cost: one forward and n_states backward passes, whatever the number of residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Problem
+from gbspec.training.unroll import Unrolled, measured_residuals, observe_rows, residuals_of, unroll
+
+Integers = NDArray[np.int64]
+Taped = list[tuple[int, int, Tensor, Tensor]]
+
+CHUNK_BYTES = 256 * 1024 * 1024
+"""Segments' weight Jacobians are formed in chunks of about this size."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Residuals and their Jacobian at one vector; m measured values.
+
+    `residuals` [m]; `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of
+    the block of the trajectory `owner` [m] that the residual belongs to (all its other columns are zero).
+    """
+
+    residuals: Tensor
+    shared: Tensor
+    local: Tensor
+    owner: Tensor
+
+    def dense(self, parameters: Parameters) -> Tensor:
+        """The whole Jacobian [m, size] (for tests and small problems)."""
+        out = torch.zeros((len(self.residuals), parameters.size), dtype=self.residuals.dtype)
+        out[:, : parameters.n_shared] = self.shared
+        block = parameters.n_local
+        for i in range(len(self.residuals)):
+            begin = parameters.n_shared + int(self.owner[i]) * block
+            out[i, begin : begin + block] = self.local[i]
+        return out
+
+
+def linearise(problem: Problem, parameters: Parameters, theta: Array, only_local: bool = False) -> Linearised:
+    """Residuals and exact Jacobian at `theta`; with `only_local` the columns of the shared part stay empty.
+
+    The residuals may hold NaN or infinities where the solution blew up; the caller decides what that means.
+    """
+    vector = torch.from_numpy(theta)
+    with torch.no_grad():
+        solution = unroll(problem, parameters, vector)
+    if not bool(torch.isfinite(solution.residuals).all() and torch.isfinite(solution.arrival).all()):
+        empty = torch.zeros((0, 0), dtype=vector.dtype)
+        return Linearised(
+            measured_residuals(problem, solution.residuals), empty, empty, torch.zeros(0, dtype=torch.int64)
+        )
+    return _Sweep(problem, parameters, theta, solution, only_local).run()
+
+
+class _Sweep:
+    """One computation of the Jacobian: holds what its steps share."""
+
+    def __init__(
+        self, problem: Problem, parameters: Parameters, theta: Array, solution: Unrolled, only_local: bool
+    ) -> None:
+        self.problem, self.parameters, self.solution, self.only_local = problem, parameters, solution, only_local
+        self.vector = torch.from_numpy(theta)
+        with torch.no_grad():
+            self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
+            self.constants = parameters.constants(self.vector)
+        for name in parameters.weight_shapes:
+            # Only so that every pre-activation is part of the graph; the gradients of the weights are never asked for.
+            self.weights[name].requires_grad_()
+        self.n_states = len(problem.model.states)
+        self.shared_columns = 0 if only_local else parameters.n_shared
+        self.offsets = _layer_offsets(parameters)
+
+    def run(self) -> Linearised:
+        packed, parameters = self.problem.packed, self.parameters
+        observed = self._observations()
+        sensitivity_shared, sensitivity_local = self._initial()
+        rows_shared: list[Tensor] = []
+        rows_local: list[Tensor] = []
+        release = torch.from_numpy(1.0 - self.problem.forcing.weight)[:, :, None]
+        owner = torch.from_numpy(packed.row_trajectory)
+        position = 0
+        for a, j_shared, j_local in self._segments():
+            # Each item covers the rows that share one place within their trajectories.
+            rows = slice(position, position + len(a))
+            position += len(a)
+            who = owner[rows]
+            s_shared = torch.baddbmm(j_shared, a, sensitivity_shared[who]) if not self.only_local else j_shared
+            s_local = torch.baddbmm(j_local, a, sensitivity_local[who])
+            rows_shared.append(observed.apply_shared(rows, s_shared))
+            rows_local.append(observed.apply_local(rows, s_local))
+            sensitivity_shared[who] = s_shared * release[rows]
+            sensitivity_local[who] = s_local * release[rows]
+        residuals = measured_residuals(self.problem, self.solution.residuals)
+        width = (self.shared_columns, parameters.n_local)
+        return Linearised(
+            residuals,
+            torch.cat([*rows_shared, torch.zeros((0, width[0]), dtype=residuals.dtype)]),
+            torch.cat([*rows_local, torch.zeros((0, width[1]), dtype=residuals.dtype)]),
+            owner[observed.row],
+        )
+
+    # ---------------------------------------------------------------- starts
+    def _initial(self) -> tuple[Tensor, Tensor]:
+        """Sensitivity of the initial states [N, n_states, columns]: shared and local."""
+        packed, parameters, problem = self.problem.packed, self.parameters, self.problem
+        n, count = self.n_states, packed.trajectories
+        x0 = parameters.starts(self.vector).detach().requires_grad_()
+        k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
+        c = torch.from_numpy(packed.condition)
+        out = problem.module._initial(problem.ops, x0, c, tuple(k))
+        d_start, *d_constants = _rows_of_jacobian(out, [x0, *k])
+        shared = torch.zeros((count, n, self.shared_columns), dtype=self.vector.dtype)
+        local = torch.zeros((count, n, parameters.n_local), dtype=self.vector.dtype)
+        scale = torch.from_numpy(parameters.start_free * parameters.start_scale * _stretch())
+        local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
+        self._add_constants(shared, local, d_constants, torch.arange(count))
+        return shared, local
+
+    def _add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:
+        """Adds d/d constants (one [B, n] a constant, natural) to the columns of their trainable values."""
+        parameters = self.parameters
+        known = len(parameters.model.constants)
+        theta = self.vector
+        if parameters.shared and not self.only_local:
+            u = theta[parameters.n_weights : parameters.n_shared].numpy()
+            slope = torch.from_numpy(parameters.bijections(parameters.shared).derivative(u))
+            for column, index in enumerate(parameters.shared):
+                shared[..., parameters.n_weights + column] += derivatives[known + index] * slope[column]
+        if parameters.own:
+            u = parameters.local(theta)[:, : len(parameters.own)].numpy()
+            slope = torch.from_numpy(parameters.bijections(parameters.own).derivative(u))
+            for column, index in enumerate(parameters.own):
+                local[..., column] += derivatives[known + index] * slope[owner, column][:, None]
+
+    # ---------------------------------------------------------------- observations
+    def _observations(self) -> _Observed:
+        problem, packed = self.problem, self.problem.packed
+        arrival = self.solution.arrival.detach()
+        seen = torch.from_numpy(packed.weights > 0)
+        row, channel = torch.nonzero(seen, as_tuple=True)
+        owner = torch.from_numpy(packed.row_trajectory)
+        direct = all(c.state is not None for c in problem.model.channels)
+        x = arrival.requires_grad_()
+        tape: Taped = []
+        k = [column.detach().clone().requires_grad_() for column in self.constants[owner].unbind(1)]
+        networks = problem.module.torch_networks(self.weights, tape)
+        constants = torch.stack(k, 1) if k else torch.zeros((packed.rows, 0), dtype=x.dtype)
+        out = residuals_of(problem, observe_rows(problem, x, constants, networks))
+        pre = [z for *_, z in tape]
+        channels = out.shape[1]
+        d_state = torch.zeros((packed.rows, channels, self.n_states), dtype=x.dtype)
+        d_shared = d_local = None
+        if not direct:
+            d_shared = torch.zeros((packed.rows, channels, self.shared_columns), dtype=x.dtype)
+            d_local = torch.zeros((packed.rows, channels, self.parameters.n_local), dtype=x.dtype)
+        for i in range(channels):
+            grads = _gradients(out[:, i].sum(), [x, *k, *pre])
+            d_state[:, i] = grads[0]
+            if d_shared is None or d_local is None:
+                continue
+            self._add_constants(
+                d_shared[:, i : i + 1], d_local[:, i : i + 1], [g[:, None] for g in grads[1 : 1 + len(k)]], owner
+            )
+            if not self.only_local:
+                self._add_weights(d_shared[:, i], tape, grads[1 + len(k) :])
+        return _Observed(
+            row,
+            torch.searchsorted(row, torch.arange(packed.rows + 1)),
+            d_state.detach()[row, channel],
+            None if d_shared is None else d_shared.detach()[row, channel],
+            None if d_local is None else d_local.detach()[row, channel],
+        )
+
+    def _add_weights(self, target: Tensor, tape: Taped, cotangents: list[Tensor]) -> None:
+        """Adds the weights' columns [B, columns] of one output, every tape entry covering the whole batch B."""
+        for (network, layer, a, _), dz in zip(tape, cotangents, strict=True):
+            begin, rows, width = self.offsets[network, layer]
+            a, dz = a.detach().reshape(len(target), -1, width), dz.reshape(len(target), -1, rows)
+            target[:, begin : begin + rows * width] += torch.bmm(dz.transpose(1, 2), a).reshape(len(target), -1)
+            target[:, begin + rows * width : begin + rows * width + rows] += dz.sum(1)
+
+    # ---------------------------------------------------------------- segments
+    def _segments(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """For each place k: A [B, n, n] and J (shared, local) [B, n, columns] of the segments that end at rows k."""
+        packed = self.problem.packed
+        places = np.searchsorted(packed.row_index, np.arange(int(packed.row_index.max(initial=-1)) + 2))
+        per_row = 8 * self.n_states * max(self.shared_columns, 1)
+        begin = 0
+        while begin < len(places) - 1:
+            end = begin + 1
+            while end < len(places) - 1 and (places[end + 1] - places[begin]) * per_row <= CHUNK_BYTES:
+                end += 1
+            rows = np.arange(places[begin], places[end])
+            a, shared, local = self._segment_batch(rows)
+            for k in range(begin, end):
+                part = slice(int(places[k] - places[begin]), int(places[k + 1] - places[begin]))
+                yield a[part], shared[part], local[part]
+            begin = end
+
+    def _segment_batch(self, rows: Integers) -> tuple[Tensor, Tensor, Tensor]:
+        """A and J of the segments that end at the given rows, in their order."""
+        packed, n = self.problem.packed, self.n_states
+        owner = packed.row_trajectory[rows]
+        first, start = self._segment_starts(rows)
+        length = packed.row_step[rows] - first
+        order = np.argsort(-length, kind="stable")
+        batch = _Batch(owner[order], first[order], length[order])
+        x = start[torch.from_numpy(order)].requires_grad_()
+        k = [
+            column.detach().clone().requires_grad_()
+            for column in self.constants[torch.from_numpy(batch.owner)].unbind(1)
+        ]
+        tape: Taped = []
+        end, calls = self._propagate(batch, x, k, tape)
+        shared = torch.zeros((len(rows), n, self.shared_columns), dtype=x.dtype)
+        local = torch.zeros((len(rows), n, self.parameters.n_local), dtype=x.dtype)
+        a = torch.zeros((len(rows), n, n), dtype=x.dtype)
+        weights_wanted = bool(tape) and not self.only_local
+        pre = [z for *_, z in tape] if weights_wanted else []
+        activations = self._collect_activations(tape, calls, batch) if weights_wanted else {}
+        owner_sorted = torch.from_numpy(batch.owner)
+        for i in range(n):
+            grads = _gradients(end[:, i].sum(), [x, *k, *pre])
+            a[:, i] = grads[0]
+            self._add_constants(
+                shared[:, i : i + 1], local[:, i : i + 1], [g[:, None] for g in grads[1 : 1 + len(k)]], owner_sorted
+            )
+            if weights_wanted:
+                self._contract(shared[:, i], tape, grads[1 + len(k) :], activations, calls, batch)
+        back = torch.from_numpy(np.argsort(order, kind="stable"))
+        return a[back], shared[back], local[back]
+
+    def _segment_starts(self, rows: Integers) -> tuple[Integers, Tensor]:
+        """Sub-step at which the segment ending at each row begins, and its state there."""
+        packed = self.problem.packed
+        width = int(packed.row_index.max(initial=0)) + 1
+        table = np.zeros((packed.trajectories, width), dtype=np.int64)
+        table[packed.row_trajectory, packed.row_index] = np.arange(packed.rows)
+        previous = table[packed.row_trajectory[rows], np.maximum(packed.row_index[rows] - 1, 0)]
+        fresh = packed.row_index[rows] == 0
+        first = np.where(fresh, 0, packed.row_step[previous])
+        start = self.solution.departure[torch.from_numpy(previous)].detach().clone()
+        start[torch.from_numpy(fresh)] = self.solution.initial[
+            torch.from_numpy(packed.row_trajectory[rows][fresh])
+        ].detach()
+        return np.asarray(first, dtype=np.int64), start
+
+    def _propagate(self, batch: _Batch, x: Tensor, k: list[Tensor], tape: Taped) -> tuple[Tensor, list[int]]:
+        """Steps the batch to its ends; `calls[j]` tape entries were written by the first j sub-steps."""
+        problem, packed = self.problem, self.problem.packed
+        networks = problem.module.torch_networks(self.weights, tape)
+        c = torch.from_numpy(packed.condition[batch.owner])
+        finished: list[Tensor] = [x[batch.live(0) :]]
+        state = x[: batch.live(0)]
+        calls = [0]
+        for j in range(batch.depth):
+            live = batch.live(j)
+            steps, who = batch.first[:live] + j, batch.owner[:live]
+            t, h = torch.from_numpy(packed.t[steps, who]), torch.from_numpy(packed.h[steps, who])
+            u = torch.from_numpy(packed.inputs[steps, who])
+            nodes = tuple(u[:, q] for q in range(u.shape[1]))
+            constants = tuple(column[:live] for column in k)
+            state = problem.module._step(problem.ops, t, state, h, c[:live], nodes, constants, networks)
+            calls.append(len(tape))
+            remaining = batch.live(j + 1)
+            finished.append(state[remaining:])
+            state = state[:remaining]
+        return torch.cat(finished[::-1]), calls
+
+    def _collect_activations(self, tape: Taped, calls: list[int], batch: _Batch) -> dict[tuple[int, int, int], Tensor]:
+        """Inputs of each layer by (network, layer, group): [B, Q, width] over sub-steps and stages of equal length."""
+        out: dict[tuple[int, int, int], Tensor] = {}
+        for group, (length, begin, end) in enumerate(batch.groups):
+            for network, layer in self.offsets:
+                parts = [a.detach()[begin:end] for *key, a, _ in tape[: calls[length]] if key == [network, layer]]
+                if parts:
+                    out[network, layer, group] = torch.stack(parts, 1).reshape(end - begin, -1, parts[0].shape[-1])
+        return out
+
+    def _contract(
+        self,
+        target: Tensor,
+        tape: Taped,
+        cotangents: list[Tensor],
+        activations: dict[tuple[int, int, int], Tensor],
+        calls: list[int],
+        batch: _Batch,
+    ) -> None:
+        """Writes the weights' columns [B, columns] of one state: sum over sub-steps and stages of dz (x) a."""
+        for group, (length, begin, end) in enumerate(batch.groups):
+            entries = list(zip(tape[: calls[length]], cotangents[: calls[length]], strict=True))
+            for (network, layer), (offset, rows, width) in self.offsets.items():
+                parts = [dz[begin:end] for (*key, _, _), dz in entries if key == [network, layer]]
+                if not parts:
+                    continue
+                dz = torch.stack(parts, 1).reshape(end - begin, -1, rows)
+                product = torch.bmm(dz.transpose(1, 2), activations[network, layer, group])
+                target[begin:end, offset : offset + rows * width] = product.reshape(end - begin, -1)
+                target[begin:end, offset + rows * width : offset + rows * width + rows] = dz.sum(1)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Segments sorted by falling number of sub-steps: owner, first sub-step, number of sub-steps (each [B])."""
+
+    owner: Integers
+    first: Integers
+    length: Integers
+
+    @property
+    def depth(self) -> int:
+        return int(self.length.max(initial=0))
+
+    def live(self, step: int) -> int:
+        """How many segments take more than `step` sub-steps: the live prefix."""
+        return int(np.searchsorted(-self.length, -step, side="left"))
+
+    @property
+    def groups(self) -> list[tuple[int, int, int]]:
+        """(length, begin, end) of each run of segments of equal positive length."""
+        out = []
+        for length in sorted({int(n) for n in self.length if n > 0}, reverse=True):
+            begin = int(np.searchsorted(-self.length, -length, side="left"))
+            end = int(np.searchsorted(-self.length, -length, side="right"))
+            out.append((length, begin, end))
+        return out
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """Derivatives of the m residuals: of the state [m, n], and directly of the shared and local columns (or None).
+
+    `row` [m] is each residual's key row; `bounds` [R + 1] where each row's residuals begin.
+    """
+
+    row: Tensor
+    bounds: Tensor
+    state: Tensor
+    shared: Tensor | None
+    local: Tensor | None
+
+    def _apply(self, rows: slice, sensitivity: Tensor, direct: Tensor | None) -> Tensor:
+        part = slice(int(self.bounds[rows.start]), int(self.bounds[rows.stop]))
+        which = self.row[part] - rows.start
+        out = torch.bmm(self.state[part][:, None, :], sensitivity[which])[:, 0]
+        return out if direct is None else out + direct[part]
+
+    def apply_shared(self, rows: slice, sensitivity: Tensor) -> Tensor:
+        """Rows of the Jacobian's shared columns, from the states' sensitivities on arrival at `rows`."""
+        return self._apply(rows, sensitivity, self.shared)
+
+    def apply_local(self, rows: slice, sensitivity: Tensor) -> Tensor:
+        """Rows of the Jacobian's local columns."""
+        return self._apply(rows, sensitivity, self.local)
+
+
+def _layer_offsets(parameters: Parameters) -> dict[tuple[int, int], tuple[int, int, int]]:
+    """(network, layer) -> (first column, outputs, inputs); the bias follows its weight."""
+    out: dict[tuple[int, int], tuple[int, int, int]] = {}
+    position = 0
+    for index, network in enumerate(parameters.model.networks):
+        sizes = (len(network.arguments), *network.hidden, len(network.outputs))
+        for layer in range(len(sizes) - 1):
+            out[index, layer] = (position, sizes[layer + 1], sizes[layer])
+            position += (sizes[layer] + 1) * sizes[layer + 1]
+    return out
+
+
+def _gradients(output: Tensor, inputs: list[Tensor]) -> list[Tensor]:
+    """Gradients of a scalar, zero where it does not depend on an input; the graph is kept."""
+    if not output.requires_grad:
+        return [torch.zeros_like(x) for x in inputs]
+    found = torch.autograd.grad(output, inputs, retain_graph=True, allow_unused=True)
+    return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
+
+
+def _rows_of_jacobian(output: Tensor, inputs: list[Tensor]) -> list[Tensor]:
+    """d output[b, i] / d input[b, ...] for each input: [B, n, ...]; rows of a batch do not depend on each other."""
+    rows = [_gradients(output[:, i].sum(), inputs) for i in range(output.shape[1])]
+    return [torch.stack([row[j] for row in rows], 1) for j in range(len(inputs))]
+
+
+def _stretch() -> float:
+    from gbspec.training.bounds import STRETCH
+
+    return STRETCH
+
+
+Residuals = Callable[[Array], Array]

@@ -1,0 +1,282 @@
+"""One member of a run: runs the stages, keeps checkpoints and history, ends with usable weights whatever happens."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.ir.model import Model
+from gbspec.runs import files
+from gbspec.training.context import Context, build_context
+from gbspec.training.options import TrainOptions
+from gbspec.training.parameters import Parameters
+from gbspec.training.plan import Planned, plan
+from gbspec.training.progress import Progress, Update
+from gbspec.training.stages import Outcome, Stage, State, initial_parameters
+from gbspec.training.summary import MemberResult, summarise
+
+SAVE_EVERY = 5.0
+"""Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
+
+
+@dataclass
+class Position:
+    """Where a member stands: the stage it is in, how many of its steps are done, its state, and what lies behind.
+
+    `best` and `best_score` are of the vector that predicts held-out data best (without held-out data: the last one).
+    """
+
+    stage: int = 0
+    iteration: int = 0
+    state: State = field(default_factory=dict)
+    theta: Array = field(default_factory=lambda: np.zeros(0))
+    best: Array = field(default_factory=lambda: np.zeros(0))
+    best_score: float = float("inf")
+    seconds: float = 0.0
+    loss: float = float("inf")
+    history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    finished: bool = False
+
+
+def fit_member(
+    model: Model,
+    module: type[Any],
+    trajectories: Trajectories,
+    options: TrainOptions,
+    member: int,
+    directory: Path,
+    progress: Progress,
+    stop: Callable[[], bool] = lambda: False,
+) -> MemberResult:
+    """Fits one member and writes its weights and checkpoints under `directory` (members/K).
+
+    Raises ComputationError where the estimation fails, and Interrupted, with the weights so far written, on SIGINT or
+    when `stop()`, asked after every iteration, says so.
+    """
+    torch.manual_seed(options.seed + member)
+    context = build_context(model, module, trajectories, options, options.seed + member)
+    parameters, theta = initial_parameters(context)
+    return _Runner(context, parameters, theta, member, directory, progress, stop).run()
+
+
+class Interrupted(KeyboardInterrupt):
+    """Raised instead of KeyboardInterrupt once a member's work is safe; `result` is what it reached."""
+
+    def __init__(self, result: MemberResult) -> None:
+        self.result = result
+        super().__init__("interrupted")
+
+
+class _Runner:
+    def __init__(
+        self,
+        context: Context,
+        parameters: Parameters,
+        theta: Array,
+        member: int,
+        directory: Path,
+        progress: Progress,
+        stop: Callable[[], bool],
+    ) -> None:
+        self.stop = stop
+        self.context, self.parameters, self.member = context, parameters, member
+        self.directory, self.progress = directory, progress
+        self.position = Position(theta=theta, best=theta)
+        self.plan = plan(context, parameters)
+        if context.options.resume:
+            self._restore()
+        self._began = time.monotonic() - self.position.seconds
+        self._saved = time.monotonic()
+
+    # ---------------------------------------------------------------- running
+    def run(self) -> MemberResult:
+        position = self.position
+        if position.finished:
+            return self._result()
+        try:
+            while position.stage < len(self.plan):
+                self._run_stage(self.plan[position.stage])
+                position.stage, position.iteration, position.state = position.stage + 1, 0, {}
+                self._save()
+        except KeyboardInterrupt:
+            self._save()
+            raise Interrupted(self._result()) from None
+        position.finished = True
+        self._save()
+        return self._result()
+
+    def _run_stage(self, planned: Planned) -> None:
+        position = self.position
+        if position.iteration == 0 and not planned.wanted(position.theta):
+            return
+        stage = planned.make()
+        if position.iteration == 0:
+            position.state = stage.begin(position.theta)
+            position.stages.append({"name": stage.name, "iterations": 0, "loss": None, "seconds": 0.0})
+        began = time.monotonic() - float(position.stages[-1]["seconds"])
+        with uninterrupted() as interrupted:
+            while position.iteration < stage.total:
+                outcome = stage.step(position.state, position.iteration)
+                self._record(stage, outcome, time.monotonic() - began)
+                if outcome.done:
+                    break
+                if interrupted() or self.stop():
+                    raise KeyboardInterrupt
+                if time.monotonic() - self._saved > SAVE_EVERY:
+                    self._save()
+            if interrupted():
+                raise KeyboardInterrupt
+
+    def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
+        position = self.position
+        position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
+        position.iteration += 1
+        position.seconds = time.monotonic() - self._began
+        constants = self._constants(position.theta)
+        position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
+        position.stages[-1].update(iterations=position.iteration, loss=outcome.loss, seconds=stage_seconds)
+        self._score()
+        names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]
+        self.progress.update(
+            Update(
+                self.member,
+                stage.name,
+                position.iteration,
+                stage.total,
+                outcome.loss,
+                position.seconds,
+                self._seconds_left(stage, stage_seconds),
+                dict(zip(names, constants, strict=True)),
+            )
+        )
+
+    def _score(self) -> None:
+        """Keeps the vector that predicts held-out data best; the last one where nothing is held out."""
+        position = self.position
+        if not len(self.context.held):
+            position.best, position.best_score = position.theta, position.loss
+            return
+        from gbspec.training.holdout import held_out_score
+
+        score = held_out_score(self.context, self.parameters, position.theta)
+        if score <= position.best_score:
+            position.best, position.best_score = position.theta, score
+
+    def _constants(self, theta: Array) -> tuple[float, ...]:
+        """Learned constants (of per-trajectory ones the mean), natural."""
+        values = self.parameters.constants(torch.from_numpy(theta)).numpy()
+        known = len(self.parameters.model.constants)
+        return tuple(float(x) for x in values[:, known:].mean(axis=0)) if len(values) else ()
+
+    def _seconds_left(self, stage: Stage, stage_seconds: float) -> float:
+        """At this stage's pace for all that may still come: an upper estimate, as stages end when they converge."""
+        position = self.position
+        pace = stage_seconds / max(position.iteration, 1)
+        later = sum(p.total for p in self.plan[position.stage + 1 :])
+        return pace * (max(stage.total - position.iteration, 0) + later)
+
+    # ---------------------------------------------------------------- files
+    def _result(self) -> MemberResult:
+        position = self.position
+        result = summarise(
+            self.context, self.parameters, position.best, position.loss, position.seconds, position.stages
+        )
+        weights = self.parameters.natural(position.best) | {"initial": result.initial}
+        info = {"max_step": self.context.max_step, "seed": self.context.seed, "labels": result.labels}
+        instance = type(self.context.module)(weights, info)
+        path = self.directory / files.WEIGHTS
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{files.WEIGHTS}.tmp")
+        instance.save(temporary)
+        temporary.replace(path)
+        result.history = list(position.history)
+        result.finished = position.finished
+        return result
+
+    def _save(self) -> None:
+        """Writes the last and the best checkpoint."""
+        position = self.position
+        arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
+        arrays |= {"theta": position.theta, "best": position.best}
+        remarks = {
+            "stage": position.stage,
+            "iteration": position.iteration,
+            "seconds": position.seconds,
+            "finished": position.finished,
+            "stages": position.stages,
+            "exact": {"loss": position.loss.hex(), "best_score": position.best_score.hex()},
+            "history": [
+                [name, i, seconds, loss.hex(), [x.hex() for x in constants]]
+                for name, i, seconds, loss, constants in position.history
+            ],
+        }
+        files.write_tensors(self.directory / files.CHECKPOINT, arrays, remarks)
+        best = {"theta": position.best}
+        files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})
+        self._saved = time.monotonic()
+
+    def _restore(self) -> None:
+        """Takes up the last checkpoint, if there is one; a damaged one is an error of the user's files."""
+        path = self.directory / files.CHECKPOINT
+        if not path.is_file():
+            return
+        arrays, remarks = read_checkpoint(path)
+        position = self.position
+        position.state = {n.partition(".")[2]: v for n, v in arrays.items() if n.startswith("state.")}
+        position.theta, position.best = arrays["theta"], arrays["best"]
+        position.stage, position.iteration = remarks["stage"], remarks["iteration"]
+        position.seconds, position.finished, position.stages = (
+            remarks["seconds"],
+            remarks["finished"],
+            remarks["stages"],
+        )
+        position.loss = float.fromhex(remarks["exact"]["loss"])
+        position.best_score = float.fromhex(remarks["exact"]["best_score"])
+        position.history = [
+            (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
+            for name, i, seconds, loss, constants in remarks["history"]
+        ]
+
+
+def read_checkpoint(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    """A checkpoint's arrays and remarks. Raises `UserError` (GB852) where it is damaged."""
+    from gbspec.diagnostics import Diagnostic, UserError
+
+    try:
+        return files.read_tensors(path)
+    except ValueError as error:
+        help_text = "delete the member's directory to fit it anew"
+        raise UserError([Diagnostic("GB852", str(error), None, help=help_text)]) from None
+
+
+class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
+    """Within it SIGINT is noted instead of raised, so that an iteration ends whole; a second one is raised at once."""
+
+    def __enter__(self) -> Callable[[], bool]:
+        import signal
+        import threading
+
+        self._seen = 0
+        self._main = threading.current_thread() is threading.main_thread()
+        if self._main:
+            self._before = signal.signal(signal.SIGINT, self._note)
+        return lambda: self._seen > 0
+
+    def _note(self, number: int, frame: object) -> None:
+        self._seen += 1
+        if self._seen > 1:
+            raise KeyboardInterrupt
+
+    def __exit__(self, *exception: object) -> None:
+        import signal
+
+        if self._main:
+            signal.signal(signal.SIGINT, self._before)

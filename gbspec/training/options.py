@@ -1,0 +1,127 @@
+"""The options of training: one frozen dataclass from which flags, configuration keys and help derive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+from gbspec.diagnostics import Findings
+
+Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
+Effort = Literal["low", "normal", "high"]
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How `gbspec train` estimates. Each field's metadata holds its help; defaults suit most data."""
+
+    members: int = field(
+        default=1, metadata={"help": "Number of fits from different seeds; their spread shows what the data left open."}
+    )
+    seed: int = field(default=0, metadata={"help": "Seed of the first member; member K uses SEED + K."})
+    max_step: float | None = field(
+        default=None,
+        metadata={
+            "help": "Largest step of the solver, in the unit of time; from the data where not given.",
+            "metavar": "H",
+        },
+    )
+    method: Method = field(
+        default="auto",
+        metadata={
+            "help": "`auto` runs all stages; `gradient-matching` the warm start alone; "
+            "`adam`, `lbfgs` and `lm` one optimiser after the warm start."
+        },
+    )
+    effort: Effort = field(default="normal", metadata={"help": "How long to go on improving the fit."})
+    epochs: int | None = field(
+        default=None,
+        metadata={"help": "Passes over the data of `adam`; iterations of `lbfgs`, `lm`.", "metavar": "N"},
+    )
+    holdout: float = field(
+        default=0.0,
+        metadata={
+            "help": "Fraction of the trajectories (of the last rows, if there is one trajectory) kept out of the fit; "
+            "the weights that predict them best are kept.",
+            "metavar": "FRACTION",
+        },
+    )
+    workers: int = field(default=1, metadata={"help": "Number of processes that fit members side by side."})
+    resume: bool = field(default=False, metadata={"help": "Continue an interrupted run where it stopped."})
+    forcing: str = field(
+        default="teacher",
+        metadata={
+            "help": "`teacher`: measured states are put in at each row; `autoregressive`: never; "
+            "a number between 0 and 1: a blend (1 is teacher).",
+            "metavar": "teacher|autoregressive|BLEND",
+        },
+    )
+    random_substeps: bool = field(
+        default=False, metadata={"help": "Draw the solver's steps at random, so that no step's error is learned."}
+    )
+    batch_size: int = field(default=32, metadata={"help": "Trajectories in a minibatch of `adam`."})
+    learning_rate: float = field(default=3e-3, metadata={"help": "Peak learning rate of `adam` (one-cycle schedule)."})
+    warm_start: bool = field(
+        default=True, metadata={"help": "Start from gradient matching on splines; without it from random weights."}
+    )
+    half_step: bool = field(default=True, metadata={"help": "Finish at half the step (`auto`)."})
+    ridge: float | None = field(
+        default=None,
+        metadata={
+            "help": "Standard deviation of the weights' prior, relative to their initial size; "
+            "from the noise where not given, 0 for none.",
+            "metavar": "SD",
+        },
+    )
+    threads: int | None = field(
+        default=None, metadata={"help": "Threads of each worker; the number of cores over the workers if not given."}
+    )
+
+    @property
+    def blend(self) -> float:
+        """Strength of teacher forcing: 1 for `teacher`, 0 for `autoregressive`."""
+        return {"teacher": 1.0, "autoregressive": 0.0}.get(self.forcing) or _number(self.forcing) or 0.0
+
+    def check(self, findings: Findings) -> None:
+        """Reports every option whose value makes no sense (GB850)."""
+
+        def report(flag: str, value: object, expected: str) -> None:
+            findings.error("GB850", f"`--{flag} {value}` must be {expected}", None, subject=flag)
+
+        for name, low in (
+            ("members", 1),
+            ("seed", 0),
+            ("workers", 1),
+            ("batch_size", 1),
+            ("epochs", 1),
+            ("threads", 1),
+        ):
+            value = getattr(self, name)
+            low = 0 if name == "seed" else 1
+            if value is not None and value < low:
+                report(name.replace("_", "-"), value, f"a whole number of at least {low}")
+        for name in ("max_step", "learning_rate"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                report(name.replace("_", "-"), value, "a positive number")
+        if not 0 <= self.holdout < 1:
+            report("holdout", self.holdout, "at least 0 and below 1")
+        if self.ridge is not None and not 0 <= self.ridge < float("inf"):
+            report("ridge", self.ridge, "a number that is not negative")
+        number = _number(self.forcing)
+        if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
+            report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
+        for name, allowed in (("method", Method), ("effort", Effort)):
+            if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
+                report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
+
+    def to_json(self) -> dict[str, Any]:
+        """All options by name, as `fit.json` keeps them (`resume` belongs to a call, not to a run)."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "resume"}
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -1,0 +1,286 @@
+"""Trajectories as arrays to step through: key rows, solver sub-steps packed back to back, resets and doses.
+
+A *key row* is a time at which something is known of a trajectory (a measurement) or done to it (a dose). Between key
+rows the solver takes *sub-steps* no longer than the largest step allowed. Each trajectory's sub-steps follow each other
+without gaps, so that in step `s` of the batch every trajectory takes its own `s`-th sub-step, whatever its length;
+trajectories that are done take steps of length zero, at the end only. (Waiting for the longest interval of the batch
+at every key row would cost about three times as many steps on irregular data.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.trajectories import Array, Signal, Trajectories, Trajectory
+from gbspec.ir.model import Model
+from gbspec.ir.tableaus import RK4
+
+Integers = NDArray[np.int64]
+
+NODES = tuple(sorted({float(c) for c in RK4.c}))
+"""The distinct nodes of the tableau, at which inputs are needed within a step."""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A batch of N trajectories of at most T sub-steps, with R key rows in all.
+
+    `t`, `h` [T, N]: start and length of each sub-step; `inputs` [T, N, nodes, n_inputs]: inputs at the tableau's nodes
+    (the right limit at the start of a step, the left limit at its end); `condition` [N, n_conditions]; `start` [N].
+    Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
+    trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
+    measured), `weights` [R, C] (square root of the count; 0: not measured), `sd` [R, C] (NaN: none given),
+    `row_inputs` [R, n_inputs], `dose` [R, n_states] (added to the state after the row's measurement).
+    """
+
+    t: Array
+    h: Array
+    inputs: Array
+    condition: Array
+    start: Array
+    steps: Integers
+    row_trajectory: Integers
+    row_index: Integers
+    row_step: Integers
+    row_time: Array
+    values: Array
+    weights: Array
+    sd: Array
+    row_inputs: Array
+    dose: Array
+    labels: tuple[str, ...]
+    max_step: float
+
+    @property
+    def trajectories(self) -> int:
+        """Number of trajectories."""
+        return int(self.condition.shape[0])
+
+    @property
+    def depth(self) -> int:
+        """Number of sub-steps of the longest trajectory."""
+        return int(self.t.shape[0])
+
+    @property
+    def rows(self) -> int:
+        """Number of key rows."""
+        return int(self.row_time.shape[0])
+
+    @property
+    def substeps(self) -> int:
+        """Number of true sub-steps (of positive length)."""
+        return int(self.steps.sum())
+
+    def take(self, indices: Sequence[int] | Integers) -> Packed:
+        """The same packing with some of its trajectories, in the order given (repeats allowed)."""
+        index = np.asarray(indices, dtype=np.int64)
+        order = np.concatenate(
+            [np.zeros(0, dtype=np.int64), *(np.flatnonzero(self.row_trajectory == i) for i in index)]
+        )
+        owner = np.repeat(np.arange(len(index)), [int(np.sum(self.row_trajectory == i)) for i in index])
+        by_place = np.lexsort((owner, self.row_index[order]))
+        rows, owner = order[by_place], owner[by_place]
+        depth = int(self.steps[index].max(initial=0))
+        return replace(
+            self,
+            t=self.t[:depth, index],
+            h=self.h[:depth, index],
+            inputs=self.inputs[:depth, index],
+            condition=self.condition[index],
+            start=self.start[index],
+            steps=self.steps[index],
+            row_trajectory=owner.astype(np.int64),
+            row_index=self.row_index[rows],
+            row_step=self.row_step[rows],
+            row_time=self.row_time[rows],
+            values=self.values[rows],
+            weights=self.weights[rows],
+            sd=self.sd[rows],
+            row_inputs=self.row_inputs[rows],
+            dose=self.dose[rows],
+            labels=tuple(self.labels[i] for i in index),
+        )
+
+
+def default_max_step(trajectories: Trajectories) -> float:
+    """A fifth of the typical interval between two measurements of the same channel, rounded to 1, 2 or 5 x 10^n.
+
+    Intervals are taken channel by channel, because channels on clocks of their own make the rows of a table dense
+    without the dynamics being any faster. Whether the step is short enough is checked after every fit, at half of it.
+    """
+    gaps = [
+        np.diff(item.times[np.isfinite(item.values[:, channel])])
+        for item in trajectories.items
+        for channel in range(item.values.shape[1])
+    ]
+    intervals = np.concatenate([*gaps, np.zeros(0)])
+    intervals = intervals[intervals > 0]
+    if len(intervals):
+        typical = float(np.median(intervals)) / 5
+    else:
+        spans = [item.end - item.start for item in trajectories.items]
+        typical = max(max(spans, default=1.0), 1e-12) / 50
+    scale = 10.0 ** np.floor(np.log10(typical))
+    return float(scale * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(np.log(m * scale / typical))))
+
+
+def evaluate_signal(signal: Signal, interpolation: str, times: Array, side: str) -> Array:
+    """Values of an input at `times` [n]; at a jump of a held input the limit from `side` ("right" or "left")."""
+    if len(signal.times) == 0:
+        return np.zeros_like(times)
+    if interpolation == "linear":
+        return np.asarray(np.interp(times, signal.times, signal.values), dtype=np.float64)
+    index = np.searchsorted(signal.times, times, side="right" if side == "right" else "left") - 1
+    return np.asarray(signal.values[np.clip(index, 0, len(signal.values) - 1)], dtype=np.float64)
+
+
+def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.random.Generator | None = None) -> Packed:
+    """Packs a data set for steps of at most `max_step` (in the unit of time).
+
+    With `rng`, the sub-steps of an interval are of random lengths (none above `max_step`): a learned right-hand side
+    then cannot come to rely on one particular step.
+    """
+    plans = [_plan(item, model, max_step, rng) for item in trajectories.items]
+    depth = max((len(plan.h) for plan in plans), default=0)
+    count, n_inputs = len(plans), len(model.inputs)
+    t, h = np.zeros((depth, count)), np.zeros((depth, count))
+    inputs = np.zeros((depth, count, len(NODES), n_inputs))
+    for i, plan in enumerate(plans):
+        n = len(plan.h)
+        t[:n, i], h[:n, i] = plan.t, plan.h
+        t[n:, i] = plan.t[-1] + plan.h[-1] if n else trajectories.items[i].start
+        inputs[:n, i] = plan.inputs
+        if 0 < n < depth:
+            inputs[n:, i] = plan.inputs[-1, -1]
+    none = np.zeros(0, dtype=np.int64)
+    owner = np.concatenate([none, *(np.full(len(plan.row_step), i) for i, plan in enumerate(plans))])
+    place = np.concatenate([none, *(np.arange(len(plan.row_step)) for plan in plans)])
+    order = np.lexsort((owner, place))
+
+    def rows(arrays: list[Array], width: int | None = None) -> Array:
+        empty = np.zeros(0) if width is None else np.zeros((0, width))
+        return np.asarray(np.concatenate([*arrays, empty]), dtype=np.float64)[order]
+
+    channels = len(trajectories.channels)
+    return Packed(
+        t=t,
+        h=h,
+        inputs=inputs,
+        condition=np.array([item.condition for item in trajectories.items], dtype=np.float64).reshape(count, -1),
+        start=np.array([item.start for item in trajectories.items], dtype=np.float64),
+        steps=np.array([len(plan.h) for plan in plans], dtype=np.int64),
+        row_trajectory=owner[order].astype(np.int64),
+        row_index=place[order].astype(np.int64),
+        row_step=rows([plan.row_step.astype(np.float64) for plan in plans]).astype(np.int64),
+        row_time=rows([plan.row_time for plan in plans]),
+        values=rows([plan.values for plan in plans], channels),
+        weights=rows([plan.weights for plan in plans], channels),
+        sd=rows([plan.sd for plan in plans], channels),
+        row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
+        dose=rows([plan.dose for plan in plans], len(model.states)),
+        labels=tuple(item.label for item in trajectories.items),
+        max_step=max_step,
+    )
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """One trajectory's sub-steps and key rows (fields as in `Packed`, without the batch's axis)."""
+
+    t: Array
+    h: Array
+    inputs: Array
+    row_step: Integers
+    row_time: Array
+    values: Array
+    weights: Array
+    sd: Array
+    row_inputs: Array
+    dose: Array
+
+
+def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Generator | None) -> _Plan:
+    dose_times = [events.times[(events.times >= item.start) & (events.times <= item.end)] for events in item.doses]
+    measured = item.times[item.times >= item.start]
+    keys = np.unique(np.concatenate([measured, *dose_times])) if len(dose_times) else measured
+    jumps = [signal.times for signal in item.inputs]
+    inside = [s[(s > item.start) & (s < item.end)] for s in jumps]
+    # A breakpoint within rounding of a key time is that key time: no step may be as short as an error of the clock.
+    breaks = _distinct(np.concatenate([keys, *inside]), keys, item)
+    edges = np.concatenate([[item.start], breaks[breaks > item.start]])
+    lengths = [_split(float(b - a), max_step, rng) for a, b in pairwise(edges)]
+    counts = np.array([len(x) for x in lengths], dtype=np.int64)
+    h = np.concatenate([*lengths, np.zeros(0)])
+    t = np.concatenate([a + np.cumsum(x) - x for a, x in zip(edges[:-1], lengths, strict=True)] or [np.zeros(0)])
+    arrival = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(counts)])
+    row_step = arrival[np.searchsorted(edges, keys)]
+    values, weights, sd = (np.full((len(keys), item.values.shape[1]), fill) for fill in (np.nan, 0.0, np.nan))
+    at = np.searchsorted(keys, measured)
+    kept = item.times >= item.start
+    values[at], weights[at], sd[at] = item.values[kept], np.sqrt(item.counts[kept]), item.sd[kept]
+    weights[~np.isfinite(values)] = 0.0
+    dose = np.zeros((len(keys), len(model.states)))
+    for spec, events in zip(model.doses, item.doses, strict=True):
+        valid = (events.times >= item.start) & (events.times <= item.end)
+        np.add.at(
+            dose[:, model.state_index[spec.state]], np.searchsorted(keys, events.times[valid]), events.amounts[valid]
+        )
+    return _Plan(
+        t, h, _step_inputs(item, model, t, h), row_step, keys, values, weights, sd, _row_inputs(item, model, keys), dose
+    )
+
+
+def _distinct(times: Array, keys: Array, item: Trajectory) -> Array:
+    """Sorted distinct times; one that is not a key and lies within rounding of another is dropped."""
+    tolerance = 1e-9 * max(item.end - item.start, abs(item.end), 1e-300)
+    ordered = np.unique(times)
+    is_key = np.isin(ordered, keys)
+    near = np.zeros(len(ordered), dtype=bool)
+    if len(keys):
+        position = (
+            np.clip(np.searchsorted(keys, ordered), 1, len(keys) - 1) if len(keys) > 1 else np.zeros(len(ordered), int)
+        )
+        distance = np.minimum(np.abs(ordered - keys[position]), np.abs(ordered - keys[np.maximum(position - 1, 0)]))
+        near = ~is_key & (distance <= tolerance)
+    return np.asarray(ordered[~near], dtype=np.float64)
+
+
+def _split(interval: float, max_step: float, rng: np.random.Generator | None) -> Array:
+    """Lengths of an interval's sub-steps: equal, or random with none above `max_step`."""
+    exact = interval / max_step
+    if rng is None:
+        n = max(1, int(np.ceil(exact * (1 - 1e-9))))
+        return np.full(n, interval / n)
+    n = max(1, int(np.ceil(1.5 * exact)))
+    equal = np.full(n, 1.0 / n)
+    drawn = rng.dirichlet(np.full(n, 4.0))
+    excess = float(drawn.max() - 1.0 / n)
+    room = max_step / interval - 1.0 / n
+    blend = 1.0 if excess <= room else max(room, 0.0) / excess
+    parts = equal + blend * (drawn - equal)
+    return np.asarray(interval * parts / parts.sum(), dtype=np.float64)
+
+
+def _step_inputs(item: Trajectory, model: Model, t: Array, h: Array) -> Array:
+    out = np.zeros((len(t), len(NODES), len(model.inputs)))
+    for j, (spec, signal) in enumerate(zip(model.inputs, item.inputs, strict=True)):
+        middle = evaluate_signal(signal, spec.interpolation, t + h / 2, "right")
+        for k, node in enumerate(NODES):
+            if spec.interpolation == "held":
+                # Breakpoints are step boundaries, so a held input is constant within a step: its value at the middle.
+                out[:, k, j] = middle
+            else:
+                out[:, k, j] = evaluate_signal(signal, "linear", t + node * h, "right")
+    return out
+
+
+def _row_inputs(item: Trajectory, model: Model, times: Array) -> Array:
+    out = np.zeros((len(times), len(model.inputs)))
+    for j, (spec, signal) in enumerate(zip(model.inputs, item.inputs, strict=True)):
+        out[:, j] = evaluate_signal(signal, spec.interpolation, times, "right")
+    return out

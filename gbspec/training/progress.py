@@ -1,0 +1,45 @@
+"""What training tells while it runs; whoever shows it implements `Progress`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class Update:
+    """One iteration of one member.
+
+    `total` is the most iterations that the stage may take; `loss` is the mean over measured values of half the squared
+    residual; `constants` are shared learned constants by name; `seconds_left` is an estimate of the time to the end.
+    """
+
+    member: int
+    stage: str
+    iteration: int
+    total: int
+    loss: float
+    seconds: float
+    seconds_left: float | None = None
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+
+class Progress(Protocol):
+    """Receives what happens, in order; called from the process that called `train`."""
+
+    def update(self, update: Update) -> None:
+        """An iteration is done."""
+
+    def message(self, text: str) -> None:
+        """A remark worth showing: a decision, a warning."""
+
+
+class Silent:
+    """Shows nothing."""
+
+    def update(self, update: Update) -> None:
+        """Does nothing."""
+
+    def message(self, text: str) -> None:
+        """Does nothing."""

@@ -1,0 +1,136 @@
+"""A curve through each measured state of each trajectory, for warm starts and imputed values.
+
+Interpolating where the data look free of noise, smoothed by generalised cross-validation where they do not; shape
+preserving (PCHIP) where the data are monotone, so that a curve does not wiggle between sparse points.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator, make_smoothing_spline
+
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.ir.model import Model
+
+Curve = Callable[[Array], Array]
+
+NOISE_FREE = 10.0
+"""Below this median distance of the smoothed curve from the data (relative to their deviation) curves interpolate."""
+
+
+@dataclass(frozen=True)
+class StateCurve:
+    """One state of one trajectory over [low, high], where it was measured; linear beyond, in the values' range."""
+
+    value: Curve
+    slope: Curve
+    low: float
+    high: float
+    bottom: float
+    top: float
+
+    def extended(self, times: Array) -> Array:
+        """Values at any times: beyond the measured span along the end's tangent, within the span of the data."""
+        inside = np.clip(times, self.low, self.high)
+        tangent = self.value(inside) + self.slope(inside) * (times - inside)
+        margin = 0.25 * (self.top - self.bottom)
+        bounded = np.clip(tangent, self.bottom - margin, self.top + margin)
+        return np.asarray(np.where(times == inside, self.value(inside), bounded), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Curves by trajectory and state (None: not measured there, or fewer than two points)."""
+
+    items: tuple[tuple[StateCurve | None, ...], ...]
+    noise: Array
+    """Distance of data and curves, in units of the data's deviation (0 where curves interpolate) [n_states]."""
+
+    def covers(self, state: int) -> bool:
+        """Whether the state has a curve in at least one trajectory."""
+        return any(item[state] is not None for item in self.items)
+
+
+def fit_curves(model: Model, trajectories: Trajectories) -> Curves:
+    """Fits all curves; whether a state's curves smooth is decided for all trajectories together."""
+    columns: list[list[StateCurve | None]] = []
+    noise = np.zeros(len(model.states))
+    for state in range(len(model.states)):
+        channels = [i for i, c in enumerate(model.channels) if c.state == state]
+        series = [_series(item.times, item.values[:, channels[-1:]]) for item in trajectories.items]
+        smoothed = [_smooth(t, y) for t, y in series]
+        noise[state] = _noise_level(series, smoothed)
+        if noise[state] < NOISE_FREE:
+            noise[state] = 0.0
+            smoothed = [None] * len(series)
+        columns.append([_curve(t, y, s) for (t, y), s in zip(series, smoothed, strict=True)])
+    items = tuple(tuple(column[i] for column in columns) for i in range(len(trajectories)))
+    return Curves(items, noise)
+
+
+def _series(times: Array, values: Array) -> tuple[Array, Array]:
+    """Times and values of what was measured (`values` [R, 0 or 1])."""
+    if values.shape[1] == 0:
+        return np.zeros(0), np.zeros(0)
+    seen = np.isfinite(values[:, 0])
+    return times[seen], values[seen, 0]
+
+
+def _smooth(t: Array, y: Array) -> Curve | None:
+    """A smoothing spline, its penalty by generalised cross-validation; None with fewer than 8 points."""
+    if len(t) < 8:
+        return None
+    width, deviation = t[-1] - t[0], y.std()
+    if deviation == 0:
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        spline = make_smoothing_spline((t - t[0]) / width, (y - y.mean()) / deviation)
+    return _Rescaled(spline, float(t[0]), float(width), float(y.mean()), float(deviation))
+
+
+@dataclass(frozen=True)
+class _Rescaled:
+    """A spline of scaled time and value, in natural units."""
+
+    spline: Curve
+    origin: float
+    width: float
+    mean: float
+    deviation: float
+
+    def __call__(self, t: Array) -> Array:
+        return np.asarray(self.mean + self.deviation * self.spline((t - self.origin) / self.width), dtype=np.float64)
+
+    def derivative(self) -> Curve:
+        """The slope in natural units."""
+        return _Rescaled(self.spline.derivative(), self.origin, self.width, 0.0, self.deviation / self.width)  # type: ignore[attr-defined]
+
+
+def _noise_level(series: list[tuple[Array, Array]], smoothed: list[Curve | None]) -> float:
+    """Root mean square of the distances from the smoothed curves, corrected for degrees of freedom, relative."""
+    pairs = [(y, s(t)) for (t, y), s in zip(series, smoothed, strict=True) if s is not None]
+    if not pairs:
+        return 0.0
+    values = np.concatenate([y for y, _ in pairs])
+    distance = np.concatenate([y - fit for y, fit in pairs])
+    spread = float(values.std())
+    return float(1.4826 * np.median(np.abs(distance)) / spread) if spread > 0 else 0.0
+
+
+def _curve(t: Array, y: Array, smoothed: Curve | None) -> StateCurve | None:
+    if len(t) < 2:
+        return None
+    low, high, bottom, top = float(t[0]), float(t[-1]), float(y.min()), float(y.max())
+    if smoothed is not None:
+        return StateCurve(smoothed, smoothed.derivative(), low, high, bottom, top)  # type: ignore[attr-defined]
+    change = np.diff(y)
+    if len(t) < 4 or (change >= 0).all() or (change <= 0).all():
+        shape = PchipInterpolator(t, y)
+    else:
+        shape = CubicSpline(t, y)
+    return StateCurve(shape, shape.derivative(), low, high, bottom, top)

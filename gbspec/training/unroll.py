@@ -1,0 +1,193 @@
+"""The unrolled solver: all trajectories of a packed batch stepped together, and the residuals at their key rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import ComputationError
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Problem
+
+LOG_FLOOR = 1e-3
+"""Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
+
+
+@dataclass(frozen=True)
+class Unrolled:
+    """`arrival` [R, n_states]: states on arrival at each key row (before resets); `departure`: after them;
+    `initial` [N, n_states]; `residuals` [R, C], 0 where nothing was measured."""
+
+    arrival: Tensor
+    departure: Tensor
+    initial: Tensor
+    residuals: Tensor
+
+
+def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
+    """Steps every trajectory from its initial state through its key rows; differentiable in `theta`."""
+    packed, module = problem.packed, problem.module
+    m = problem.ops
+    networks = module.torch_networks(parameters.weights(theta))
+    constants = parameters.constants(theta)
+    k = tuple(constants[:, i] for i in range(constants.shape[1]))
+    c = torch.from_numpy(packed.condition)
+    initial = module._initial(m, parameters.starts(theta), c, k)
+    value, weight, dose = _reset_tables(problem)
+    t, h, inputs = torch.from_numpy(packed.t), torch.from_numpy(packed.h), torch.from_numpy(packed.inputs)
+    before, after = [initial], []
+    x = initial
+    for s in range(packed.depth + 1):
+        if s > 0:
+            nodes = tuple(inputs[s - 1, :, j] for j in range(inputs.shape[2]))
+            x = module._step(m, t[s - 1], x, h[s - 1], c, nodes, k, networks)
+            before.append(x)
+        if weight[s] is not None:
+            x = x - weight[s] * (x - value[s])
+        if dose[s] is not None:
+            x = x + dose[s]
+        after.append(x)
+    step, owner = torch.from_numpy(packed.row_step), torch.from_numpy(packed.row_trajectory)
+    arrival = torch.stack(before)[step, owner]
+    departure = torch.stack(after)[step, owner]
+    residuals = row_residuals(problem, arrival, constants[owner], networks)
+    return Unrolled(arrival, departure, initial, residuals)
+
+
+def _reset_tables(problem: Problem) -> tuple[list[Tensor | None], list[Tensor | None], list[Tensor | None]]:
+    """Reset values, reset weights and doses by step and trajectory; None at steps without any."""
+    packed = problem.packed
+    shape = (packed.depth + 1, packed.trajectories, len(problem.model.states))
+    at = (packed.row_step, packed.row_trajectory)
+    tables = []
+    for rows in (problem.forcing.value, problem.forcing.weight, packed.dose):
+        table = np.zeros(shape)
+        table[at] = rows
+        tables.append(table)
+    value, weight, dose = tables
+    used = [bool(table.any()) for table in weight]
+    dosed = [bool(table.any()) for table in dose]
+    return (
+        [torch.from_numpy(value[s]) if used[s] else None for s in range(shape[0])],
+        [torch.from_numpy(weight[s]) if used[s] else None for s in range(shape[0])],
+        [torch.from_numpy(dose[s]) if dosed[s] else None for s in range(shape[0])],
+    )
+
+
+def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: Any) -> Tensor:
+    """Predicted channels at the key rows [R, C], from states [R, n_states] and constants [R, n_constants]."""
+    packed = problem.packed
+    k = tuple(constants[:, i] for i in range(constants.shape[1]))
+    c = torch.from_numpy(packed.condition[packed.row_trajectory])
+    t, u = torch.from_numpy(packed.row_time), torch.from_numpy(packed.row_inputs)
+    predicted: Tensor = problem.module._observe(problem.ops, t, states, c, u, k, networks)
+    return predicted
+
+
+def row_residuals(problem: Problem, arrival: Tensor, constants: Tensor, networks: Any) -> Tensor:
+    """Residuals [R, C]; 0 where nothing was measured."""
+    predicted = observe_rows(problem, arrival, constants, networks)
+    return residuals_of(problem, predicted)
+
+
+def residuals_of(problem: Problem, predicted: Tensor) -> Tensor:
+    """Residuals [R, C] of predicted channels [R, C] (see `problem`)."""
+    packed, scaling = problem.packed, problem.scaling
+    seen = packed.weights > 0
+    measured = torch.from_numpy(np.where(seen, packed.values, 1.0))
+    factor = torch.from_numpy(np.where(seen, packed.weights / scaling.row_scale, 0.0))
+    difference = predicted - measured
+    if scaling.log.any():
+        ratio = predicted / measured.abs().clamp_min(1e-300)
+        safe = ratio.clamp_min(LOG_FLOOR)
+        logarithm = torch.log(safe) + (ratio - safe) / LOG_FLOOR
+        difference = torch.where(torch.from_numpy(scaling.log), logarithm, difference)
+    return torch.where(factor > 0, difference * factor, torch.zeros_like(difference))
+
+
+def measured_residuals(problem: Problem, residuals: Tensor) -> Tensor:
+    """The residuals of measured values alone, as a vector, row by row."""
+    return residuals[torch.from_numpy(problem.packed.weights > 0)]
+
+
+def solve(problem: Problem, parameters: Parameters, theta: Array) -> Array:
+    """The residuals of measured values at `theta` (no gradient); may hold NaN or infinities after a blow-up."""
+    with torch.no_grad():
+        out = unroll(problem, parameters, torch.from_numpy(theta))
+        return np.asarray(measured_residuals(problem, out.residuals).numpy(), dtype=np.float64)
+
+
+def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stage: str) -> ComputationError:
+    """What went wrong in a solution that left the finite numbers: which trajectory, when, and in which balance."""
+    packed = problem.packed
+    with torch.no_grad():
+        vector = torch.from_numpy(theta)
+        if not np.isfinite(theta).all():
+            return ComputationError(
+                f"the parameters are no longer numbers in stage `{stage}`",
+                remedy="lower `--learning-rate`, or use `--method auto`",
+            )
+        found = _first_failure(problem, parameters, vector)
+    if found is None:
+        return ComputationError(f"a residual is not a finite number in stage `{stage}`", remedy=_REMEDY)
+    trajectory, time, term, state = found
+    values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(problem.model.states, state, strict=True))
+    return ComputationError(
+        f"the solution blew up in stage `{stage}`: {term}",
+        where=f"trajectory `{packed.labels[trajectory]}` at {problem.model.time.name} = {time:.6g}, where {values}",
+        remedy=_REMEDY,
+    )
+
+
+_REMEDY = (
+    "try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), "
+    "or a range and a start for each state (`state x in [0, 1] = 0.5`)"
+)
+
+
+def _first_failure(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[int, float, str, Array] | None:
+    """The first trajectory and time whose state is not finite, the balance to blame, and the last finite state."""
+    packed, module, m = problem.packed, problem.module, problem.ops
+    networks = module.torch_networks(parameters.weights(theta))
+    constants = parameters.constants(theta)
+    k = tuple(constants[:, i] for i in range(constants.shape[1]))
+    c = torch.from_numpy(packed.condition)
+    x = module._initial(m, parameters.starts(theta), c, k)
+    value, weight, dose = _reset_tables(problem)
+    t, h, inputs = torch.from_numpy(packed.t), torch.from_numpy(packed.h), torch.from_numpy(packed.inputs)
+    names = [s.name for s in problem.model.states]
+    bad = ~torch.isfinite(x)
+    if bad.any():
+        i = int(torch.nonzero(bad)[0, 0])
+        which = ", ".join(f"`{names[j]}`" for j in torch.nonzero(bad[i])[:, 0].tolist())
+        return i, float(packed.start[i]), f"the initial state of {which} is not finite", x[i].numpy()
+    for s in range(packed.depth + 1):
+        if s > 0:
+            nodes = tuple(inputs[s - 1, :, j] for j in range(inputs.shape[2]))
+            new = module._step(m, t[s - 1], x, h[s - 1], c, nodes, k, networks)
+            bad = ~torch.isfinite(new)
+            if bad.any():
+                i = int(torch.nonzero(bad.any(-1))[0, 0])
+                rhs = module._rhs(m, t[s - 1], x, c, nodes[0], k, networks)[i]
+                return i, float(packed.t[s - 1, i]), _blame(names, rhs, bad[i]), x[i].numpy()
+            x = new
+        if weight[s] is not None:
+            x = x - weight[s] * (x - value[s])
+        if dose[s] is not None:
+            x = x + dose[s]
+    return None
+
+
+def _blame(names: list[str], rhs: Tensor, bad: Tensor) -> str:
+    """Names the balances that are not finite at the last finite state, else those whose step diverges."""
+    broken = [names[j] for j in torch.nonzero(~torch.isfinite(rhs))[:, 0].tolist()]
+    if broken:
+        return "the right-hand side of " + ", ".join(f"`{n}'`" for n in broken) + " is not finite"
+    diverging = torch.nonzero(bad)[:, 0].tolist()
+    parts = ", ".join(f"`{names[j]}'` = {float(rhs[j]):.4g}" for j in diverging)
+    return f"the step diverges in {parts}"

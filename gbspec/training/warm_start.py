@@ -1,0 +1,213 @@
+"""Gradient matching: constants and networks from the slopes of splines, before any trajectory is solved.
+
+1. *Elimination*: the networks' outputs are free numbers at each point; constants (and these numbers) minimise the
+   robust distance of balances and slopes. Where there are more balances than outputs, this determines the constants
+   without any assumption on the unknown functions; elsewhere damping keeps them where they started.
+2. *Scales*: the networks' inputs are scaled by what they see at the points, outputs by the free numbers.
+3. *Slope regression*: networks and constants together, Adam on minibatches of points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import NN, Model
+from gbspec.training.bounds import Bijections
+from gbspec.training.collocation import FreeOutputs, Points, evaluate_rhs
+from gbspec.training.parameters import Parameters, Weights
+
+ELIMINATION_STEPS = 30
+REGRESSION_STEPS = 1500
+BATCH = 256
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Constants (trainable values [n_learnables]), and free outputs [M, Q] with the arguments of each application."""
+
+    constants: Array
+    outputs: Array
+    arguments: tuple[tuple[int, Array], ...]
+
+
+def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
+    known = [torch.full((count,), c.value, dtype=torch.float64) for c in model.constants]
+    natural = Bijections.of(model.learnables).to_natural(u)
+    learned = [natural[..., i].expand(count) for i in range(len(model.learnables))]
+    columns = known + learned
+    return torch.stack(columns, -1) if columns else torch.zeros((count, 0), dtype=torch.float64)
+
+
+def eliminate(model: Model, module: Any, points: Points, start: Array) -> Eliminated:
+    """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights."""
+    count, equations = len(points), list(points.equations)
+    free = FreeOutputs(model, count)
+    with torch.no_grad():
+        evaluate_rhs(model, module, points, _constants_at(model, torch.from_numpy(start), count), free.functions())
+    u, outputs = start.copy(), np.tile(np.array(free.neutral), (count, 1)).reshape(count, -1)
+    scale = points.scale[equations]
+    target = torch.from_numpy(points.slope)
+    damping, best = 1e-2, np.inf
+    width = np.median(np.abs(points.slope[:, equations]) / scale) if count else 1.0
+
+    def residuals(u: Array, outputs: Array, derivatives: bool) -> tuple[Array, Array, Array]:
+        k = _constants_at(model, torch.from_numpy(u), count).detach().requires_grad_(derivatives)
+        o = torch.from_numpy(outputs).clone().requires_grad_(derivatives)
+        free.values = o
+        difference = (evaluate_rhs(model, module, points, k, free.functions()) - target)[:, equations]
+        r = difference / torch.from_numpy(scale)
+        if not derivatives:
+            return r.detach().numpy(), np.zeros(0), np.zeros(0)
+        d_o, d_k = [], []
+        for i in range(len(equations)):
+            if not r.requires_grad:
+                d_o.append(torch.zeros_like(o))
+                d_k.append(torch.zeros_like(k))
+                continue
+            g = torch.autograd.grad(r[:, i].sum(), [o, k], retain_graph=True, allow_unused=True)
+            d_o.append(torch.zeros_like(o) if g[0] is None else g[0])
+            d_k.append(torch.zeros_like(k) if g[1] is None else g[1])
+        slope = Bijections.of(model.learnables).derivative(u)
+        jac_k = torch.stack(d_k, 1).numpy()[:, :, len(model.constants) :] * slope
+        return r.detach().numpy(), torch.stack(d_o, 1).numpy(), jac_k
+
+    for _ in range(ELIMINATION_STEPS):
+        r, jac_o, jac_k = residuals(u, outputs, True)
+        if not np.isfinite(r).all():
+            break
+        spread = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
+        w = 1.0 / (1.0 + (r / (3 * spread)) ** 2)
+        value = float(np.log1p((r / (3 * spread)) ** 2).sum())
+        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count)
+        new_r, _, _ = residuals(u + du, outputs + do, False)
+        new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
+        if new < value:
+            u, outputs, damping = u + du, outputs + do, max(damping / 5, 1e-8)
+            if abs(best - new) < 1e-6 * max(new, 1e-12):
+                break
+            best = new
+        else:
+            damping *= 4
+            if damping > 1e6:
+                break
+    return Eliminated(u, outputs, tuple(free.arguments))
+
+
+def _eliminated_step(r: Array, jac_o: Array, jac_k: Array, w: Array, damping: float) -> tuple[Array, Array]:
+    """The Gauss-Newton step of constants [n] and free outputs [M, Q]; outputs are eliminated point by point."""
+    q = jac_o.shape[2]
+    weighted = jac_o * w[:, :, None]
+    h_oo = np.einsum("pei,pej->pij", weighted, jac_o)
+    # The least-norm solution where a point does not determine its outputs.
+    size = np.trace(h_oo, axis1=1, axis2=2).mean() / max(q, 1) if q else 1.0
+    h_oo = h_oo + 1e-8 * max(size, 1e-300) * np.eye(q)
+    g_o = np.einsum("pei,pe->pi", weighted, r)
+    h_ok = np.einsum("pei,pek->pik", weighted, jac_k)
+    solved_g = np.linalg.solve(h_oo, g_o[:, :, None])[:, :, 0] if q else g_o
+    solved_k = np.linalg.solve(h_oo, h_ok) if q else h_ok
+    h_kk = np.einsum("pei,pej->ij", jac_k * w[:, :, None], jac_k) - np.einsum("pik,pij->kj", h_ok, solved_k)
+    g_k = np.einsum("pek,pe->k", jac_k * w[:, :, None], r) - np.einsum("pik,pi->k", h_ok, solved_g)
+    du = -np.linalg.solve(h_kk + damping * np.eye(len(g_k)), g_k) if len(g_k) else np.zeros(0)
+    do = -solved_g - np.einsum("pik,k->pi", solved_k, du)
+    return du, do
+
+
+def network_scales(model: Model, eliminated: Eliminated) -> Weights:
+    """Step 2: input and output scales of every network, and the range that its inputs cover."""
+    out: Weights = {}
+    position = 0
+    seen: dict[int, list[tuple[Array, Array]]] = {}
+    for which, arguments in eliminated.arguments:
+        width = len(model.networks[which].outputs)
+        seen.setdefault(which, []).append((arguments, eliminated.outputs[:, position : position + width]))
+        position += width
+    for index, network in enumerate(model.networks):
+        name = network.name
+        applications = seen.get(index, [])
+        arguments = (
+            np.concatenate([a for a, _ in applications]) if applications else np.zeros((0, len(network.arguments)))
+        )
+        outputs = np.concatenate([o for _, o in applications]) if applications else np.zeros((0, len(network.outputs)))
+        ranges = [argument.range for argument in network.arguments]
+        low, high, center, scale = (np.zeros(len(ranges)) for _ in range(4))
+        for i, bounds in enumerate(ranges):
+            column = arguments[:, i]
+            declared = (bounds.low, bounds.high) if bounds is not None and bounds.bounded else (-1.0, 1.0)
+            varies = len(column) > 1 and float(column.std()) > 1e-9 * max(float(np.abs(column).max()), 1e-300)
+            low[i], high[i] = (column.min(), column.max()) if len(column) else declared
+            center[i] = column.mean() if len(column) else (declared[0] + declared[1]) / 2
+            scale[i] = column.std() if varies else max((declared[1] - declared[0]) / np.sqrt(12), 1e-12)
+        out |= {f"network.{name}.input_center": center, f"network.{name}.input_scale": scale}
+        out |= {f"network.{name}.input_low": low, f"network.{name}.input_high": high}
+        center_out, scale_out = _output_scale(model, index, outputs)
+        out |= {f"network.{name}.output_center": center_out, f"network.{name}.output_scale": scale_out}
+    return out
+
+
+def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
+    """Mean and deviation of the free outputs, robustly; with a postulate the centre is its neutral value."""
+    unknowns = sorted((u for u in model.unknowns if u.network == network), key=lambda u: u.output)
+    center, scale = np.zeros(len(unknowns)), np.ones(len(unknowns))
+    for i, unknown in enumerate(unknowns):
+        column = outputs[:, i]
+        column = column[np.isfinite(column)]
+        plain = unknown.postulate == NN
+        if len(column) < 2:
+            center[i], scale[i] = unknown.neutral, 1.0
+            continue
+        low, high = np.quantile(column, [0.02, 0.98])
+        clipped = np.clip(column, low, high)
+        center[i] = clipped.mean() if plain else unknown.neutral
+        deviation = float(np.sqrt(np.mean((clipped - center[i]) ** 2)))
+        size = max(float(np.abs(clipped).max()), 1e-300)
+        scale[i] = deviation if deviation > 1e-6 * size else max(0.1 * size, 1e-12) if size > 1e-12 else 1.0
+    return center, scale
+
+
+def regress_slopes(parameters: Parameters, module: Any, points: Points, theta: Array, seed: int) -> Array:
+    """Step 3: weights and shared constants by Adam on minibatches of points; Huber's loss, a cosine schedule."""
+    model = parameters.model
+    if not len(points) or not model.networks:
+        return theta
+    rng = np.random.default_rng([seed, 11])
+    shared = torch.from_numpy(theta[: parameters.n_shared].copy()).requires_grad_()
+    rest = torch.from_numpy(theta[parameters.n_shared :])
+    equations = list(points.equations)
+    scale = torch.from_numpy(points.scale[equations])
+    optimiser = torch.optim.Adam([shared], lr=5e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, REGRESSION_STEPS, eta_min=1e-5)
+    for _ in range(REGRESSION_STEPS):
+        batch = _some(points, rng.integers(0, len(points), min(BATCH, len(points))))
+        vector = torch.cat([shared, rest])
+        constants = parameters.constants(vector)[torch.from_numpy(batch.trajectory)]
+        networks = module.torch_networks(parameters.weights(vector))
+        rhs = evaluate_rhs(model, module, batch, constants, networks)
+        r = (rhs[:, equations] - torch.from_numpy(batch.slope[:, equations])) / scale
+        loss = torch.nn.functional.huber_loss(r, torch.zeros_like(r), delta=0.1)
+        if not bool(torch.isfinite(loss)):
+            return theta
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_([shared], 1.0)
+        optimiser.step()
+        schedule.step()
+    return np.concatenate([shared.detach().numpy(), theta[parameters.n_shared :]])
+
+
+def _some(points: Points, index: Any) -> Points:
+    return Points(
+        points.t[index],
+        points.x[index],
+        points.slope[index],
+        points.condition[index],
+        points.inputs[index],
+        points.trajectory[index],
+        points.equations,
+        points.scale,
+    )
