@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+
+if TYPE_CHECKING:
+    from gbspec.ir.model import Model
 
 Box = tuple[float, float]
 
@@ -65,30 +68,36 @@ class SimulateOptions:
     a trajectory that meets one at any time is drawn again.
     """
 
-    trajectories: int = _option(100, "how many trajectories")
-    span: float = _option(10.0, "how long each lasts")
-    dt: float = _option(0.5, "mean interval between measurements")
-    sampling: Literal["regular", "gamma"] = _option("regular", "equal intervals, or gamma-distributed ones (shape 4)")
+    trajectories: int = _option(100, "How many trajectories.")
+    span: float = _option(10.0, "How long each lasts.")
+    dt: float = _option(0.5, "Mean interval between measurements.")
+    sampling: Literal["regular", "gamma"] = _option("regular", "Equal intervals, or gamma-distributed ones (shape 4).")
     channels: str = _option(
-        "all", "all: every channel at every time; own-clock: each on its own times; 0.67: each with that probability"
+        "all", "all: every channel at every time; own-clock: each on its own times; 0.67: each with that probability."
     )
-    keep_start: bool = _option(False, "keep the row at the start")
-    noise: float = _option(0.0, "standard deviation of the noise, relative to each channel's own")
-    seed: int = _option(0, "seed of the random numbers")
+    keep_start: bool = _option(False, "Keep the row at the start.")
+    noise: float = _option(0.0, "Standard deviation of the noise, relative to each channel's own.")
+    seed: int = _option(0, "Seed of the random numbers.")
     initial: Mapping[str, Box] = _option(
         {},
-        "range of a state's start, as x1=0.2:0.95 (repeatable)",
+        "Range of a state's start, as x1=0.2:0.95 (repeatable).",
         metavar="NAME=LOW:HIGH",
         parse=boxes("--initial"),
     )
     condition: Mapping[str, Box] = _option(
-        {}, "range of a condition, as Da=0.2:0.5 (repeatable)", metavar="NAME=LOW:HIGH", parse=boxes("--condition")
+        {},
+        "Range of a condition or input, as Da=0.2:0.5 (repeatable).",
+        metavar="NAME=LOW:HIGH",
+        parse=boxes("--condition"),
     )
     clock: Mapping[str, float] = _option(
-        {}, "a channel's own mean interval, with `--channels own-clock`", metavar="NAME=INTERVAL", parse=clocks
+        {},
+        "A channel's own mean interval, with --channels own-clock (repeatable).",
+        metavar="NAME=INTERVAL",
+        parse=clocks,
     )
     reject: tuple[str, ...] = _option(
-        (), 'draw again what enters a region, as "x2 > 4" (repeatable)', metavar="CONDITION"
+        (), 'Draw again what enters a region, as "x2 > 4" (repeatable).', metavar="CONDITION"
     )
 
     def check(self, findings: Findings) -> None:
@@ -120,3 +129,10 @@ class SimulateOptions:
         except ValueError:
             return None
         return value if 0 < value <= 1 else None
+
+
+def fixed(options: SimulateOptions, values: Mapping[str, float], model: Model) -> SimulateOptions:
+    """The options with every condition and input among `values` (`--set`) held at its value, unless a box names it."""
+    external = {item.name for item in (*model.conditions, *model.inputs)}
+    held = {name: (value, value) for name, value in values.items() if name in external}
+    return replace(options, condition={**held, **options.condition})

@@ -11,6 +11,7 @@ import pytest
 from gbspec.analysis.design import measurement_times
 from gbspec.analysis.simulate import SimulateOptions, simulate
 from gbspec.data.fingerprint import fingerprint
+from gbspec.data.sampling import fixed
 from gbspec.data.signals import evaluate
 from gbspec.data.table import read, write
 from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectories
@@ -325,3 +326,11 @@ def test_progress_is_told() -> None:
     model = decay()
     simulate(Exact(), model, SimulateOptions(trajectories=3, span=2.0), progress=lambda i, n: told.append((i, n)))
     assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_values_that_are_set_are_held() -> None:
+    model = decay()
+    asked = SimulateOptions(trajectories=3, span=2.0, condition={"F": (0.5, 0.6)})
+    options = fixed(asked, {"a": 0.9, "F": 9.0, "k": 1.0}, model)
+    assert options.condition == {"a": (0.9, 0.9), "F": (0.5, 0.6)}
+    assert all(item.condition.tolist() == [0.9] for item in simulate(Exact(), model, options).items)
