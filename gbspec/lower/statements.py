@@ -12,7 +12,7 @@ from typing import cast
 
 import sympy
 
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Findings, Source
 from gbspec.ir import model as ir
 from gbspec.ir.model import Expr, symbol, unknown_function
 from gbspec.lower.expressions import build, is_finite, power
@@ -25,6 +25,7 @@ from gbspec.semantics.processes import Term
 from gbspec.semantics.sites import truth_parameters
 from gbspec.semantics.table import Kind
 from gbspec.syntax import ast
+from gbspec.syntax.formatter import format_text
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
@@ -171,7 +172,12 @@ class _Lowering:
         )
 
     def _text(self) -> str:
-        return "\n".join(item.text.rstrip() for item in self._checked.items) + "\n"
+        """The text of the file itself where it extends none; else what it and its bases come to, formatted."""
+        sources = {item.statement.span.source for item in self._checked.items}
+        if len(sources) == 1 and not any(s.extends for s in self._checked.all(ast.ModelStatement)):
+            return sources.pop().text
+        joined = "\n".join(item.text.rstrip() for item in self._checked.items) + "\n"
+        return format_text(Source(self._checked.items[0].statement.span.source.path, joined))
 
     def _number(self, node: ast.Expression | None) -> float | None:
         return self._checked.numbers.value(node)

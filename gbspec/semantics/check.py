@@ -44,6 +44,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     for site in places_of:
         resolver.resolve(site)
     resolver.report_missing(merged)
+    resolver.report_unapplied(merged)
     takers = _takers(places_of, names)
     rests = graph.build(places_of, names, takers, findings)
     places.enforce(places_of, names, rests, findings)
@@ -62,8 +63,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     known = _truths(items, places_of, names, values, numbers, findings, merged)
     if findings.failed or merged.uncertain:
         return None
-    usage.observes_nothing(items, names, findings)
-    if findings.failed:
+    if not usage.has_states(items, names, findings):
         return None
     usage.unused(places_of, names, findings)
     usage.only_compared(places_of, usage.observed_names(items), names, findings)

@@ -27,7 +27,8 @@ _COMPARE: dict[str, Callable[[float, float], bool]] = {
 }
 
 Functions = Mapping[str, ast.FunctionStatement]
-NotFinite = Callable[[ast.Expression, float], None]
+NotFinite = Callable[[ast.Expression, float, bool], None]
+"""Told the expression, its value, and whether it is a division by zero."""
 
 
 def apply(function: str, arguments: list[float]) -> float:
@@ -59,8 +60,8 @@ def power(base: float, exponent: float) -> float:
 class Evaluator:
     """Evaluates expressions whose names are constants; what depends on anything else is None, and so is all above it.
 
-    `not_finite` is called with the smallest sub-expression that is inf or nan and its value; its value is then None,
-    so that one mistake is told once. Branches of an `if` count only where they are taken.
+    `not_finite` is called with the smallest sub-expression that is inf or nan; its value is then None, so that one
+    mistake is told once. Branches of an `if` count only where they are taken.
     """
 
     def __init__(self, values: Mapping[str, float], functions: Functions, not_finite: NotFinite | None = None) -> None:
@@ -86,13 +87,13 @@ class Evaluator:
             return self._values.get(node.text, CONSTANTS.get(node.text))
         known = [value for value in values if value is not None]
         if len(known) < len(values):
-            if isinstance(node, ast.Binary) and self._not_finite is not None and _divides_by_zero(node, values):
-                self._not_finite(node, math.inf)
+            if self._not_finite is not None and _divides_by_zero(node, values):
+                self._not_finite(node, math.inf, True)
             return None
         result = self._operate(node, known)
         if result is not None and not math.isfinite(result):
             if self._not_finite is not None:
-                self._not_finite(node, result)
+                self._not_finite(node, result, _divides_by_zero(node, values))
             return None
         return result
 
@@ -138,9 +139,9 @@ def _counted(node: ast.Expression) -> tuple[ast.Expression, ...]:
     return (node.condition,) if isinstance(node, ast.Conditional) else operands(node)
 
 
-def _divides_by_zero(node: ast.Binary, values: list[float | None]) -> bool:
+def _divides_by_zero(node: ast.Expression, values: list[float | None]) -> bool:
     """Whether a product has a divisor that is the number 0, whatever its other factors are."""
-    if node.operator not in "*/":
+    if not isinstance(node, ast.Binary) or node.operator not in "*/":
         return False
     return any(inverted and value == 0 for (inverted, _), value in zip(chain(node), values, strict=True))
 

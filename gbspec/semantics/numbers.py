@@ -31,10 +31,12 @@ def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findi
     sites = list(sites)
     by_owner = {s.owner: s for s in sites if s.rule is CONST_VALUE and s.references.complete}
 
-    def not_finite(node: ast.Expression, value: float) -> None:
+    def not_finite(node: ast.Expression, value: float, by_zero: bool) -> None:
         told.append(node)
         what = "not a real number" if math.isnan(value) else "not a finite number"
-        findings.error("GB223", f"this is {what}", node.span, label=_reason(node, value), help=_remedy(node))
+        findings.error(
+            "GB223", f"this is {what}", node.span, label="a division by zero" if by_zero else _reason(node, value)
+        )
 
     evaluate = Evaluator(values, functions_of(table), not_finite)
     for name in graph.order:
@@ -57,22 +59,12 @@ def _not_known(node: ast.Expression, name: str, findings: Findings) -> None:
 
 def _reason(node: ast.Expression, value: float) -> str:
     match node:
-        case ast.Number():
-            return "too large for a double-precision number"
-        case ast.Binary(operator="*" | "/"):
-            return "a division by zero" if math.isinf(value) or math.isnan(value) else ""
-        case ast.Binary(operator="^"):
-            return "no real power" if math.isnan(value) else "too large"
         case ast.Call(function=function):
             return f"`{function.text}` has no value there"
+        case ast.Binary(operator="^") if math.isnan(value):
+            return "no real power"
         case _:
-            return ""
-
-
-def _remedy(node: ast.Expression) -> str:
-    if isinstance(node, ast.Number):
-        return "the largest number is about 1.8e308; choose other units"
-    return ""
+            return "too large for double precision"
 
 
 @dataclass

@@ -33,6 +33,8 @@ class Resolver:
     table: Table
     findings: Findings
     missing: dict[str, Missing] = field(default_factory=dict)
+    unapplied: list[tuple[ast.Name, Declaration, list[ast.Name]]] = field(default_factory=list)
+    """Unknowns named without arguments, with the arguments of their declaration that mean nothing there."""
 
     def resolve(self, site: Site) -> None:
         """Fills the site's references; reports wrong calls, wrong places of `nn`, arrays."""
@@ -48,7 +50,7 @@ class Resolver:
                 case ast.Call():
                     self._call(node, site, smooth)
                 case ast.Index():
-                    self._unsupported(node, site)
+                    self._index(node, site)
                     continue
                 case _:
                     pass
@@ -78,6 +80,24 @@ class Resolver:
                 or f"declare it, for example `{'function' if missing.called else 'const'} {name}"
                 f"{'(x)' if missing.called else ''} = …`",
                 subject=name,
+            )
+
+    def report_unapplied(self, merged: Merged) -> None:
+        """One finding for each unknown named without arguments where these are no names of the model."""
+        told: set[str] = set()
+        for node, unknown, strangers in self.unapplied:
+            lacking = all(merged.lacks(n.text) and n.text not in self.missing for n in strangers)
+            if not lacking or unknown.name in told:
+                continue
+            told.add(unknown.name)
+            names = " and ".join(f"`{n.text}`" for n in strangers)
+            self.findings.error(
+                "GB206",
+                f"`{node.text}` is named without arguments, but {names} of its declaration is no name of the model",
+                node.span,
+                label="applied to what?",
+                labels=[Label(n.span, "declared with this argument") for n in strangers],
+                help=f"say what it is applied to: `{_usage(unknown)}` with values of this model",
             )
 
     # ------------------------------------------------------------------------------------------------------- names
@@ -141,15 +161,7 @@ class Resolver:
                 self._use(text, node.span, site, smooth)
         if strangers:
             site.references.complete = False
-            names = " and ".join(f"`{n.text}`" for n in strangers)
-            self.findings.error(
-                "GB206",
-                f"`{node.text}` is named without arguments, but {names} of its declaration is no name of the model",
-                node.span,
-                label="applied to what?",
-                labels=[Label(n.span, "declared with this argument") for n in strangers],
-                help=f"say what it is applied to: `{_usage(unknown)}` with values of this model",
-            )
+            self.unapplied.append((node, unknown, strangers))
 
     def _without_arguments(self, node: ast.Name, site: Site, what: str, usage: str, at: Span | None = None) -> None:
         site.references.complete = False
@@ -188,7 +200,7 @@ class Resolver:
                 if count < least or (most is not None and count > most):
                     self._wrong_arity(node, least, site, None, at_least=most is None)
             elif name.text == "sum":
-                self._unsupported(node, site)
+                self._sum(node, site)
             else:
                 self._not_found(name, site, called=True)
             return
@@ -256,13 +268,28 @@ class Resolver:
 
     # ------------------------------------------------------------------------------------------------------ refusals
 
-    def _unsupported(self, node: ast.Expression, site: Site) -> None:
+    def _index(self, node: ast.Index, site: Site) -> None:
+        """An element of an array; that arrays are not supported is told where one is declared."""
+        site.references.complete = False
+        declaration = self.table.get(node.array.text)
+        if declaration is None:
+            self._not_found(node.array, site, called=False)
+        elif not (isinstance(declaration.statement, ast.StateStatement) and declaration.statement.declarator.first):
+            self.findings.error(
+                "GB204",
+                f"`{node.array.text}` is {declaration.kind.value}, not an array",
+                node.span,
+                labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+                help=f"`{node.array.text}` alone is its value; brackets are for arrays of states",
+            )
+
+    def _sum(self, node: ast.Call, site: Site) -> None:
         site.references.complete = False
         self.findings.error(
             "GB901",
-            "arrays of states are not supported yet",
+            "`sum` adds up an array of states, and arrays are not supported yet",
             node.span,
-            help="write the states one by one: `c_1`, `c_2`, …",
+            help="write the sum out: `c_1 + c_2 + …`",
         )
 
 

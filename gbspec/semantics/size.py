@@ -33,16 +33,23 @@ def check(sites: Iterable[Site], graph: Graph, table: Table, findings: Findings)
     sites = [s for s in sites if s.references.complete]
     bodies = {s.owner: s for s in sites if s.owner is not None and table[s.owner].kind is Kind.FUNCTION}
     known: dict[str, Extent] = {}
+    refused: set[str] = set()
     for name in graph.order:
         if name in bodies and name not in graph.broken:
-            extent = _extent(bodies[name], known, table)
-            known[name] = extent
-            if extent.size > LARGEST or extent.depth > DEEPEST:
-                _refuse(bodies[name], findings)
-                known[name] = Extent(1, 1, extent.formals)
+            body = bodies[name]
+            if not refused.isdisjoint(body.references.names):  # told where it began
+                refused.add(name)
+                body.references.complete = False
+                continue
+            known[name] = _extent(body, known, table)
+            if known[name].size > LARGEST or known[name].depth > DEEPEST:
+                _refuse(body, findings)
+                refused.add(name)
     for site in sites:
         calls = any(table[name].kind is Kind.FUNCTION for name in site.references.names)
-        if calls and not (site.owner in known and table[site.owner].kind is Kind.FUNCTION):
+        if not refused.isdisjoint(site.references.names):
+            site.references.complete = False
+        elif calls and not (site.owner in known and table[site.owner].kind is Kind.FUNCTION):
             extent = _extent(site, known, table)
             if extent.size > LARGEST or extent.depth > DEEPEST:
                 _refuse(site, findings)

@@ -87,8 +87,8 @@ def _named(site: Site, smooth: bool) -> Iterable[str]:
     return site.references.smooth if smooth else site.references.names
 
 
-def observes_nothing(items: Iterable[Item], table: Table, findings: Findings) -> None:
-    """A model without states is none; one without channels cannot be trained."""
+def has_states(items: Iterable[Item], table: Table, findings: Findings) -> bool:
+    """A model without states is none (an error); one without channels cannot be trained (a warning)."""
     items = list(items)
     states = [d for d in table.values() if d.kind is Kind.STATE]
     model = next((i.statement for i in items if isinstance(i.statement, ast.ModelStatement)), None)
@@ -107,3 +107,4 @@ def observes_nothing(items: Iterable[Item], table: Table, findings: Findings) ->
             place,
             help=f"add `observe {states[0].name}` for each state that is measured, or accept it with `allow GB406`",
         )
+    return bool(states)

@@ -1,0 +1,106 @@
+"""Statements to the parts of the Model."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+import sympy
+
+from gbspec.ir.dump import dump
+from gbspec.ir.model import Dose, Noise, Prior, Range, State, symbol, unknown_function
+from gbspec.semantics.numbers import default_start
+from tests.texts import SHIPPED, model_at, model_of
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_the_kept_text_means_the_same_model(path: Path) -> None:
+    model = model_at(path)
+    again = model_of(model.text)
+    assert dump(again) == dump(model)
+    assert dataclasses.replace(again, text=model.text) == model
+
+
+def test_everything_of_a_model() -> None:
+    model = model_of(
+        'model full "Everything"\ntime tau : h from 2\n'
+        'state X : g/L in [0, 50] = 0.1 "biomass"\nstate S\nstate P\n'
+        'condition Da in [0.2, 0.5] = 0.3 as "Da number"\ninput F : L/h held as "feed"\ninput G linear\n'
+        "const a = 2\nlearn k = 1 > 0\nlearn Y in [1e-4, 1] prior lognormal(0.1, 0.5) per trajectory\n"
+        "let r = k*F\nunknown mu, nu(S, g in [0, 5]) : 1/h, g = S*nn, S + nn by mlp(8, 4, activation=tanh)\n"
+        "process growth: 1/Y*S + a*S -> X rate mu(S, G)*X\n"
+        "X' = net(X) - r*X\nP' = growth - nu(S, Da)\n"
+        "initial X learn\ninitial S = 2*k*Da + P\n"
+        'observe X noise normal(0.05)\nobserve y = 2*S : g noise lognormal(0.1) as "OD 600"\n'
+        "observe r\nobserve S_too = S\n"
+        "dose S times Y lag 2*k\ntruth k = 3*a\ntruth mu(S, h) = k*S*h\nallow GB403 spare\nconst spare = 1\n"
+    )
+    X, S, F, k, Y = (symbol(n) for n in ("X", "S", "F", "k", "Y"))
+    assert (model.name, model.title, model.class_name) == ("full", "Everything", "Full")
+    assert (model.time.name, model.time.start, model.time.unit) == ("tau", 2.0, "h")
+    first, second, third = model.states
+    assert first == dataclasses.replace(
+        State("X", Range(0, 50), 0.1, unit="g/L", description="biomass"), initial=first.initial
+    )
+    assert [s.initial.kind for s in model.states] == ["learned", "expression", "measured"]
+    assert second.initial.value == 2 * k * symbol("Da") + symbol("P")
+    assert third.range is None
+    (condition,) = model.conditions
+    assert (condition.default, condition.column, condition.range) == (0.3, "Da number", Range(0.2, 0.5))
+    assert [(i.name, i.interpolation, i.column) for i in model.inputs] == [("F", "held", "feed"), ("G", "linear", "G")]
+    assert [(c.name, c.value) for c in model.constants] == [("a", 2.0), ("spare", 1.0)]
+    learn_k, learn_Y = model.learnables
+    assert (learn_k.start, learn_k.range) == (1.0, Range(0, math.inf))
+    assert learn_Y.start == pytest.approx(1e-2)
+    assert learn_Y.prior == Prior("lognormal", 0.1, 0.5)
+    assert learn_Y.per_trajectory
+    (network,) = model.networks
+    assert (network.hidden, network.activation, network.outputs) == ((8, 4), "tanh", ("mu", "nu"))
+    assert network.arguments[1].range == Range(0, 5)
+    assert [u.unit for u in model.unknowns] == ["1/h", "g"]
+    assert [u.neutral for u in model.unknowns] == [1.0, 0.0]
+    assert [(i.name, i.kind) for i in model.intermediates] == [("r", "let"), ("growth", "rate")]
+    assert model.intermediates[1].value == unknown_function("mu")(S, symbol("G")) * X
+    growth = symbol("growth")
+    assert dict(model.processes[0].stoichiometry) == {"S": -1 / Y - symbol("a"), "X": sympy.S.One}
+    assert model.balances[0] == growth - symbol("r") * X
+    assert sympy.expand(model.balances[1] + growth * (1 / Y + symbol("a"))) == 0
+    assert model.balances[2] == growth - unknown_function("nu")(S, symbol("Da"))
+    assert [(c.name, c.state, c.column) for c in model.channels] == [
+        ("X", 0, "X"),
+        ("y", None, "OD 600"),
+        ("r", None, "r"),
+        ("S_too", 1, "S_too"),
+    ]
+    assert [c.noise for c in model.channels[:2]] == [Noise("normal", 0.05), Noise("lognormal", 0.1)]
+    assert model.doses == (Dose("S", Y, 2 * k),)
+    assert [(t.name, t.value) for t in model.truth_constants] == [("k", 6.0)]
+    assert model.truth_functions[0].value == k * S * symbol("h")
+    assert model.allowed == (("GB403", "spare"),)
+    assert F in model.intermediates[0].value.free_symbols
+
+
+def test_lets_are_written_out_where_only_constants_may_stand() -> None:
+    model = model_of(
+        "model m\nstate A\nstate B\nlearn y = 1\nlet twice = 2*y\nlet more = twice + 1\n"
+        "process p: A -> more*B rate A\ninitial A = more\nobserve A\n"
+    )
+    y = symbol("y")
+    assert dict(model.processes[0].stoichiometry)["B"] == 2 * y + 1
+    assert model.states[0].initial.value == 2 * y + 1
+
+
+@pytest.mark.parametrize(("low", "high", "start"), [(0, 10, 5), (1, 10, 5.5), (1, 10000, 100), (-4, 2, -1)])
+def test_default_start(low: float, high: float, start: float) -> None:
+    assert default_start(low, high) == pytest.approx(start)
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"),
+    [("g/L", "g/L"), ("g/(L*h)", "g/(L*h)"), ("(g/L)^2", "(g/L)^2"), ("10^3 * L", "10^3*L"), ("h^-1", "h^-1")],
+)
+def test_unit_text(unit: str, text: str) -> None:
+    model = model_of(f"model m\nstate x : {unit}\nx' = -x\nobserve x\n")
+    assert model.states[0].unit == text

@@ -1,0 +1,51 @@
+"""Checking costs time in proportion to the text, and no depth of nesting exhausts the stack."""
+
+from __future__ import annotations
+
+import time
+
+from tests.texts import codes, model_of
+
+
+def network_of_reactions(n: int) -> str:
+    lines = ["model large", "learn k = 1 in [0, 10]", "function f(a, b) = a*b/(1 + a)"]
+    lines += [f"state x{i} in [0, 10] = 1" for i in range(n)]
+    lines += [
+        f"process p{i}: x{i} -> 0.5*x{(i + 1) % n} + x{(i + 7) % n} rate k*f(x{i}, x{(i + 3) % n})" for i in range(n)
+    ]
+    lines += [f"x{i}' = net(x{i}) - 0.1*x{i}" for i in range(0, n, 2)]
+    lines += ["observe total = " + " + ".join(f"x{i}" for i in range(n))]
+    return "\n".join(lines) + "\n"
+
+
+def seconds(text: str) -> float:
+    begin = time.process_time()
+    model_of(text)
+    return time.process_time() - begin
+
+
+def test_two_hundred_states_take_less_than_two_seconds() -> None:
+    assert seconds(network_of_reactions(200)) < 2
+
+
+def test_growth_is_linear() -> None:
+    small, large = seconds(network_of_reactions(200)), seconds(network_of_reactions(1000))
+    assert large < 5 * small * 2.5
+
+
+def test_long_chain_of_lets() -> None:
+    lines = ["model chain", "state x", "let a0 = x"]
+    lines += [f"let a{i} = a{i - 1} + 1" for i in range(1, 3000)]
+    assert codes("\n".join([*lines, "x' = -a2999", "observe x", ""])) == []
+
+
+def test_long_circle_is_told_in_short() -> None:
+    lines = ["model chain", "state x"]
+    lines += [f"let a{i} = a{(i + 1) % 1000} + 1" for i in range(1000)]
+    assert codes("\n".join([*lines, "x' = -a0", "observe x", ""])) == ["GB208"]
+
+
+def test_deep_nest_of_functions_is_refused() -> None:
+    lines = ["model nest", "state x", "function f0(y) = sin(y)"]
+    lines += [f"function f{i}(y) = f{i - 1}(sin(y))" for i in range(1, 500)]
+    assert codes("\n".join([*lines, "x' = -f499(x)", "observe x", ""])) == ["GB236"]
