@@ -59,11 +59,11 @@ def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
 
 
 def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> None:
-    """Reports rows without a time, unless their cells were reported already (a time that is no number)."""
-    bad = np.flatnonzero(np.isnan(time))
-    reported = {d.place.row for d in findings.errors if isinstance(d.place, Cell) and d.place.column == column}
-    if reported:
-        return
+    """Reports rows without a time, except those whose cell was reported already (a time that is no number)."""
+    told = [d.place.row or 0 for d in findings.errors if isinstance(d.place, Cell) and d.place.column == column]
+    if len(told) >= SHOWN:
+        return  # not all of the wrong cells were shown, so that they cannot be told from empty ones
+    bad = np.flatnonzero(np.isnan(time) & ~np.isin(sheet.rows, told))
     for position, i in enumerate(bad[:SHOWN]):
         row = int(sheet.rows[i])
         findings.error(

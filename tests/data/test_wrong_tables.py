@@ -40,6 +40,7 @@ WRONG: dict[str, tuple[str, Model, list[tuple[str, int | None, str | None]]]] = 
     "infinite": (HEAD + FIRST + "1,1,inf,1e999,0.3\n", reactor(), [("GB713", 3, "x1"), ("GB713", 3, "x2")]),
     "infinite time": (HEAD + FIRST + "1,inf,0.5,1,0.3\n", reactor(), [("GB713", 3, "t")]),
     "no time in a row": (HEAD + FIRST + "1,,0.5,1.5,0.3\n", reactor(), [("GB714", 3, "t")]),
+    "no time, twice": (HEAD + "1,,.5,1,.3\n1,x,.5,1,.3\n", reactor(), [("GB714", 2, "t"), ("GB712", 3, "t")]),
     "time goes back": (HEAD + FIRST + "1,-1,0.5,1.5,0.3\n", reactor(), [("GB715", 3, "t")]),
     "time twice": (HEAD + FIRST + "1,0,0.5,1.5,0.3\n", reactor(), [("GB716", 3, "t")]),
     "before the start": ("t,plasma mg/L,dose_S\n-1,1,\n1,1,\n", patient(), [("GB717", 2, "t")]),
