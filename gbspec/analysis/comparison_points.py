@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.analysis.design import Boxes, Plan, boxes, plan
+from gbspec.analysis.points import spread_points
 from gbspec.analysis.region import Region, regions
 from gbspec.diagnostics import ComputationError, Findings
 
@@ -170,16 +171,12 @@ class Sampler:
         return np.zeros(count), np.concatenate(starts), np.concatenate(conditions), ((),) * count
 
     def _conditions(self) -> Array:
-        """Sets of conditions [N, c]: evenly over the range of one, a Sobol sequence over the ranges of several."""
-        from scipy.stats import qmc
-
+        """Sets of conditions [N, c]: evenly over the range of one, spread over the ranges of several."""
         box, count = self.box.conditions, self.options.conditions
         if len(box) == 1:
             return np.linspace(box[0, 0], box[0, 1], count)[:, None]
-        if len(box) == 0:
-            return np.zeros((count, 0))
-        points = qmc.Sobol(len(box), seed=self.options.seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
-        return np.asarray(box[:, 0] + (box[:, 1] - box[:, 0]) * points)
+        points = spread_points(count, len(box), self.options.seed)
+        return np.asarray(box[:, 0] + (box[:, 1] - box[:, 0]) * points) if len(box) else points
 
 
 def solve_ends(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.analysis.points import spread_points
 from gbspec.analysis.predict import Prediction, Start, measured_start, needed, predict
 
 if TYPE_CHECKING:
@@ -112,7 +113,5 @@ class Estimator:
     @staticmethod
     def _trials(size: int) -> list[Array]:
         """The guess itself and points around it, in units of the spread."""
-        from scipy.stats import qmc
-
-        around = 3.0 * qmc.Sobol(size, seed=0).random(TRIALS) - 1.5
+        around = 3.0 * spread_points(TRIALS, size) - 1.5
         return [np.zeros(size), *around]

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.analysis.points import spread_points
 from gbspec.analysis.system import System, require_autonomous
 
 Array = NDArray[np.float64]
@@ -125,12 +126,9 @@ def distinct(points: Array, scale: Array) -> Array:
 
 
 def start_points(system: System, count: int, seed: int = 0, extra: Array | None = None) -> Array:
-    """Starts [N, n]: a scrambled Sobol sequence over the box of starts, after `extra` ones (data, other branches)."""
-    from scipy.stats import qmc
-
+    """Starts [N, n] spread over the box of starts, and `extra` ones (data, other branches)."""
     low, high = system.start_box
-    exponent = max(1, int(np.ceil(np.log2(max(2, count)))))
-    points = low + (high - low) * qmc.Sobol(system.size, seed=seed).random_base2(exponent)
+    points = low + (high - low) * spread_points(count, system.size, seed)
     return points if extra is None or not len(extra) else np.concatenate([points, extra])
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from gbspec.data.fingerprint import fingerprint
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
 from gbspec.runs import files
@@ -190,7 +191,13 @@ class _Runner:
             self.context, self.parameters, position.best, position.loss, position.seconds, position.stages
         )
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
-        info = {"max_step": self.context.max_step, "seed": self.context.seed, "labels": result.labels}
+        info = {
+            "max_step": self.context.max_step,
+            "seed": self.context.seed,
+            "labels": result.labels,
+            # The learned initial states are found again by content, whatever table a trajectory comes in.
+            "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
+        }
         instance = type(self.context.module)(weights, info)
         path = self.directory / files.WEIGHTS
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,24 @@
+"""Points spread evenly over a box without a random number: the additive recurrence with the generalised golden ratio.
+
+x_i = (1/2 + i/g, 1/2 + i/g^2, ...) modulo 1, with g the root of g^(d+1) = g + 1 (Roberts 2018, "The unreasonable
+effectiveness of quasirandom sequences"): a low discrepancy in few dimensions, every beginning of it included.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def spread_points(count: int, size: int, seed: int = 0) -> Array:
+    """`count` points [count, size] of the unit cube; another seed gives another beginning."""
+    if size == 0:
+        return np.zeros((count, 0))
+    g = 2.0
+    for _ in range(60):
+        g = (1.0 + g) ** (1.0 / (size + 1))
+    steps = g ** -np.arange(1.0, size + 1.0)
+    index = np.arange(1 + 1009 * seed, 1 + 1009 * seed + count)
+    return np.asarray((0.5 + index[:, None] * steps) % 1.0)
