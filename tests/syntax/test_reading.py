@@ -1,0 +1,72 @@
+"""Reading files: encodings, line ends, and files that cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gbspec.diagnostics import Diagnostic, Findings, Span, UserError
+from gbspec.syntax.parser import parse, read_source
+
+
+def refused(path: Path) -> Diagnostic:
+    with pytest.raises(UserError) as caught:
+        read_source(path)
+    (finding,) = caught.value.diagnostics
+    return finding
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_byte_order_mark_and_line_ends(tmp_path: Path, mark: str, end: str) -> None:
+    path = tmp_path / "m.gb"
+    path.write_bytes((mark + f"model m{end}state größe{end}  in [0, 1]{end}").encode())
+    source = read_source(path)
+    assert source.text == "model m\nstate größe\n  in [0, 1]\n"
+    findings = Findings()
+    file = parse(source, findings)
+    assert not list(findings)
+    assert file is not None and len(file.statements) == 2
+
+
+def test_an_absent_file_with_a_similar_one_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "fermenter.gb").write_text("model m\n")
+    finding = refused(tmp_path / "fermentor.gb")
+    assert finding.code == "GB001"
+    assert "fermenter.gb" in finding.help
+    assert refused(tmp_path / "nowhere" / "a.gb").help.startswith("the folder")
+
+
+def test_a_folder_is_not_a_file(tmp_path: Path) -> None:
+    assert refused(tmp_path).code == "GB002"
+
+
+def test_a_file_that_may_not_be_read(tmp_path: Path) -> None:
+    finding = refused(tmp_path / ("x" * 300))
+    assert finding.code == "GB002"
+    assert "cannot be read" in finding.message
+
+
+def test_latin_1_has_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "m.gb"
+    path.write_bytes("model m\nstate größe\n".encode("latin-1"))
+    finding = refused(path)
+    assert finding.code == "GB003"
+    assert isinstance(finding.place, Span)
+    assert finding.place.position[:2] == (2, 9)
+    assert "0xF6" in finding.message
+
+
+def test_utf_16_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "m.gb"
+    path.write_bytes("model m\n".encode("utf-16"))
+    assert "UTF-16" in refused(path).message
+
+
+def test_a_binary_file_gives_findings(tmp_path: Path) -> None:
+    path = tmp_path / "m.gb"
+    path.write_bytes(bytes(range(128)) * 50)
+    findings = Findings()
+    parse(read_source(path), findings)
+    assert {"GB004"} <= {finding.code for finding in findings}
