@@ -13,7 +13,7 @@ WIDTH = 120
 
 def sizes(network: Network) -> tuple[int, ...]:
     """Numbers of arguments, hidden units layer by layer, and outputs."""
-    return (len(network.arguments), *network.hidden, len(network.outputs))
+    return network.sizes
 
 
 def attributes(model: Model) -> str:
@@ -69,6 +69,7 @@ def attributes(model: Model) -> str:
 
 def _network(model: Model, network: Network) -> dict[str, object]:
     neutral = {unknown.name: unknown.neutral for unknown in model.unknowns}
+    gates = 0 if network.layout is None else network.layout.gates
     return {
         "name": network.name,
         "outputs": network.outputs,
@@ -76,7 +77,9 @@ def _network(model: Model, network: Network) -> dict[str, object]:
         "sizes": sizes(network),
         "activation": network.activation,
         "ranges": tuple(None if argument.range is None else _ends(argument.range) for argument in network.arguments),
-        "neutral": tuple(neutral[output] for output in network.outputs),
+        "neutral": (*(neutral[output] for output in network.outputs), *(0.0,) * gates),
+        "raw": any(unknown.form is not None for unknown in model.unknowns if unknown.name in network.outputs),
+        "layout": None if network.layout is None else network.layout.plain(),
     }
 
 

@@ -8,6 +8,7 @@ from math import lcm
 
 import sympy
 
+from gbspec.backends.module.constrained import Constrained, document
 from gbspec.backends.printing import (
     Assignment,
     Names,
@@ -49,22 +50,60 @@ def unknown_method(model: Model, index: int) -> str:
     posed = [table[output] for output in network.outputs]
     call = f"networks[{index}]({', '.join(formals)})"
     parameters = ["math", "constants", "networks", *formals]
+    if any(unknown.form is not None for unknown in posed):
+        return _constrained_method(model, index, posed, names, parameters, call)
     if all(unknown.postulate == NN for unknown in posed):
         return _method("@staticmethod", method_name(network), parameters, _described(posed), [f"return {call}"])
+    raw, values = _postulated(posed)
+    lines = _unpacked_constants(model, names, _strange_to(network, values, raw, model))
+    lines += _corrected(model, posed, names, call, raw, values)
+    return _method("@staticmethod", method_name(network), parameters, _described(posed), lines)
+
+
+def _postulated(posed: Sequence[Unknown]) -> tuple[list[sympy.Symbol], list[Expr]]:
+    """A symbol for each correction, and the postulates with these."""
     raw = [temporary(f"nn_{unknown.name}") for unknown in posed]
-    bodies = [
-        Assignment(temporary(unknown.name), unknown.postulate.xreplace({NN: symbol}), unknown.name)
-        for unknown, symbol in zip(posed, raw, strict=True)
-    ]
-    used = {symbol for body in bodies for symbol in body.value.free_symbols} - {a.symbol for a in network.arguments}
-    strangers = used - {item.symbol for item in (*model.constants, *model.learnables)} - set(raw)
+    return raw, [u.postulate.xreplace({NN: symbol}) for u, symbol in zip(posed, raw, strict=True)]
+
+
+def _strange_to(network: Network, values: Iterable[Expr], raw: Iterable[Expr], model: Model) -> set[Expr]:
+    """The constants that expressions use besides arguments and corrections; other names are a `Defect`."""
+    used = {symbol for value in values for symbol in value.free_symbols}
+    used -= {*raw, *(argument.symbol for argument in network.arguments)}
+    strangers = used - {item.symbol for item in (*model.constants, *model.learnables)}
     if strangers:
         raise Defect(f"the postulate of `{network.name}` uses {sorted(map(str, strangers))}, no arguments or constants")
+    return used
+
+
+def _corrected(
+    model: Model, posed: Sequence[Unknown], names: Names, call: str, raw: Sequence[sympy.Symbol], values: Sequence[Expr]
+) -> list[str]:
+    """Lines that call a network and put its outputs into the postulates."""
+    bodies = [Assignment(temporary(u.name), value, u.name) for u, value in zip(posed, values, strict=True)]
+    lines = [f"{_targets(names.claim(symbol) for symbol in raw)} = {call}"]
+    lines += _statements(Program(model, bodies, ()).statements, names, model)
+    return [*lines, f"return ({_comma(names[body.symbol] for body in bodies)})"]
+
+
+def _constrained_method(
+    model: Model, index: int, posed: Sequence[Unknown], names: Names, parameters: Sequence[str], call: str
+) -> str:
+    """The method of a network with contracts: by its forms, or by the postulates alone where numbers stand for it."""
+    network = model.networks[index]
+    writer = Constrained(network, posed, names)
+    raw, postulates = _postulated(posed)
+    values = writer.values()
+    used = _strange_to(network, [*values, *writer.expressions], writer.temporaries, model)
+    used |= _strange_to(network, postulates, raw, model)
     lines = _unpacked_constants(model, names, used)
-    lines.append(f"{_targets(names.claim(symbol) for symbol in raw)} = {call}")
+    plain = _corrected(model, posed, names, call, raw, postulates)
+    lines += writer.calls_of(index, plain)
+    bodies = [Assignment(temporary(u.name), value, u.name) for u, value in zip(posed, values, strict=True)]
     lines += _statements(Program(model, bodies, ()).statements, names, model)
     lines.append(f"return ({_comma(names[body.symbol] for body in bodies)})")
-    return _method("@staticmethod", method_name(network), parameters, _described(posed), lines)
+    described = ". ".join(part for part in (_described(posed), document(posed)) if part)
+    return _method("@staticmethod", method_name(network), parameters, described, lines)
 
 
 def _described(unknowns: Sequence[Unknown]) -> str:

@@ -29,7 +29,7 @@ def class_name(model: Model) -> str:
     return f"{name}_" if keyword.iskeyword(name) or name in _MODULE_NAMES else name
 
 
-_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "ClassVar", "Mapping", "Path", "SimpleNamespace"})
+_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "Mapping", "Path", "SimpleNamespace"})
 """What the generated module itself calls by names that a class could have."""
 
 
@@ -45,7 +45,7 @@ def _places(model: Model, class_name: str) -> dict[str, str]:
     ]
     return {
         "docstring": docstring(_module_document(model)),
-        "siblings": "",
+        "typing": "from typing import Any",
         "interface": f"INTERFACE = {INTERFACE}",
         "class": f"class {class_name}:",
         "class docstring": docstring(_class_document(model)),

@@ -16,6 +16,7 @@ from sympy.logic.boolalg import BooleanAtom
 
 from gbspec.backends.printing.nodes import Guard, Where
 from gbspec.diagnostics import Defect
+from gbspec.ir.forms import logistic, softplus
 
 OR, ADD, MUL, NEGATIVE, POWER, ATOM = range(6)
 """How tightly a text binds, loosest first."""
@@ -37,6 +38,8 @@ UNARY: Mapping[type[sympy.Basic], str] = {
     sympy.atanh: "atanh",
     sympy.Abs: "abs",
     sympy.sign: "sign",
+    softplus: "softplus",
+    logistic: "logistic",
 }
 """Functions of one argument, by the name under which a target's arithmetic has them."""
 

@@ -20,6 +20,7 @@ import numpy as np
 def _torch_arithmetic() -> Any:
     import torch
     from torch import Tensor
+    from torch.nn.functional import softplus
 
     def tensor(value: Any) -> Any:
         return value if isinstance(value, Tensor) else torch.as_tensor(value, dtype=torch.float64)
@@ -51,6 +52,8 @@ def _torch_arithmetic() -> Any:
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign"
     return SimpleNamespace(
         **{name: unary(getattr(torch, name)) for name in names.split()},
+        softplus=unary(lambda a: softplus(a, threshold=40.0)),  # torch's own threshold, 20, costs five digits
+        logistic=unary(torch.sigmoid),
         atan2=binary(torch.atan2),
         minimum=binary(torch.minimum),
         maximum=binary(torch.maximum),
@@ -75,6 +78,8 @@ def _casadi_arithmetic() -> Any:
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt sign atan2"
     return SimpleNamespace(
         **{name: getattr(ca, name) for name in names.split()},
+        softplus=lambda a: ca.if_else(a > 40.0, a, ca.log1p(ca.exp(ca.fmin(a, 40.0)))),
+        logistic=lambda a: 1.0 / (1.0 + ca.exp(ca.fmin(-a, 300.0))),
         abs=ca.fabs,
         minimum=ca.fmin,
         maximum=ca.fmax,
@@ -98,6 +103,8 @@ def _numpy_arithmetic() -> Any:
     return SimpleNamespace(
         **{name: getattr(np, name) for name in names.split()},
         **{f"a{name}": getattr(np, f"arc{name}") for name in ["sin", "cos", "tan", "sinh", "cosh", "tanh", "tan2"]},
+        softplus=lambda a: np.logaddexp(a, 0.0),
+        logistic=lambda a: 1.0 / (1.0 + np.exp(np.minimum(-a, 300.0))),
         guard=lambda condition, x: x,
         unpack=lambda x: tuple(np.moveaxis(x, -1, 0)),
         pack=lambda like, parts: (

@@ -15,19 +15,18 @@ import struct
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar  # {{typing}}
 
 import numpy as np
 
-# {{siblings
+# {{interface
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.networks import _casadi_network, _layers, _numpy_network, _torch_network
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace, _layers)
-# siblings}}
-
-INTERFACE = 0  # {{interface}}
+INTERFACE = 0
+# interface}}
 
 
 class Template:  # {{class}}

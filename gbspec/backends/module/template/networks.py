@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gbspec.backends.module.template.arithmetic import _arithmetic, _numpy_arithmetic, _torch_arithmetic
+from gbspec.backends.module.template.directions import _activations, _weight_forms
 
 # <body>
 # ---------------------------------------------------------------------- networks
@@ -59,45 +60,73 @@ def _activation(library: str, name: str) -> Any:
     return table[name]
 
 
-def _layers(network: dict[str, Any], weights: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
+def _layers(network: dict[str, Any], weights: Any, m: Any, like: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
     """Weights and biases layer by layer; input center and scale, output center and scale."""
     prefix = f"network.{network['name']}."
     layers = [(weights[f"{prefix}{i}.weight"], weights[f"{prefix}{i}.bias"]) for i in range(len(network["sizes"]) - 1)]
+    if network["layout"] is not None:
+        for i, (free, gain, sharpness, turned) in enumerate(_weight_forms(network["layout"], network["sizes"])):
+            weight, bias = layers[i]
+            given = like(gain, weight) * m.softplus(sharpness * weight)
+            layers[i] = like(free, weight) * weight + given, like(turned, bias) * bias
     names = ("input_center", "input_scale", "output_center", "output_scale")
     return layers, tuple(weights[prefix + name] for name in names)
 
 
+class _Raw:
+    """A network whose outputs keep out their centers and scales (lists of numbers), which a contract's form puts in."""
+
+    def __init__(self, call: Any, center: Any, scale: Any, spread: Any) -> None:
+        self._call = call
+        self.center, self.scale, self.spread = center.tolist(), scale.tolist(), spread.tolist()
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._call(*arguments)
+
+
 def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list[Any] | None) -> Any:
+    import torch
     from torch.nn.functional import linear
 
-    activation, pack = _torch_activation(network["activation"]), _torch_arithmetic().pack
-    layers, (center, scale, output_center, output_scale) = _layers(network, weights)
+    m = _torch_arithmetic()
+    own = _torch_activation(network["activation"])
+    activations = _activations(network, own, m, lambda z, sizes: z.split(sizes, -1), lambda parts: torch.cat(parts, -1))
+    layers, (center, scale, output_center, output_scale) = _layers(network, weights, m, _torch_like)
+    raw = network["raw"]
 
     def taped(*arguments: Any) -> Any:
-        z = (_stack(pack, arguments) - center) / scale
+        z = (_stack(m.pack, arguments) - center) / scale
         for i, (weight, bias) in enumerate(layers):
-            a = activation(z) if i else z
+            a = activations[i - 1](z) if i else z
             z = linear(a, weight, bias)
             if tape is not None:
                 tape.append((index, i, a, z))
-        return (output_center + output_scale * z).unbind(-1)
+        return (z if raw else output_center + output_scale * z).unbind(-1)
 
     if tape is not None:
-        return taped
+        return _Raw(taped, output_center, output_scale, scale) if raw else taped
     # The scales go into the first and the last layer once, instead of into every call.
     (weight, bias), folded = layers[0], list(layers)
     folded[0] = (weight / scale, bias - (weight / scale) @ center)
-    weight, bias = folded[-1]
-    folded[-1] = (output_scale[:, None] * weight, output_scale * bias + output_center)
+    if not raw:
+        weight, bias = folded[-1]
+        folded[-1] = (output_scale[:, None] * weight, output_scale * bias + output_center)
     *hidden, (last_weight, last_bias) = folded
 
     def plain(*arguments: Any) -> Any:
-        a = _stack(pack, arguments)
-        for weight, bias in hidden:
+        a = _stack(m.pack, arguments)
+        for (weight, bias), activation in zip(hidden, activations, strict=True):
             a = activation(linear(a, weight, bias))
         return linear(a, last_weight, last_bias).unbind(-1)
 
-    return plain
+    return _Raw(plain, output_center, output_scale, scale) if raw else plain
+
+
+def _torch_like(value: Any, like: Any) -> Any:
+    """An array as a tensor of the type and on the device of another."""
+    import torch
+
+    return torch.as_tensor(value, dtype=like.dtype, device=like.device)
 
 
 def _stack(pack: Any, arguments: Any) -> Any:
@@ -112,29 +141,44 @@ def _stack(pack: Any, arguments: Any) -> Any:
 
 
 def _numpy_network(network: dict[str, Any], weights: Any) -> Any:
-    activation, pack = _activation("numpy", network["activation"]), _numpy_arithmetic().pack
-    layers, (center, scale, output_center, output_scale) = _layers(network, weights)
+    m = _numpy_arithmetic()
+    layers, (center, scale, output_center, output_scale) = _layers(network, weights, m, lambda value, _: value)
+    activations = _activations(
+        network,
+        _activation("numpy", network["activation"]),
+        m,
+        lambda z, sizes: np.split(z, np.cumsum(sizes)[:-1], -1),
+        lambda parts: np.concatenate(parts, -1),
+    )
 
     def call(*arguments: Any) -> Any:
         like = np.zeros((*np.broadcast_shapes(*map(np.shape, arguments)), 1))
-        a = (pack(like, arguments) - center) / scale
+        a = (m.pack(like, arguments) - center) / scale
         for i, (weight, bias) in enumerate(layers):
-            a = (activation(a) if i else a) @ weight.T + bias
-        return tuple(np.moveaxis(output_center + output_scale * a, -1, 0))
+            a = (activations[i - 1](a) if i else a) @ weight.T + bias
+        return tuple(np.moveaxis(a if network["raw"] else output_center + output_scale * a, -1, 0))
 
-    return call
+    return _Raw(call, output_center, output_scale, scale) if network["raw"] else call
 
 
 def _casadi_network(network: dict[str, Any], weights: Any) -> Any:
     import casadi as ca
 
-    activation = _activation("casadi", network["activation"])
-    layers, (center, scale, output_center, output_scale) = _layers(network, weights)
+    layers, (center, scale, output_center, output_scale) = _layers(
+        network, weights, _numpy_arithmetic(), lambda value, _: value
+    )
+    activations = _activations(
+        network,
+        _activation("casadi", network["activation"]),
+        _arithmetic("casadi"),
+        lambda z, sizes: ca.vertsplit(z, [0, *np.cumsum(sizes).tolist()]),
+        lambda parts: ca.vertcat(*parts),
+    )
 
     def call(*arguments: Any) -> Any:
         a = (ca.vertcat(*arguments) - ca.DM(center)) / ca.DM(scale)
         for i, (weight, bias) in enumerate(layers):
-            a = ca.mtimes(ca.DM(weight), activation(a) if i else a) + ca.DM(bias)
-        return tuple(ca.vertsplit(ca.DM(output_center) + ca.DM(output_scale) * a))
+            a = ca.mtimes(ca.DM(weight), activations[i - 1](a) if i else a) + ca.DM(bias)
+        return tuple(ca.vertsplit(a if network["raw"] else ca.DM(output_center) + ca.DM(output_scale) * a))
 
-    return call
+    return _Raw(call, output_center, output_scale, scale) if network["raw"] else call
