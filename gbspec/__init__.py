@@ -1,3 +1,28 @@
-"""gbspec: a declarative compiler for gray-box dynamical models."""
+"""gbspec: a declarative compiler for gray-box dynamical models.
+
+From Python: `gbspec.load("model.gb")` gives a model with the methods of the commands, `gbspec.open_run("run")` a run.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gbspec.api import FittedRun, Specification, check, load, open_run, simulate, train
 
 __version__ = "0.1.0"
+
+__all__ = ["FittedRun", "Specification", "__version__", "check", "load", "open_run", "simulate", "train"]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports `gbspec.api` when one of its names is first used: `import gbspec` alone stays light."""
+    if name in __all__:
+        from gbspec import api
+
+        return getattr(api, name)
+    raise AttributeError(f"module `gbspec` has no attribute `{name}`")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

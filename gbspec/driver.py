@@ -6,7 +6,7 @@ Every stage is imported when it is used, so that checking a model loads neither 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -51,6 +51,7 @@ def load_model(path: str | Path, findings: Findings) -> Model:
     """
     from gbspec.ir.verify import verify
     from gbspec.lower import lower
+    from gbspec.passes.contracts import with_contracts
     from gbspec.semantics import check
     from gbspec.syntax.parser import parse
 
@@ -62,17 +63,23 @@ def load_model(path: str | Path, findings: Findings) -> Model:
     model = lower(checked, findings)
     findings.raise_if_failed()
     verify(model)
+    model = with_contracts(model, findings)
+    findings.raise_if_failed()
     return model
 
 
 # ------------------------------------------------------------------------------------------- Model to numbers
 @dataclass(frozen=True)
 class Subject:
-    """What can be evaluated: a model at its truth (which stands in `model`), or a run at what it learned."""
+    """What can be evaluated: a model at its truth (which stands in `model`), or a run at what it learned.
+
+    `values` are what was set by hand; they stand in `model` and in the evaluator already.
+    """
 
     model: Model
     evaluator: Evaluator
     run: Run | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 def is_run(path: str | Path) -> bool:
@@ -106,7 +113,7 @@ def learned(run: Run, values: Mapping[str, float] | None = None, member: int | N
             values.get(k, old) for k, old in zip(instance.constants, instance.weights["constants"], strict=True)
         ]
         instance = type(instance)({**instance.weights, "constants": constants}, instance.info)
-    return Subject(model, Evaluator(instance), run)
+    return Subject(model, Evaluator(instance), run, values or {})
 
 
 def reference(model: Model, values: Mapping[str, float] | None = None) -> Subject:
@@ -116,7 +123,7 @@ def reference(model: Model, values: Mapping[str, float] | None = None) -> Subjec
     from gbspec.passes import with_truth, with_values
 
     known = with_values(with_truth(model), values or {})
-    return Subject(known, Evaluator(load_module(known)()))
+    return Subject(known, Evaluator(load_module(known)()), values=values or {})
 
 
 # ------------------------------------------------------------------------------------- what the commands are made of
@@ -126,28 +133,27 @@ def simulate(
     like: Trajectories | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectories:
-    """Simulated measurements of a subject."""
+    """Simulated measurements of a subject; conditions that were set are held there."""
     from gbspec.analysis.simulate import simulate as run
+    from gbspec.data.sampling import fixed
 
-    return run(source.evaluator, source.model, options, like, progress)
+    return run(source.evaluator, source.model, fixed(options, source.values, source.model), like, progress)
+
+
+def read_data(path: str | Path, model: Model, findings: Findings, *, require_channels: bool = True) -> Trajectories:
+    """A table of measurements for a model. Raises `UserError` with everything that is wrong in it."""
+    from gbspec.data.table import read
+
+    return read(path, model, findings, require_channels)
 
 
 def train(
-    path: str | Path,
-    data: str | Path,
-    directory: Path,
-    options: TrainOptions,
-    values: Mapping[str, float],
-    findings: Findings,
-    progress: Progress | None = None,
+    model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
-    """Trains a model on a table, into a run directory."""
-    from gbspec.data.table import read
-    from gbspec.passes import with_values
+    """Learns what the model leaves open from data, into a run directory."""
     from gbspec.training import train as run
 
-    model = with_values(load_model(path, findings), values)
-    return run(model, read(data, model, findings), options, directory, progress)
+    return run(model, data, options, directory, progress)
 
 
 def eigen(
@@ -164,10 +170,8 @@ def eigen(
 
 def training_data(run: Run, findings: Findings) -> Trajectories | None:
     """The table that a run was trained on, None where it is no longer where it was."""
-    from gbspec.data.table import read
-
     path = run.fit.get("data", {}).get("path")
-    return read(path, run.model, findings) if path and Path(path).is_file() else None
+    return read_data(path, run.model, findings) if path and Path(path).is_file() else None
 
 
 def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] = "mean") -> Validation:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from gbspec.cli.output import Output, number
+from gbspec.cli.output import Output
+from gbspec.report.text import number
 from gbspec.training.progress import Progress, Silent, Update
 
 if TYPE_CHECKING:

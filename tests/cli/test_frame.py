@@ -13,8 +13,9 @@ import typer
 from typer.testing import CliRunner
 
 from gbspec.cli.frame import Command, command, file_trouble, guarded
-from gbspec.cli.output import Output, jsonable, number, table
+from gbspec.cli.output import Output, jsonable
 from gbspec.diagnostics import ComputationError, Defect, Diagnostic, UserError
+from gbspec.report.text import number, table
 
 
 def raising(error: BaseException) -> Callable[[], None]:

@@ -43,7 +43,16 @@ def test_check_of_a_shipped_model_answers_within_a_second(here: Path) -> None:
 def test_check_prints_states_starts_unknowns_and_learnables(gbspec: Run) -> None:
     result = gbspec("check", "urp_gb2")
     assert result.exit_code == 0, result.stderr
-    for said in ("x1", "conversion", "measured, else learned", "phi(x1, x2, Da)", "3-64-64-1", "4481", "B from 5", "Da"):
+    for said in (
+        "x1",
+        "conversion",
+        "measured, else learned",
+        "phi(x1, x2, Da)",
+        "3-64-64-1",
+        "4481",
+        "B from 5",
+        "Da",
+    ):
         assert said in result.stdout
 
 
@@ -154,7 +163,8 @@ def test_fmt_leaves_a_file_with_syntax_errors_alone(gbspec: Run, decay: Path) ->
 def test_compile_writes_a_module_that_imports_without_gbspec(gbspec: Run, decay: Path) -> None:
     result = gbspec("compile", decay, "-o", "decay.py")
     assert result.exit_code == 0, result.stderr
-    code = "import sys, decay; print(decay.Decay.states, sorted({'gbspec', 'sympy', 'torch', 'casadi'} & set(sys.modules)))"
+    foreign = "{'gbspec', 'sympy', 'torch', 'casadi'}"
+    code = f"import sys, decay; print(decay.Decay.states, sorted({foreign} & set(sys.modules)))"
     shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=decay.parent)
     assert shown.stdout.strip() == "('N',) []"
 

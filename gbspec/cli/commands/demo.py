@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gbspec.cli.frame import command
-from gbspec.cli.output import Output, number, table
+from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.report.text import number, run_summary, table
 
 if TYPE_CHECKING:
     from gbspec.analysis.validate import Validation
@@ -34,7 +35,6 @@ def run(
 ) -> None:
     """Simulate a reactor, learn its unknown kinetics and constants from the data, and show what came out."""
     from gbspec import driver
-    from gbspec.cli.results import fitted
     from gbspec.report.style import save
 
     began = time.monotonic()
@@ -46,7 +46,7 @@ def run(
     save(driver.figure("summary", made, driver.training_data(made, _findings())), picture)
     seconds = time.monotonic() - began
     errors = _errors(found)
-    output.result(f"\n{fitted(made)}\n\n{_comparison(errors, published)}\n")
+    output.result(f"\n{run_summary(made)}\n\n{_comparison(errors, published)}\n")
     output.result(f"picture: {picture}   run: {directory}   data: {data}   ({seconds:.0f} s)")
     output.summary(_next(directory, data))
     output.document(
@@ -109,17 +109,19 @@ def _learn(output: Output, data: Path, directory: Path, options: Any) -> tuple[A
 
     findings = _findings()
     output.say("learning the kinetics phi(x1, x2, Da) and the constants B and beta")
+    model = driver.load_model(MODEL, findings)
+    measured = driver.read_data(data, model, findings)
     with shown(output) as progress:
-        made = driver.train(MODEL, data, directory, options, {}, findings, progress)
+        made = driver.train(model, measured, directory, options, progress)
     output.say("validating against the truth")
-    return made, driver.validate(made, driver.training_data(made, findings))
+    return made, driver.validate(made, measured)
 
 
 def _errors(found: Validation) -> dict[str, float | None]:
     """The L2 errors by metric, for constants the mean relative one."""
     truth: dict[str, Any] = found.to_json().get("truth", {})  # type: ignore[assignment]  # its keys are the contract's
     functions = truth.get("functions", {})
-    over_all = functions.get("all") or next(iter(functions.values()), {})
+    over_all: dict[str, Any] = functions.get("all") or next(iter(functions.values()), {})
     return {
         "solution": truth.get("solution", {}).get("L2"),
         "rhs": truth.get("rhs", {}).get("L2"),

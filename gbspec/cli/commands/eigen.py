@@ -36,13 +36,12 @@ def run(
 ) -> None:
     """Give the eigenvalues of the Jacobian at points, at steady states or along data; of a run beside the truth's."""
     from gbspec import driver
-    from gbspec.data.table import read
     from gbspec.diagnostics import Findings
 
     findings = Findings()
     given = points(at)
     subject = driver.subject(source, settings(set_values), findings, member)
-    data = None if along is None else read(along, subject.model, findings, require_channels=False)
+    data = None if along is None else driver.read_data(along, subject.model, findings, require_channels=False)
     output.findings(findings)
     found = driver.eigen(subject, at=given, along=data, steady=steady or not (given or along))
     output.document(found.to_json())

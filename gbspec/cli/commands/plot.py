@@ -33,14 +33,13 @@ def run(
 ) -> None:
     """Draw a figure of a run: fit, functions, constants, history, residuals, phase, or all in one (summary)."""
     from gbspec import driver
-    from gbspec.data.table import read
     from gbspec.diagnostics import Findings
     from gbspec.report.style import form_of, save
 
     form_of(to)
     findings = Findings()
     made = driver.open_run(directory)
-    measured = driver.training_data(made, findings) if data is None else read(data, made.model, findings)
+    measured = driver.training_data(made, findings) if data is None else driver.read_data(data, made.model, findings)
     output.findings(findings)
     save(driver.figure(kind, made, measured, show or ()), to)
     output.say(f"wrote {to}")

@@ -32,14 +32,14 @@ def run(
 ) -> None:
     """Simulate a table of measurements, solved by an adaptive integrator to 1e-10."""
     from gbspec import driver
-    from gbspec.data.table import read, write
+    from gbspec.data.table import write
     from gbspec.diagnostics import Findings
     from gbspec.files import writable
 
     findings = Findings()
     writable(to)
     subject = driver.subject(source, settings(set_values), findings, member)
-    table = None if like is None else read(like, subject.model, findings, require_channels=False)
+    table = None if like is None else driver.read_data(like, subject.model, findings, require_channels=False)
     output.findings(findings)
     with output.bar("simulating") as advance:
         data = driver.simulate(subject, options, table, advance)

@@ -9,9 +9,9 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.results import fitted
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.report.text import run_summary
 from gbspec.training.options import TrainOptions
 
 
@@ -32,16 +32,19 @@ def run(
     """Learn the unknown functions and constants of a model from a table, into a run directory."""
     from gbspec import driver
     from gbspec.cli.progress import shown
+    from gbspec.passes import with_values
 
     findings = Findings()
     directory = target(to, resume=options.resume)
     options.check(findings)
     findings.raise_if_failed()
-    with shown(output) as progress:
-        made = driver.train(model, data, directory, options, settings(set_values), findings, progress)
+    specified = with_values(driver.load_model(model, findings), settings(set_values))
+    measured = driver.read_data(data, specified, findings)
     output.findings(findings)
+    with shown(output) as progress:
+        made = driver.train(specified, measured, directory, options, progress)
     output.say(f"wrote {to}")
-    output.summary(fitted(made))
+    output.summary(run_summary(made))
     output.document(made.fit)
 
 

@@ -22,13 +22,12 @@ def run(
 ) -> None:
     """Give the errors of a run: on data, at half the step, by an adaptive solver, and against the truth."""
     from gbspec import driver
-    from gbspec.data.table import read
     from gbspec.diagnostics import Findings
 
     findings = Findings()
     made = driver.open_run(directory)
     chosen = which(member)
-    measured = driver.training_data(made, findings) if data is None else read(data, made.model, findings)
+    measured = driver.training_data(made, findings) if data is None else driver.read_data(data, made.model, findings)
     output.findings(findings)
     if data is None and measured is not None:
         output.say(f"on the table that it was trained on, {measured.path}")

@@ -1,0 +1,226 @@
+"""gbspec from Python: a model and a run as objects whose methods are named like the commands.
+
+    model = gbspec.load("urp_gb2")
+    data = model.simulate(trajectories=50, sampling="gamma", seed=1)
+    run = model.train(data, "my_run")
+    print(run.validate(data))
+    run.plot("functions", "functions.png")
+
+Mistakes in models, tables and options raise `gbspec.diagnostics.UserError`, whose `diagnostics` say what and where;
+computations that fail raise `gbspec.diagnostics.ComputationError`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from gbspec import driver
+from gbspec.diagnostics import Diagnostic, Findings
+from gbspec.ir.model import Model
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gbspec.analysis.eigen import Eigen
+    from gbspec.analysis.validate import Validation
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.runs.store import Run
+    from gbspec.training.progress import Progress
+
+
+@dataclass(frozen=True)
+class Specification:
+    """A `.gb` model that was read and checked. `warnings` are what was found in it."""
+
+    path: str
+    model: Model
+    warnings: tuple[Diagnostic, ...] = ()
+
+    def __str__(self) -> str:
+        from gbspec.diagnostics.render import render_text
+        from gbspec.report.text import model_summary
+
+        return "\n".join(part for part in (model_summary(self.model), render_text(self.warnings)) if part)
+
+    def check(self) -> tuple[Diagnostic, ...]:
+        """The warnings; errors were raised when the model was loaded."""
+        return self.warnings
+
+    def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str:
+        """The model in another form (`module`, `ir`), written to `path` where one is given."""
+        from gbspec.backends.registry import BACKENDS
+        from gbspec.files import write_text
+
+        text = BACKENDS[emit].emit(self.model)
+        if path is not None:
+            write_text(path, text)
+        return text
+
+    def simulate(
+        self,
+        path: str | Path | None = None,
+        *,
+        like: str | Path | Trajectories | None = None,
+        values: Mapping[str, float] | None = None,
+        **options: Any,
+    ) -> Trajectories:
+        """Measurements from the model's truth; `options` are the fields of `SimulateOptions`."""
+        return _simulate(driver.reference(self.model, values), path, like, options)
+
+    def train(
+        self,
+        data: str | Path | Trajectories,
+        directory: str | Path,
+        *,
+        values: Mapping[str, float] | None = None,
+        progress: Progress | None = None,
+        **options: Any,
+    ) -> FittedRun:
+        """Learns what is unknown, into a run directory; `options` are the fields of `TrainOptions`."""
+        from gbspec.passes import with_values
+        from gbspec.training.options import TrainOptions
+
+        model = with_values(self.model, values or {})
+        made = driver.train(model, _table(data, model), Path(directory), TrainOptions(**options), progress)
+        return FittedRun(made)
+
+    def eigen(
+        self,
+        *,
+        at: Sequence[Mapping[str, float]] = (),
+        along: str | Path | Trajectories | None = None,
+        steady: bool = False,
+        values: Mapping[str, float] | None = None,
+    ) -> Eigen:
+        """Eigenvalues of the truth's Jacobian at points, along data, or at steady states."""
+        data = None if along is None else _table(along, self.model)
+        return driver.eigen(driver.reference(self.model, values), at=at, along=data, steady=steady)
+
+
+@dataclass(frozen=True)
+class FittedRun:
+    """A run directory. `run` gives its model, members and `fit.json`."""
+
+    run: Run
+
+    def __str__(self) -> str:
+        constants = ", ".join(f"{name} = {entry['value']}" for name, entry in self.run.fit.get("constants", {}).items())
+        return f"{self.run.model.name} in {self.run.path}: " + (constants or "no learned constants")
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """The learned constants, the mean over members."""
+        return {name: entry["value"] for name, entry in self.run.fit.get("constants", {}).items()}
+
+    def member(self, number: int | None = None) -> Any:
+        """The generated module with a member's weights (the best member's where none is named)."""
+        return self.run.member(self.run.best if number is None else number)
+
+    def validate(
+        self, data: str | Path | Trajectories | None = None, *, member: int | Literal["mean"] = "mean"
+    ) -> Validation:
+        """Errors on data (default: those trained on), at half the step, and against the truth."""
+        return driver.validate(self.run, self._data(data), member)
+
+    def simulate(
+        self,
+        path: str | Path | None = None,
+        *,
+        like: str | Path | Trajectories | None = None,
+        values: Mapping[str, float] | None = None,
+        member: int | None = None,
+        **options: Any,
+    ) -> Trajectories:
+        """Measurements from what was learned; `options` are the fields of `SimulateOptions`."""
+        return _simulate(driver.learned(self.run, values, member), path, like, options)
+
+    def eigen(
+        self,
+        *,
+        at: Sequence[Mapping[str, float]] = (),
+        along: str | Path | Trajectories | None = None,
+        steady: bool = False,
+        values: Mapping[str, float] | None = None,
+        member: int | None = None,
+    ) -> Eigen:
+        """Eigenvalues of the learned Jacobian, beside the truth's where there is one."""
+        data = None if along is None else _table(along, self.run.model)
+        return driver.eigen(driver.learned(self.run, values, member), at=at, along=data, steady=steady)
+
+    def plot(
+        self,
+        kind: str,
+        path: str | Path | None = None,
+        *,
+        data: str | Path | Trajectories | None = None,
+        show: Sequence[str] = (),
+    ) -> Figure:
+        """A figure of one of the kinds of `gbspec plot`, also written to `path` where one is given."""
+        from gbspec.report.style import save
+
+        made = driver.figure(kind, self.run, self._data(data), show)
+        if path is not None:
+            save(made, path)
+        return made
+
+    def _data(self, data: str | Path | Trajectories | None) -> Trajectories | None:
+        return driver.training_data(self.run, Findings()) if data is None else _table(data, self.run.model)
+
+
+def load(path: str | Path) -> Specification:
+    """Reads and checks a model file, or a shipped model by name. Raises `UserError` with everything that is wrong."""
+    findings = Findings()
+    model = driver.load_model(path, findings)
+    return Specification(str(path), model, tuple(findings))
+
+
+def check(path: str | Path) -> tuple[Diagnostic, ...]:
+    """Everything that is found in a model file, errors and warnings, in the order of the text; nothing is raised."""
+    from gbspec.diagnostics import UserError
+
+    findings = Findings()
+    try:
+        driver.load_model(path, findings)
+    except UserError as error:
+        findings.extend(error.diagnostics)
+    return tuple(findings)
+
+
+def open_run(path: str | Path) -> FittedRun:
+    """Opens a run directory. Raises `UserError` where it is none."""
+    return FittedRun(driver.open_run(path))
+
+
+def simulate(source: str | Path, path: str | Path | None = None, **options: Any) -> Trajectories:
+    """Measurements from a model's truth or from a run, by path; see `Specification.simulate`."""
+    subject: Specification | FittedRun = open_run(source) if driver.is_run(source) else load(source)
+    return subject.simulate(path, **options)
+
+
+def train(model: str | Path, data: str | Path | Trajectories, directory: str | Path, **options: Any) -> FittedRun:
+    """Trains a model file on data, into a run directory; see `Specification.train`."""
+    return load(model).train(data, directory, **options)
+
+
+def _table(data: str | Path | Trajectories, model: Model) -> Trajectories:
+    return driver.read_data(data, model, Findings()) if isinstance(data, str | Path) else data
+
+
+def _simulate(
+    subject: driver.Subject,
+    path: str | Path | None,
+    like: str | Path | Trajectories | None,
+    options: Mapping[str, Any],
+) -> Trajectories:
+    from gbspec.data.sampling import SimulateOptions
+    from gbspec.data.table import write
+
+    if isinstance(like, str | Path):
+        like = driver.read_data(like, subject.model, Findings(), require_channels=False)
+    made = driver.simulate(subject, SimulateOptions(**options), like)
+    if path is not None:
+        write(path, made, subject.model)
+    return made

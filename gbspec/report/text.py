@@ -1,0 +1,122 @@
+"""Models and fits as text: summaries and tables for a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import sympy
+
+from gbspec.ir.model import Initial, Learnable, Model, Range
+
+if TYPE_CHECKING:
+    from gbspec.runs.store import Run
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number for a table: `digits` significant ones, a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        return f"{value:.{digits}g}"
+    return f"{value:.{max(digits - 2, 1)}e}"
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A plain text table: the first column to the left, the others to the right, two blanks between."""
+    lines = [list(header), *(list(row) for row in rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    shown = []
+    for line in lines:
+        first, *others = zip(line, widths, strict=True)
+        cells = [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)]
+        shown.append("  ".join(cells).rstrip())
+    return "\n".join([shown[0], "  ".join("-" * width for width in widths), *shown[1:]])
+
+
+def model_summary(model: Model) -> str:
+    """What a person wants to see confirmed: states and their starts, what is learned, what is measured."""
+    lines = [f"{model.name}" + (f': "{model.title}"' if model.title else "")]
+    rows = [(s.name, start(s.initial), _range(s.range), s.unit or "-", s.description or "-") for s in model.states]
+    lines.append(_left(("state", "starts", "range", "unit", "description"), rows))
+    for network in model.networks:
+        arguments = ", ".join(argument.name for argument in network.arguments)
+        layers = "-".join(str(n) for n in network.sizes)
+        outputs = ", ".join(network.outputs)
+        size = f"network {layers} {network.activation}, {network.parameters} parameters"
+        lines.append(f"unknown {outputs}({arguments}): {size}")
+    lines += [f"learned {_learnable(learnable)}" for learnable in model.learnables]
+    for word, names in (
+        ("conditions", [c.name for c in model.conditions]),
+        ("inputs", [f"{i.name} ({i.interpolation})" for i in model.inputs]),
+        ("measured", [c.name for c in model.channels]),
+    ):
+        if names:
+            lines.append(f"{word} {', '.join(names)}")
+    return "\n".join(lines) + "\n"
+
+
+def start(initial: Initial) -> str:
+    """How a state starts, in words."""
+    match initial.kind:
+        case "expression":
+            return f"= {sympy.sstr(initial.value, full_prec=False)}"
+        case "learned":
+            return "learned"
+        case "measured":
+            return "measured, else learned"
+
+
+def _learnable(learnable: Learnable) -> str:
+    where = f" in {_range(learnable.range)}" if learnable.range != Range() else ""
+    scope = " per trajectory" if learnable.per_trajectory else ""
+    return f"{learnable.name} from {number(learnable.start)}{where}{scope}"
+
+
+def _range(given: Range | None) -> str:
+    return "-" if given is None else f"[{given.low:g}, {given.high:g}]"
+
+
+def _left(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table with every column to the left; columns that say nothing are left out."""
+    kept = [i for i in range(len(header)) if i == 0 or any(row[i] != "-" for row in rows)]
+    lines = [[line[i] for i in kept] for line in (header, *rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(kept))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+def run_summary(run: Run) -> str:
+    """A run in a few lines: constants with their spread and interval, errors of each member, warnings."""
+    fit: dict[str, Any] = run.fit
+    parts = [f"{run.model.name}: {run.model.title}" if run.model.title else run.model.name]
+    truths = {t.name: t.value for t in run.model.truth_constants}
+    rows = []
+    for name, entry in fit.get("constants", {}).items():
+        if not isinstance(entry.get("value"), int | float):
+            continue
+        interval = entry.get("interval")
+        between = f"{number(interval[0])} to {number(interval[1])}" if interval and None not in interval else "-"
+        cells = [name, number(entry["value"], 6), number(entry.get("sd"), 2), between, number(truths.get(name), 6)]
+        rows.append(cells)
+    if rows:
+        header = ["constant", "value", "sd", "interval", "truth"]
+        keep = header if truths else header[:-1]
+        parts.append(table(keep, [row[: len(keep)] for row in rows]))
+    members = fit.get("members", [])
+    if members:
+        channels = list(members[0].get("rmse", {}))
+        lines = [[str(i), number(m.get("loss")), *_rmse(m, channels), _seconds(m)] for i, m in enumerate(members)]
+        parts.append(table(["member", "loss", *(f"rmse {c}" for c in channels), "time"], lines))
+    parts += [f"warning: {warning}" for warning in fit.get("warnings", [])]
+    return "\n\n".join(parts)
+
+
+def _rmse(member: dict[str, Any], channels: list[str]) -> list[str]:
+    return [number(member.get("rmse", {}).get(channel)) for channel in channels]
+
+
+def _seconds(member: dict[str, Any]) -> str:
+    return f"{member.get('seconds') or 0:.0f} s"
