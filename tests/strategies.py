@@ -32,10 +32,66 @@ from gbspec.ir.model import (
 
 Expr = sympy.Expr
 
-NAMES = (
-    "x y z u v g t_ k c f m h a b lambda cls self math state condition inputs constants networks np column E I N S Q O "
-    "beta gamma zeta μ α_1 K_m dx1 s1 if1 x_inside phi_2 None class def in is nn_a _x __y exp_ X X_ Xʹ1 x1 x2 tau 速度"
-).split()
+NAMES = [
+    "x",
+    "y",
+    "z",
+    "u",
+    "v",
+    "g",
+    "t_",
+    "k",
+    "c",
+    "f",
+    "m",
+    "h",
+    "a",
+    "b",
+    "lambda",
+    "cls",
+    "self",
+    "math",
+    "state",
+    "condition",
+    "inputs",
+    "constants",
+    "networks",
+    "np",
+    "column",
+    "E",
+    "I",
+    "N",
+    "S",
+    "Q",
+    "O",
+    "beta",
+    "gamma",
+    "zeta",
+    "μ",
+    "α_1",
+    "K_m",
+    "dx1",
+    "s1",
+    "if1",
+    "x_inside",
+    "phi_2",
+    "None",
+    "class",
+    "def",
+    "in",
+    "is",
+    "nn_a",
+    "_x",
+    "__y",
+    "exp_",
+    "X",
+    "X_",
+    "Xʹ1",
+    "x1",
+    "x2",
+    "tau",
+    "速度",
+]
 """Names that a user may give, and that collide with Python, sympy, the generated text or each other if mangled badly."""
 
 ACTIVATIONS = ("silu", "tanh", "softplus", "relu", "gelu", "sigmoid", "elu", "sin")
@@ -80,8 +136,8 @@ BINARY: dict[type[sympy.Basic], Callable[[Expr, Expr], Expr]] = {
     sympy.Add: lambda a, b: a + b,
     sympy.Mul: lambda a, b: sympy.tanh(a) * b,
     sympy.Pow: lambda a, b: (1 + sympy.tanh(a) ** 2) ** sympy.tanh(b),
-    sympy.Max: sympy.Max,
-    sympy.Min: sympy.Min,
+    sympy.Max: lambda a, b: sympy.Max(a, b, evaluate=False),  # evaluating compares the two by factoring, for seconds
+    sympy.Min: lambda a, b: sympy.Min(a, b, evaluate=False),
     sympy.atan2: lambda a, b: sympy.atan2(a, 2 + sympy.tanh(b)),
 }
 
@@ -180,9 +236,7 @@ def models(draw: st.DrawFn) -> Model:
             form = draw(st.sampled_from(("plain", "plus", "times")))
             wild = draw(expressions(leaf, 2)) if form != "plain" else sympy.S.Zero
             postulate = {"plain": NN, "plus": wild + NN, "times": sympy.tanh(wild) * NN}[form]
-            unknowns.append(
-                Unknown(output, network=i, output=j, postulate=postulate, neutral=float(form == "times"))
-            )
+            unknowns.append(Unknown(output, network=i, output=j, postulate=postulate, neutral=float(form == "times")))
     plain = [symbol(name) for name in (*states, *given, *inputs, "t")] + constants
     leaves = _leaves(plain, networks)
     intermediates: list[Intermediate] = []
@@ -217,7 +271,9 @@ def _leaves(plain: Sequence[Expr], networks: Sequence[Network]) -> st.SearchStra
     """Symbols, numbers, and applications of unknowns to expressions of symbols."""
     simple = st.one_of(st.sampled_from(list(plain)), st.sampled_from(NUMBERS))
     applications = [
-        st.lists(expressions(st.sampled_from(list(plain)), 1), min_size=len(n.arguments), max_size=len(n.arguments)).map(
+        st.lists(
+            expressions(st.sampled_from(list(plain)), 1), min_size=len(n.arguments), max_size=len(n.arguments)
+        ).map(
             lambda arguments, name=output: unknown_function(name)(*arguments)  # type: ignore[misc]
         )
         for n in networks

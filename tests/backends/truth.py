@@ -37,11 +37,11 @@ class Truth:
 
     def rhs(self, point: Point) -> list[Any]:
         """dx/dt."""
-        return self._evaluate(self.model.inlined(self.model.balances), point)
+        return self._evaluate(self.model.balances, point)
 
     def observe(self, point: Point) -> list[Any]:
         """The channels."""
-        return self._evaluate(self.model.inlined(c.value for c in self.model.channels), point)
+        return self._evaluate([c.value for c in self.model.channels], point)
 
     def initial(self, point: Point) -> list[Any]:
         """The start with expressed starts put in, one after the other until none hangs on another."""
@@ -78,10 +78,10 @@ class Truth:
             for item, value in zip((*model.constants, *model.learnables), point.constants, strict=True)
         }
         with mpmath.workdps(30):
-            return [self._value(expression, names, values) for expression in expressions]
-
-    def _value(self, expression: Expr, names: Sequence[Any], values: Sequence[Any]) -> Any:
-        return _lambdify([item.symbol for item in names], expression, self.unknowns)(*map(mpmath.mpf, values))
+            table = {item.symbol: mpmath.mpf(value) for item, value in zip(names, values, strict=True)}
+            for item in model.intermediates:
+                table[item.symbol] = value_of(item.value, table, self.unknowns)
+            return [value_of(expression, table, self.unknowns) for expression in expressions]
 
     def _unknown(self, unknown: Any) -> Callable[..., Any]:
         network = self.model.networks[unknown.network]
@@ -89,9 +89,8 @@ class Truth:
 
         def value(*arguments: Any) -> Any:
             raw = self._network(unknown.network, arguments)[unknown.output]
-            constants = [key for key in self.table if key not in formals]
-            function = _lambdify([NN, *formals, *constants], unknown.postulate, {})
-            return function(raw, *arguments, *(self.table[key] for key in constants))
+            table = {**self.table, **dict(zip(formals, arguments, strict=True)), NN: raw}
+            return value_of(unknown.postulate, table, {})
 
         return value
 
@@ -109,18 +108,57 @@ class Truth:
         return list(numbers("output_center") + numbers("output_scale") * a)
 
 
-def _lambdify(symbols: Sequence[Any], expression: Expr, functions: Mapping[str, Any]) -> Callable[..., Any]:
-    """sympy's own function of an expression at mpmath's precision, under names that cannot clash."""
-    plain = [sympy.Symbol(f"a{i}", real=True) for i in range(len(symbols))]
-    renamed = {sympy.Function(name, real=True): sympy.Function(f"f{i}") for i, name in enumerate(functions)}
-    expression = sympy.sympify(expression).xreplace(dict(zip(symbols, plain, strict=True)))
-    expression = expression.replace(
-        lambda node: isinstance(node, sympy.core.function.AppliedUndef),
-        lambda node: renamed[sympy.Function(node.func.__name__, real=True)](*node.args),
-    )
-    table = {f"f{i}": function for i, function in enumerate(functions.values())}
-    return sympy.lambdify(plain, expression, modules=[table, "mpmath"])  # type: ignore[no-any-return]
+FUNCTIONS: Mapping[type[sympy.Basic], Callable[..., Any]] = {
+    sympy.Add: lambda *a: sum(a, mpmath.mpf(0)),
+    sympy.Mul: lambda *a: mpmath.fprod(a),
+    sympy.Pow: mpmath.power,
+    sympy.Max: max,
+    sympy.Min: min,
+    sympy.Abs: abs,
+    sympy.log: mpmath.log,
+    **{
+        getattr(sympy, name): getattr(mpmath, name)
+        for name in ["exp", "sin", "cos", "tan", "cot", "sec", "csc", "sinh", "cosh", "tanh"]
+    },
+    **{
+        getattr(sympy, name): getattr(mpmath, name)
+        for name in ["asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2", "sign"]
+    },
+    sympy.StrictLessThan: lambda a, b: a < b,
+    sympy.LessThan: lambda a, b: a <= b,
+    sympy.StrictGreaterThan: lambda a, b: a > b,
+    sympy.GreaterThan: lambda a, b: a >= b,
+    sympy.Equality: lambda a, b: a == b,
+    sympy.Unequality: lambda a, b: a != b,
+    sympy.And: lambda *a: all(a),
+    sympy.Or: lambda *a: any(a),
+    sympy.Not: lambda a: not a,
+    sympy.ITE: lambda c, a, b: a if c else b,
+}
+"""The value of a node from those of its arguments, at mpmath's precision."""
+
+
+def value_of(node: Any, table: Mapping[Any, Any], unknowns: Mapping[str, Callable[..., Any]]) -> Any:
+    """The value of an expression or condition; symbols from the table, only the branch that is taken evaluated."""
+    if node in table:
+        return table[node]
+    match node:
+        case sympy.Float() | sympy.Integer():
+            return mpmath.mpf(float(node))
+        case sympy.Rational():
+            return _mp(node)
+        case sympy.NumberSymbol():
+            return {sympy.pi: mpmath.pi, sympy.E: mpmath.e}[node] + 0
+        case sympy.logic.boolalg.BooleanAtom():
+            return bool(node)
+        case sympy.Piecewise():
+            taken = next(value for value, condition in node.args if value_of(condition, table, unknowns))
+            return value_of(taken, table, unknowns)
+    arguments = [value_of(argument, table, unknowns) for argument in node.args]
+    if isinstance(node, sympy.core.function.AppliedUndef):
+        return unknowns[node.func.__name__](*arguments)
+    return FUNCTIONS[type(node)](*arguments)
 
 
 def _mp(fraction: Any) -> Any:
-    return mpmath.mpf(fraction.numerator) / fraction.denominator
+    return mpmath.mpf(int(fraction.numerator)) / int(fraction.denominator)

@@ -96,7 +96,7 @@ class Printer(ABC):
                 return self.call(node.word, *map(self.print, node.args)), ATOM
             case sympy.atan2():
                 return self.call("atan2", *map(self.print, node.args)), ATOM
-            case Relational() | sympy.And() | sympy.Or() | sympy.Not() | BooleanAtom():
+            case Relational() | sympy.And() | sympy.Or() | sympy.Not() | sympy.ITE() | BooleanAtom():
                 return self._condition(node)
             case sympy.core.function.AppliedUndef():
                 return self.application(node), ATOM
@@ -225,6 +225,11 @@ class Printer(ABC):
                 return f"{self.at(node.lhs, ADD)} {RELATIONS[node.rel_op]} {self.at(node.rhs, ADD)}", OR
             case sympy.Not():
                 return self.call("logical_not", self.print(node.args[0])), ATOM
+            case sympy.ITE():  # what sympy makes of a comparison with a Piecewise
+                condition, then, otherwise = map(self.print, node.args)
+                taken = self.call("logical_and", condition, then)
+                left = self.call("logical_and", self.call("logical_not", condition), otherwise)
+                return self.call("logical_or", taken, left), ATOM
             case sympy.And() | sympy.Or():
                 word = "logical_and" if isinstance(node, sympy.And) else "logical_or"
                 first, *rest = sorted(node.args, key=sympy.default_sort_key)

@@ -54,7 +54,7 @@ def guarded(node: sympy.Basic) -> sympy.Basic:
     if not node.has(sympy.Piecewise):
         return node
     if not isinstance(node, sympy.Piecewise):
-        return node.func(*map(guarded, node.args))
+        return _rebuild(node, [guarded(argument) for argument in node.args])
     value: sympy.Expr | None = None
     for i, (branch, condition) in reversed(list(enumerate(node.args))):
         earlier = [sympy.Not(guarded(c), evaluate=False) for _, c in node.args[:i]]
@@ -79,7 +79,7 @@ def _behind(node: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
         return Guard(taken, node)
     if isinstance(node, AppliedUndef | Boolean) or not node.args:
         return node
-    return node.func(*(_behind(argument, taken) for argument in node.args))
+    return _rebuild(node, [_behind(argument, taken) for argument in node.args])
 
 
 def _risky(node: sympy.Basic) -> bool:
@@ -137,7 +137,7 @@ class Program:
         arguments = tuple(self._replace(argument) for argument in node.args)
         if isinstance(node, AppliedUndef):
             return self._result(node.func.__name__, arguments)
-        return node.func(*arguments)
+        return _rebuild(node, arguments)
 
     def _result(self, name: str, arguments: tuple[sympy.Expr, ...]) -> sympy.Symbol:
         if name not in self._networks:
@@ -257,7 +257,7 @@ def _worth(node: sympy.Basic) -> bool:
 
 
 def _rebuild(node: sympy.Basic, arguments: Sequence[sympy.Basic]) -> sympy.Basic:
-    """The node with other arguments, as it stands: nothing is evaluated anew."""
+    """The node with other arguments, as it stands: nothing is evaluated anew (of Max, that can take seconds)."""
     if isinstance(node, Where | Guard):
         return node.func(*arguments)
     return node.func(*arguments, evaluate=False)
