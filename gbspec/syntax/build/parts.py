@@ -1,0 +1,168 @@
+"""What the rules share: places, names, checks, and the state of one statement being built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from lark import Token
+
+from gbspec.diagnostics import Diagnostic, Source, Span
+from gbspec.syntax import ast
+from gbspec.syntax.names import REFUSED, is_name, normalise
+from gbspec.syntax.walk import ungrouped
+
+Children = list[Any]  # tokens and what the rules below yielded
+
+
+@dataclass(frozen=True)
+class Clause(ast.Node):
+    """One clause of a statement; `content` is a node, a tuple of nodes or None, by the kind."""
+
+    kind: str
+    content: Any
+
+
+@dataclass(frozen=True)
+class Names(ast.Node):
+    """Several names, e.g. a function's parameters."""
+
+    items: tuple[ast.Name, ...]
+
+
+CLAUSE_WORDS = {
+    "unit": "unit (`: …`)",
+    "range": "range (`in [low, high]`)",
+    "value": "value (`= …`)",
+    "text": "description",
+    "extends": "`extends`",
+    "from": "`from`",
+    "column": "`as`",
+    "interpolation": "`held` or `linear`",
+    "prior": "`prior`",
+    "noise": "`noise`",
+    "per_trajectory": "`per trajectory`",
+    "learned": "`learn`",
+    "rate": "`rate`",
+    "times": "`times`",
+    "lag": "`lag`",
+    "postulates": "postulate (`= …`)",
+    "network": "network (`by …`)",
+    "lower": "lower bound",
+    "upper": "upper bound",
+}
+"""What each kind of clause is called in messages."""
+
+
+class Parts:
+    """Places, names and checks that the rules share; the state of one statement being built."""
+
+    def __init__(self) -> None:
+        self.begin(Source("", ""), 0)
+
+    def begin(self, source: Source, offset: int) -> None:
+        """Starts a statement whose text begins at the offset in the source."""
+        self.source, self.offset = source, offset
+        self.problems: list[Diagnostic] = []
+        self.clauses: tuple[Clause, ...] = ()
+        self._depth: dict[int, int] = {}
+
+    def place(self, first: Any, last: Any | None = None) -> Span:
+        """The span from one token or node to another (or of one)."""
+        last = first if last is None else last
+        start = cast(int, first.start_pos) + self.offset if isinstance(first, Token) else first.span.start
+        end = cast(int, last.end_pos) + self.offset if isinstance(last, Token) else last.span.end
+        return Span(self.source, start, end)
+
+    def over(self, children: Children) -> Span:
+        """The span of all that a rule matched."""
+        return self.place(children[0], children[-1])
+
+    def problem(self, code: str, message: str, place: Span, *, label: str = "", help: str = "") -> None:
+        """Records a finding about the statement."""
+        self.problems.append(Diagnostic(code, message, place, label, help=help))
+
+    def name_at(self, token: Token) -> ast.Name:
+        """A name, used or declared."""
+        span = self.place(token)
+        if not token.isascii() and not is_name(token):
+            self.problem(
+                "GB137",
+                f"`{token}` is not a name",
+                span,
+                help="a name begins with a letter (of any script) or `_`, then letters, digits and `_`",
+            )
+        return ast.Name(span, normalise(str(token)))
+
+    def declared(self, token: Token) -> ast.Name:
+        """A name at the place where it is declared."""
+        name = self.name_at(token)
+        if name.text in REFUSED:
+            self.problem(
+                "GB136",
+                f"`{name.text}` cannot be declared: it has a meaning of its own in every expression",
+                name.span,
+                help=f"choose another name, e.g. `{name.text}_` or `{name.text}_1`",
+            )
+        return name
+
+    def number_value(self, expression: ast.Expression) -> ast.Expression:
+        """Checks that an expression is a number and not a condition."""
+        inner = ungrouped(expression)
+        if is_condition(inner):
+            self.problem(
+                "GB122",
+                "a comparison is not a number",
+                inner.span,
+                label="true or false, where a number is needed",
+                help="choose between two numbers with `if(condition, a, b)`",
+            )
+        return expression
+
+    def condition_value(self, expression: ast.Expression) -> ast.Expression:
+        """Checks that an expression is a condition and not a number."""
+        inner = ungrouped(expression)
+        if not is_condition(inner):
+            self.problem(
+                "GB123",
+                "a condition is needed here, and this is a number",
+                inner.span,
+                label="neither true nor false",
+                help="compare it with something, e.g. `x > 0`",
+            )
+        return expression
+
+    def nested(self, node: Any, below: Iterable[Any], chain: Any = None) -> Any:
+        """Notes how deep a node nests; `chain` is the left part of a sum or product, which adds nothing."""
+        depth = 1 + max((self._depth.get(id(child), 0) for child in below), default=0)
+        if chain is not None:
+            depth = max(depth, self._depth.get(id(chain), 0))
+        self._depth[id(node)] = depth
+        if depth == ast.MAX_DEPTH + 1:
+            self.problem(
+                "GB138",
+                f"this expression is nested more than {ast.MAX_DEPTH} deep",
+                node.span,
+                help="give its inner parts names of their own with `let`",
+            )
+        return node
+
+
+def is_condition(expression: ast.Expression) -> bool:
+    """Whether an expression is true or false rather than a number."""
+    if isinstance(expression, ast.Comparison | ast.Logic):
+        return True
+    return isinstance(expression, ast.Unary) and expression.operator == "not"
+
+
+def nodes(children: Sequence[Any]) -> tuple[Any, ...]:
+    """What the rules below yielded, without the tokens between."""
+    return tuple(child for child in children if not isinstance(child, Token))
+
+
+def tokens(children: Sequence[Any], kind: str) -> list[Token]:
+    """The tokens of one kind."""
+    return [child for child in children if isinstance(child, Token) and child.type == kind]
+
+
