@@ -127,7 +127,7 @@ def _column(name: str, column: str) -> str:
 
 def _network(network: Network) -> str:
     arguments = ", ".join(f"{a.name}{f' : {a.unit}' if a.unit else ''}{_range(a.range)}" for a in network.arguments)
-    sizes = "-".join(str(n) for n in (len(network.arguments), *network.hidden, len(network.outputs)))
+    sizes = "-".join(str(n) for n in network.sizes)
     return f"{', '.join(network.outputs)}({arguments}) by mlp {sizes} {network.activation}"
 
 

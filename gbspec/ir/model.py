@@ -18,6 +18,7 @@ from typing import Literal, TypeAlias
 import sympy
 
 from gbspec.diagnostics import Span
+from gbspec.ir.forms import Form, Layout
 
 Expr: TypeAlias = sympy.Expr
 
@@ -177,6 +178,8 @@ class Unknown(Declared):
     postulate: Expr = NN
     neutral: float = 0.0
     contracts: tuple[Contract, ...] = ()
+    form: Form | None = None
+    """How it is computed so that its contracts hold (`gbspec.passes.contracts`); None: by its postulate alone."""
 
 
 Activation = Literal["silu", "tanh", "softplus", "relu", "gelu", "sigmoid", "elu", "sin"]
@@ -190,6 +193,8 @@ class Network:
     arguments: tuple[Argument, ...]
     hidden: tuple[int, ...] = (32, 32)
     activation: Activation = "silu"
+    layout: Layout | None = None
+    """The directions of its units where contracts need them monotone; None: every weight is free."""
 
     @property
     def name(self) -> str:
@@ -197,10 +202,15 @@ class Network:
         return "_".join(self.outputs)
 
     @property
+    def sizes(self) -> tuple[int, ...]:
+        """Widths of all layers: arguments, hidden layers, outputs (extra ones, which contracts need, included)."""
+        gates = self.layout.gates if self.layout is not None else 0
+        return (len(self.arguments), *self.hidden, len(self.outputs) + gates)
+
+    @property
     def parameters(self) -> int:
         """Number of weights and biases."""
-        sizes = (len(self.arguments), *self.hidden, len(self.outputs))
-        return sum((a + 1) * b for a, b in pairwise(sizes))
+        return sum((a + 1) * b for a, b in pairwise(self.sizes))
 
 
 @dataclass(frozen=True)

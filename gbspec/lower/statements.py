@@ -15,6 +15,7 @@ import sympy
 from gbspec.diagnostics import Findings, Source
 from gbspec.ir import model as ir
 from gbspec.ir.model import Expr, symbol, unknown_function
+from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.small import neutral, string, unit_text
 from gbspec.semantics import unknowns
@@ -335,7 +336,10 @@ class _Lowering:
         functions: list[ir.Unknown] = []
         for s in self._checked.all(ast.UnknownStatement):
             nodes = s.postulates if len(s.postulates) == len(s.names) else s.postulates * len(s.names)
-            names, posts = self._closed([a.name.text for a in s.arguments], nodes, {"nn": ir.NN})
+            bounds = [node for contract in s.contracts for node in contract_values(contract)]
+            names, closed = self._closed([a.name.text for a in s.arguments], [*nodes, *bounds], {"nn": ir.NN})
+            posts, renamed = closed[: len(nodes)], dict(zip((a.name.text for a in s.arguments), names, strict=True))
+            agreed = lower_contracts(s, closed[len(nodes) :], renamed)
             arguments = tuple(
                 ir.Argument(name, unit_text(a.unit), self._range(a.range))
                 for name, a in zip(names, s.arguments, strict=True)
@@ -355,6 +359,7 @@ class _Lowering:
                         output,
                         posts[output] if posts else ir.NN,
                         neutral(nodes[output]) if nodes else 0.0,
+                        agreed[name.text],
                         unit=unit_text(units[output]) if units else None,
                         description=string(s.description),
                         span=name.span,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from gbspec.diagnostics import Findings, Label
+from gbspec.semantics import contracts
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
@@ -31,7 +32,7 @@ def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
                 _parameters([a.name for a in unknown.arguments], unknown.names[0], findings)
                 _counts(unknown, findings)
                 _postulates(unknown, findings)
-                _contracts(unknown, findings)
+                contracts.check(unknown, findings)
                 if unknown.network is not None:
                     _network(unknown.network, numbers, findings)
             case _:
@@ -83,16 +84,6 @@ def _postulates(unknown: ast.UnknownStatement, findings: Findings) -> None:
                 help=f"say where the network corrects it: `({postulate.span.text})*nn` or `{postulate.span.text} + nn`;"
                 f" if the form is known, declare a `function`",
             )
-
-
-def _contracts(unknown: ast.UnknownStatement, findings: Findings) -> None:
-    if unknown.contracts:
-        findings.error(
-            "GB902",
-            "contracts on unknowns are not supported yet",
-            unknown.contracts[0].span.to(unknown.contracts[-1].span),
-            help="leave them out for now",
-        )
 
 
 def _network(network: ast.NetworkSpec, numbers: Numbers, findings: Findings) -> None:

@@ -113,10 +113,24 @@ class _Sweep:
         width = (self.shared_columns, parameters.n_local)
         return Linearised(
             residuals,
-            torch.cat([*rows_shared, torch.zeros((0, width[0]), dtype=residuals.dtype)]),
+            self._of_trained_weights(torch.cat([*rows_shared, torch.zeros((0, width[0]), dtype=residuals.dtype)])),
             torch.cat([*rows_local, torch.zeros((0, width[1]), dtype=residuals.dtype)]),
             owner[observed.row],
         )
+
+    def _of_trained_weights(self, shared: Tensor) -> Tensor:
+        """Columns of the weights in use as columns of those that are trained (they differ where contracts need signs)."""
+        slopes = {} if self.only_local else self.problem.module.weight_slopes(self._detached())
+        position = 0
+        for name, shape in self.parameters.weight_shapes.items():
+            size = int(np.prod(shape))
+            if name in slopes:
+                shared[:, position : position + size] *= torch.from_numpy(slopes[name].ravel())
+            position += size
+        return shared
+
+    def _detached(self) -> dict[str, Array]:
+        return {name: value.detach().numpy() for name, value in self.weights.items()}
 
     # ---------------------------------------------------------------- starts
     def _initial(self) -> tuple[Tensor, Tensor]:
@@ -378,7 +392,7 @@ def _layer_offsets(parameters: Parameters) -> dict[tuple[int, int], tuple[int, i
     out: dict[tuple[int, int], tuple[int, int, int]] = {}
     position = 0
     for index, network in enumerate(parameters.model.networks):
-        sizes = (len(network.arguments), *network.hidden, len(network.outputs))
+        sizes = network.sizes
         for layer in range(len(sizes) - 1):
             out[index, layer] = (position, sizes[layer + 1], sizes[layer])
             position += (sizes[layer] + 1) * sizes[layer + 1]

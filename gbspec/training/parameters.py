@@ -48,7 +48,7 @@ class Parameters:
         """Names and shapes of the networks' trained arrays, in order."""
         shapes: dict[str, tuple[int, ...]] = {}
         for network in self.model.networks:
-            sizes = (len(network.arguments), *network.hidden, len(network.outputs))
+            sizes = network.sizes
             for layer, (a, b) in enumerate(pairwise(sizes)):
                 shapes[f"network.{network.name}.{layer}.weight"] = (b, a)
                 shapes[f"network.{network.name}.{layer}.bias"] = (b,)

@@ -45,8 +45,12 @@ def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
 
 
 def eliminate(model: Model, module: Any, points: Points, start: Array) -> Eliminated:
-    """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights."""
-    count, equations = len(points), list(points.equations)
+    """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights.
+
+    Where no balance can be compared, the rough ones serve, and the constants stay at `start`.
+    """
+    count, equations = len(points), list(points.equations or points.rough)
+    fixed = not points.equations
     free = FreeOutputs(model, count)
     with torch.no_grad():
         evaluate_rhs(model, module, points, _constants_at(model, torch.from_numpy(start), count), free.functions())
@@ -74,7 +78,7 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
             d_o.append(torch.zeros_like(o) if g[0] is None else g[0])
             d_k.append(torch.zeros_like(k) if g[1] is None else g[1])
         slope = Bijections.of(model.learnables).derivative(u)
-        jac_k = torch.stack(d_k, 1).numpy()[:, :, len(model.constants) :] * slope
+        jac_k = torch.stack(d_k, 1).numpy()[:, :, len(model.constants) :] * (0.0 * slope if fixed else slope)
         return r.detach().numpy(), torch.stack(d_o, 1).numpy(), jac_k
 
     for _ in range(ELIMINATION_STEPS):
@@ -153,7 +157,8 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
 def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
     """Mean and deviation of the free outputs, robustly; with a postulate the centre is its neutral value."""
     unknowns = sorted((u for u in model.unknowns if u.network == network), key=lambda u: u.output)
-    center, scale = np.zeros(len(unknowns)), np.ones(len(unknowns))
+    width = model.networks[network].sizes[-1]  # the last, beyond the unknowns, are extra outputs that contracts need
+    center, scale = np.zeros(width), np.ones(width)
     for i, unknown in enumerate(unknowns):
         column = outputs[:, i]
         column = column[np.isfinite(column)]
@@ -173,7 +178,7 @@ def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Ar
 def regress_slopes(parameters: Parameters, module: Any, points: Points, theta: Array, seed: int) -> Array:
     """Step 3: weights and shared constants by Adam on minibatches of points; Huber's loss, a cosine schedule."""
     model = parameters.model
-    if not len(points) or not model.networks:
+    if not points.equations or not model.networks:
         return theta
     rng = np.random.default_rng([seed, 11])
     shared = torch.from_numpy(theta[: parameters.n_shared].copy()).requires_grad_()
@@ -209,5 +214,6 @@ def _some(points: Points, index: Any) -> Points:
         points.inputs[index],
         points.trajectory[index],
         points.equations,
+        points.rough,
         points.scale,
     )

@@ -31,6 +31,7 @@ def rendered_findings(path: Path) -> str:
 def run_front_end(path: Path, findings: Findings) -> None:
     """Reads, parses, checks and, where there is no error, lowers a file."""
     from gbspec.lower import lower
+    from gbspec.passes.contracts import with_contracts
     from gbspec.semantics import check
 
     file = parse(read_source(path), findings)
@@ -38,7 +39,9 @@ def run_front_end(path: Path, findings: Findings) -> None:
         return
     checked = check(file, findings, read_source)
     if checked is not None and not findings.failed:
-        lower(checked, findings)
+        model = lower(checked, findings)
+        if not findings.failed:
+            with_contracts(model, findings)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")

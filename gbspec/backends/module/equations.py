@@ -97,7 +97,7 @@ def _constrained_method(
     used = _strange_to(network, [*values, *writer.expressions], writer.temporaries, model)
     used |= _strange_to(network, postulates, raw, model)
     lines = _unpacked_constants(model, names, used)
-    plain = _corrected(model, posed, names, call, raw, postulates)
+    plain = _corrected(model, posed, names.copy(), call, raw, postulates)
     lines += writer.calls_of(index, plain)
     bodies = [Assignment(temporary(u.name), value, u.name) for u, value in zip(posed, values, strict=True)]
     lines += _statements(Program(model, bodies, ()).statements, names, model)

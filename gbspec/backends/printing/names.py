@@ -46,6 +46,12 @@ class Names:
             self._of[symbol] = name
         return self._of[symbol]
 
+    def copy(self) -> Names:
+        """The same identifiers, to which others may be added apart."""
+        other = Names()
+        other._taken, other._of = set(self._taken), dict(self._of)
+        return other
+
     def __getitem__(self, symbol: sympy.Symbol) -> str:
         return self._of[symbol]
 

@@ -10,10 +10,11 @@ import numpy as np
 
 # <body>
 # ---------------------------------------------------------------------- directions
-# Contracts that need a network monotone in an argument are kept by the signs of weights. A unit has a kind, one character
-# an argument: it does not decrease (+) or increase (-) in it, depends on it freely (*) or not at all (0). A weight whose
-# sign is given is sign*gain*softplus(sharpness*w), w the number that is trained; one that would break a kind is left out.
-# Units that bend downwards, -softplus(-z), are computed as softplus(z) with the signs of their weights turned round.
+# Contracts that need a network monotone in an argument are kept by the signs of weights. A unit has a kind, one
+# character an argument: it does not decrease (+) or increase (-) in it, depends on it freely (*) or not at all (0). A
+# weight whose sign is given is sign*gain*softplus(sharpness*w), w the number that is trained; one that would break a
+# kind is left out. Units that bend downwards, -softplus(-z), are computed as softplus(z) with the signs of their weights
+# turned round.
 
 _TURNED = str.maketrans("+-", "-+")
 
@@ -50,6 +51,17 @@ def _weight_forms(layout: Any, sizes: tuple[int, ...]) -> tuple[tuple[Any, Any, 
             (signs * (positive & negative), signs * gain * given * np.where(positive, 1, -1), sharpness, turned)
         )
     return tuple(forms)
+
+
+def _weight_slopes(network: dict[str, Any], weights: Any) -> dict[str, Any]:
+    """Derivatives of a network's weights in use by those that are trained."""
+    slopes = {}
+    for i, (free, gain, sharpness, turned) in enumerate(_weight_forms(network["layout"], network["sizes"])):
+        name = f"network.{network['name']}.{i}."
+        raw = np.asarray(weights[name + "weight"], dtype=np.float64)
+        slopes[name + "weight"] = free + sharpness * gain / (1.0 + np.exp(np.minimum(-sharpness * raw, 300.0)))
+        slopes[name + "bias"] = turned
+    return slopes
 
 
 def _shares(blocks: Any) -> tuple[int, int, int]:

@@ -21,6 +21,7 @@ import numpy as np
 
 # {{interface
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
+from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_network, _layers, _numpy_network, _torch_network
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 
@@ -188,6 +189,17 @@ class Template:  # {{class}}
         order of the calls; weights are then used as they are, else with the scales multiplied in once.
         """
         return tuple(_torch_network(network, weights, i, tape) for i, network in enumerate(self.networks))
+
+    def weight_slopes(self, weights: Mapping[str, Any]) -> dict[str, Any]:
+        """Derivatives of the weights that layers use by those that are trained, elementwise, as arrays by name.
+
+        Arrays that are used as they are, in networks without directions, are left out.
+        """
+        slopes: dict[str, Any] = {}
+        for network in self.networks:
+            if network["layout"] is not None:
+                slopes |= _weight_slopes(network, weights)
+        return slopes
 
     def casadi_networks(self) -> tuple[Any, ...]:
         """The networks over casadi's symbols, with their weights as numbers."""

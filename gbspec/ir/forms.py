@@ -1,0 +1,116 @@
+"""How an unknown with contracts is computed from its network, so that the contracts hold whatever the weights are.
+
+A `Form` is an expression in the network's unscaled outputs; a `Layout` says which units of the network may depend on
+which arguments, and in which direction. Both are decided by `gbspec.passes.contracts` and printed by the backends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import sympy
+
+Expr: TypeAlias = sympy.Expr
+
+
+class softplus(sympy.Function):  # type: ignore[misc]  # noqa: N801 - sympy is untyped; its functions are named so
+    """`log(1 + exp(x))`, computed without overflow."""
+
+    is_real = True
+    is_positive = True
+
+    def fdiff(self, argindex: int = 1) -> Expr:
+        """The logistic function."""
+        return logistic(self.args[0])
+
+
+class logistic(sympy.Function):  # type: ignore[misc]  # noqa: N801 - sympy is untyped; its functions are named so
+    """`1/(1 + exp(-x))`, computed without overflow."""
+
+    is_real = True
+    is_positive = True
+
+    def fdiff(self, argindex: int = 1) -> Expr:
+        """`p (1 - p)`."""
+        return logistic(self.args[0]) * (1 - logistic(self.args[0]))
+
+
+def raw(evaluation: int, output: int) -> sympy.Symbol:
+    """Output `output` of the network, before its centre and scale, at the arguments of an evaluation of the form."""
+    return sympy.Symbol(f"raw {evaluation} {output}", real=True)
+
+
+def center(output: int) -> sympy.Symbol:
+    """The centre of an output, a number kept with the weights."""
+    return sympy.Symbol(f"center {output}", real=True)
+
+
+def scale(output: int) -> sympy.Symbol:
+    """The scale of an output, a positive number kept with the weights."""
+    return sympy.Symbol(f"scale {output}", real=True)
+
+
+def spread(argument: int) -> sympy.Symbol:
+    """The scale of an argument, a positive number kept with the weights."""
+    return sympy.Symbol(f"spread {argument}", real=True)
+
+
+def described(text: str) -> tuple[str, tuple[int, ...]] | None:
+    """What a symbol's name stands for: ("raw", (evaluation, output)), ("scale", (output,)), ...; None for others."""
+    word, *numbers = text.split(" ")
+    if not numbers or word not in ("raw", "center", "scale", "spread"):
+        return None
+    return word, tuple(int(number) for number in numbers)
+
+
+Scope = Literal["everywhere", "ranges"]
+
+
+@dataclass(frozen=True)
+class Form:
+    """The value of an unknown: `value` in raw outputs, centres, scales, the formal arguments and constants.
+
+    `evaluations`: the arguments at which the network is evaluated, as expressions in the formals; the first are usually
+    the formals themselves. `scope`: whether the contracts hold for all real arguments or within the ranges of
+    `within` alone. `notes`: what else was decided, in words (a correction kept positive, for instance).
+    """
+
+    evaluations: tuple[tuple[Expr, ...], ...]
+    value: Expr
+    scope: Scope = "everywhere"
+    within: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+Shape = Literal["free", "convex", "concave", "saturating"]
+"""The activation of a unit: the network's own, or a monotone one that bends upwards, downwards, or levels off."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Units of a hidden layer that are alike.
+
+    `kind` has one character an argument: how the units may depend on it: `+` not decreasing, `-` not increasing,
+    `*` freely, `0` not at all.
+    """
+
+    kind: str
+    shape: Shape
+    count: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The directions of a network: its hidden layers as blocks (free ones first, saturating last), and its outputs.
+
+    `outputs` holds the kind of each output, of the unknowns first, then of the extra outputs (`gates`).
+    """
+
+    hidden: tuple[tuple[Block, ...], ...]
+    outputs: tuple[str, ...]
+    gates: int = 0
+
+    def plain(self) -> tuple[Any, ...]:
+        """The layout as nested tuples of strings and numbers, for the generated module's text."""
+        return tuple(tuple((b.kind, b.shape, b.count) for b in layer) for layer in self.hidden), self.outputs

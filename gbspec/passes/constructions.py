@@ -1,0 +1,337 @@
+"""Functions that meet demands whatever the weights are: expressions in a network's raw outputs.
+
+A raw output x is a multilayer perceptron without its last centre c and scale s; where directions are asked for, it is
+monotone by the signs of its weights (`directions_of_units`). On it stand, in this order:
+
+- *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: it starts at c, rises with
+  slope 0.63 s there, and never saturates at the start. Two bounds: `L + W logistic(...)`, slope s at the start.
+- *zeros*: a difference `x(v) - x(v at the zero)`; or a factor that vanishes there: `d/sqrt(d^2 + l^2)`, its size, or its
+  square, d the distance and l the argument's scale; or, where directions would not survive these, a generalised Monod
+  factor `d/(d + K)` whose half-saturation `K = l exp(-4 tanh(g/4))`, with g an extra output of the same directions,
+  falls where the value rises.
+- *bounds around a zero*: an increasing map that leaves 0 where it is.
+
+`docs/contracts.md` has the proofs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import sympy
+
+from gbspec.ir.forms import center, logistic, raw, scale, softplus, spread
+from gbspec.ir.model import Expr, Network, Unknown
+from gbspec.passes.requirements import Link, Refused, Wanted, Zero
+from gbspec.passes.signs import Prover
+
+START = sympy.Float(0.541324854612918)
+"""`softplus(START) = 1`."""
+
+LEAST = sympy.Float(0.3)
+"""The start of a bounded value lies at least this many scales from its bound, so that it can move."""
+
+
+@dataclass(frozen=True)
+class Construction:
+    """`value` in the raw outputs of `evaluations` (arguments of each); `kind` is the layout's kind of its outputs."""
+
+    value: Expr
+    kind: str
+    evaluations: tuple[tuple[Expr, ...], ...]
+    gates: int = 0
+
+
+class Builder:
+    """Builds the function of one output.
+
+    `prover` proves within the scope of the guarantee; `ranges` knows the arguments' ranges, which may choose among
+    constructions that all hold. `first_gate` is the number of the first extra output that may be used.
+    """
+
+    def __init__(self, unknown: Unknown, network: Network, prover: Prover, ranges: Prover, first_gate: int) -> None:
+        self.unknown, self.network, self.prover, self.ranges = unknown, network, prover, ranges
+        self.formals = tuple(argument.symbol for argument in network.arguments)
+        self.first_gate, self.gates = first_gate, 0
+        self.evaluations: list[tuple[Expr, ...]] = [self.formals]
+        self.x, self.c, self.s = raw(0, unknown.output), center(unknown.output), scale(unknown.output)
+
+    # ---------------------------------------------------------------- entry points
+    def correction(self, demands: Wanted) -> Construction:
+        """A function of its own that meets the demands."""
+        if demands.zeros:
+            value = self._with_zeros(demands)
+        else:
+            value = self._bounded(demands, self.x, self.c, self.s)
+        return self._finished(value, demands)
+
+    def linked(self, demands: Wanted, bounds: Wanted, link: Link) -> Construction:
+        """The postulate corrected on the scale of a link; `demands` are the directions of the correction."""
+        lower, upper = bounds.lower, bounds.upper
+        if lower is not None and upper is not None:
+            value = self._odds_link(lower, upper, link)
+        elif link.product:
+            gain = self._positive(self.x if lower is not None else -self.x, sympy.S.One, self.s)
+            bound = lower if lower is not None else upper
+            value = bound + (link.base - bound) * gain
+        elif lower is not None:
+            value = lower + self._softplus_link((link.base - lower) / self.s, link.factor * self.x)
+        else:
+            value = upper - self._softplus_link((upper - link.base) / self.s, -link.factor * self.x)
+        return self._finished(value, demands)
+
+    def _finished(self, value: Expr, demands: Wanted) -> Construction:
+        kind = "".join({1: "+", -1: "-"}.get(demands.directions.get(i, 0), "*") for i in range(len(self.formals)))
+        return Construction(value, kind, tuple(self.evaluations), self.gates)
+
+    # ---------------------------------------------------------------- bounds
+    def _bounded(self, demands: Wanted, x: Expr, start: Expr, size: Expr) -> Expr:
+        """A value within the bounds that starts at `start` (inside them) where x is 0, with slope about `size`."""
+        lower, upper = demands.lower, demands.upper
+        if lower is None and upper is None:
+            return start + size * x
+        self._check_moving(demands)
+        moving = self._moves(lower) or self._moves(upper)
+        if lower is not None and upper is not None:
+            width = upper - lower
+            if moving:
+                return lower + width * logistic(x)
+            p = sympy.Max(sympy.Min((start - lower) / width, sympy.Float(0.9)), sympy.Float(0.1))
+            gain = sympy.Min(size / width, sympy.Float(0.5)) / (p * (1 - p))
+            return lower + width * logistic(gain * x + sympy.log(p / (1 - p)))
+        if lower is not None:
+            return lower + (size * softplus(x + START) if moving else self._positive(x, start - lower, size))
+        return upper - (size * softplus(START - x) if moving else self._positive(-x, upper - start, size))
+
+    def _positive(self, x: Expr, start: Expr, size: Expr) -> Expr:
+        """A positive value that starts at `start` (or `LEAST` sizes), with slope 0.63 `size` there."""
+        width = sympy.Max(start, LEAST * size)
+        return width * softplus(size / width * x + START)
+
+    def _moves(self, bound: Expr | None) -> bool:
+        return bound is not None and bool(bound.free_symbols & set(self.formals))
+
+    def _check_moving(self, demands: Wanted) -> None:
+        """Bounds that depend on arguments must follow the directions themselves."""
+        for i, direction in demands.directions.items():
+            for kind, bound in (("lower", demands.lower), ("upper", demands.upper)):
+                if bound is None or self.formals[i] not in bound.free_symbols:
+                    continue
+                slope = self.prover.slope(bound, self.formals[i])
+                if slope is None or not self.prover.nonnegative(direction * slope):
+                    word = "increasing" if direction > 0 else "decreasing"
+                    contracts = [c for c in self.unknown.contracts if c.kind in (kind, word)]
+                    raise Refused(
+                        "GB607",
+                        f"`{self.unknown.name}` is to be {word} in `{self.formals[i].name}`, but its bound `{bound}` is not"
+                        f" proved to be {word}",
+                        contracts,
+                        "let the bound be constant, or follow the same direction",
+                    )
+
+    # ---------------------------------------------------------------- zeros
+    def _with_zeros(self, demands: Wanted) -> Expr:
+        sign = self._sign(demands)
+        gated = [zero for zero in demands.zeros if zero.argument in demands.directions]
+        plain = [zero for zero in demands.zeros if zero.argument not in demands.directions]
+        self._check_zeros(demands, gated)
+        sign = self._sign_of_range(demands, gated) if sign is None else sign
+        needs_sign = sign is not None or bool(demands.directions)
+        factor = sympy.Mul(*(self._factor(zero, needs_sign) for zero in plain))
+        if not gated:
+            value = factor * self._core(sign)
+        elif sign is not None:
+            value = factor * self._one_sided(gated, demands, sign)
+        elif len(gated) > 1:
+            raise Refused(
+                "GB607",
+                f"`{self.unknown.name}` with zeros in several arguments, increasing or decreasing in each, has a"
+                " construction only where its sign is known",
+                [zero.contract for zero in gated],
+                "add `>= 0` or `<= 0`, or give the arguments ranges that end at the zeros",
+            )
+        elif len(demands.directions) == 1:
+            value = factor * self._difference(gated[0])
+        else:
+            value = factor * self._two_sided(gated[0], demands)
+        return self._around_zero(value, demands, sign)
+
+    def _core(self, sign: int | None) -> Expr:
+        if sign is None:
+            return self.c + self.s * self.x
+        return sign * self._positive(sign * self.x, sign * self.c, self.s)
+
+    def _distance(self, zero: Zero) -> Expr:
+        return self.formals[zero.argument] - zero.value
+
+    def _factor(self, zero: Zero, needs_sign: bool) -> Expr:
+        """A smooth factor that vanishes at the zero and levels off at 1; never negative where `needs_sign`."""
+        d, size = self._distance(zero), spread(zero.argument)
+        root = sympy.sqrt(d**2 + size**2)
+        if not needs_sign:
+            return d / root
+        if self._interior(zero):
+            return d**2 / (d**2 + size**2)
+        return sympy.Abs(d) / root
+
+    def _interior(self, zero: Zero) -> bool:
+        """Whether the zero is known to lie inside the argument's range."""
+        d = self._distance(zero)
+        known = self.formals[zero.argument] in self.ranges.box
+        return known and not (self.ranges.nonnegative(d) or self.ranges.nonnegative(-d))
+
+    def _sign(self, demands: Wanted) -> int | None:
+        """1 or -1 where the bounds at the zeros leave one sign, None where they leave both or there are none."""
+        lower, upper = demands.lower, demands.upper
+        for bound, side in ((lower, 1), (upper, -1)):
+            if bound is None:
+                continue
+            outside = self.prover.positive(side * bound)
+            if outside:
+                raise self._contradiction("a bound that excludes 0", demands)
+            if not self.prover.zero(bound) and not self.prover.positive(-side * bound):
+                raise Refused(
+                    "GB607",
+                    f"the bound `{bound}` is not proved to be 0, or to leave 0 inside, where `{self.unknown.name}` has its"
+                    " zero",
+                    [c for c in self.unknown.contracts if c.kind in ("lower", "upper")],
+                    "let the bound be a number, or bound the constants in it: `learn k > 0`",
+                )
+        signs = [side for bound, side in ((lower, 1), (upper, -1)) if bound is not None and self.prover.zero(bound)]
+        if len(signs) == 2:
+            raise self._contradiction("bounds that leave only 0", demands)
+        return signs[0] if signs else None
+
+    def _contradiction(self, what: str, demands: Wanted) -> Refused:
+        contracts = [z.contract for z in demands.zeros]
+        contracts += [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
+        return Refused("GB603", f"`{self.unknown.name}` has a zero and {what}", contracts, "delete one of them")
+
+    def _check_zeros(self, demands: Wanted, gated: Sequence[Zero]) -> None:
+        for zero in demands.zeros:
+            moving = {self.formals[i] for i in demands.directions} & zero.value.free_symbols
+            if moving:
+                raise Refused(
+                    "GB607",
+                    f"a zero at `{zero.value}`, which moves with `{min(s.name for s in moving)}`, in which"
+                    f" `{self.unknown.name}` is to be monotone, has no construction",
+                    [zero.contract],
+                    "let the zero stand at a constant",
+                )
+        seen: dict[int, Zero] = {}
+        for zero in gated:
+            first = seen.setdefault(zero.argument, zero)
+            if first is not zero:
+                raise Refused(
+                    "GB603",
+                    f"`{self.unknown.name}` has two zeros in `{self.formals[zero.argument].name}`, in which it is monotone,"
+                    " so it would be 0 between them",
+                    [zero.contract, first.contract],
+                    "delete one of them",
+                )
+
+    def _sign_of_range(self, demands: Wanted, gated: Sequence[Zero]) -> int | None:
+        """The sign that directions and ranges give: increasing from a zero at the low end, for instance."""
+        signs = set()
+        for zero in gated:
+            d = self._distance(zero) * demands.directions[zero.argument]
+            if self.formals[zero.argument] not in self.ranges.box:
+                return None
+            signs.add(1 if self.ranges.nonnegative(d) else -1 if self.ranges.nonnegative(-d) else None)
+        return signs.pop() if len(signs) == 1 else None
+
+    # ---------------------------------------------------------------- zeros with directions
+    def _gate(self, zero: Zero, side: int) -> Expr:
+        """A positive half-saturation that falls (side 1) or rises (side -1) as the value rises."""
+        gate = raw(0, self.first_gate + self.gates)
+        self.gates += 1
+        return self._half(gate, zero, side)
+
+    def _half(self, gate: Expr, zero: Zero, side: int) -> Expr:
+        return spread(zero.argument) * sympy.exp(-4 * side * sympy.tanh(gate / 4))
+
+    def _one_sided(self, gated: Sequence[Zero], demands: Wanted, sign: int) -> Expr:
+        """A value of one sign that rises in its size away from each zero, on the side where it does, and is 0 beyond."""
+        value = self._core(sign)
+        for zero in gated:
+            d = sympy.Max(sign * demands.directions[zero.argument] * self._distance(zero), 0)
+            if self._only_zero(zero, sign * demands.directions[zero.argument]):
+                raise Refused(
+                    "GB603",
+                    f"the contracts leave `{self.unknown.name}` only the value 0 in the range of"
+                    f" `{self.formals[zero.argument].name}`",
+                    [zero.contract, *(c for c in self.unknown.contracts if c.argument == zero.contract.argument)],
+                    "turn the direction round, or move the zero to the other end of the range",
+                )
+            value *= d / (d + self._gate(zero, sign))
+        return value
+
+    def _only_zero(self, zero: Zero, side: int) -> bool:
+        known = self.formals[zero.argument] in self.ranges.box
+        return known and self.ranges.nonnegative(-side * self._distance(zero))
+
+    def _difference(self, zero: Zero) -> Expr:
+        """x - x(at the zero): monotone like x where nothing else is to be monotone."""
+        there = tuple(zero.value if i == zero.argument else f for i, f in enumerate(self.formals))
+        if there not in self.evaluations:
+            self.evaluations.append(there)
+        return self.s * (self.x - raw(self.evaluations.index(there), self.unknown.output))
+
+    def _two_sided(self, zero: Zero, demands: Wanted) -> Expr:
+        """A positive rising part on one side of the zero, minus the mirror of it on the other."""
+        d = demands.directions[zero.argument] * self._distance(zero)
+        gate = raw(0, self.first_gate + self.gates)
+        self.gates += 1
+        above, below = sympy.Max(d, 0), sympy.Max(-d, 0)
+        rising = softplus(self.x + START) * above / (above + self._half(gate, zero, 1))
+        falling = softplus(START - self.x) * below / (below + self._half(gate, zero, -1))
+        return self.s * (rising - falling)
+
+    def _around_zero(self, value: Expr, demands: Wanted, sign: int | None) -> Expr:
+        """The value pressed between bounds that leave 0 inside, by an increasing map with 0 -> 0 and slope 1 there."""
+        lower = None if demands.lower is None or self.prover.zero(demands.lower) else -demands.lower
+        upper = None if demands.upper is None or self.prover.zero(demands.upper) else demands.upper
+        if (lower is not None or upper is not None) and demands.directions:
+            moving = [b for b in (lower, upper) if self._moves(b)]
+            if moving:
+                contracts = [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
+                raise Refused(
+                    "GB607",
+                    f"the bound `{moving[0]}` moves with an argument, which together with a zero and a direction has no"
+                    " construction",
+                    contracts,
+                    "let the bound be constant",
+                )
+        if sign is not None:
+            bound = upper if sign > 0 else lower
+            return value if bound is None else bound * sympy.tanh(value / bound)
+        if lower is not None and upper is not None:
+            t = sympy.tanh(value * (1 / lower + 1 / upper) / 2)
+            return 2 * t / ((1 + t) / upper + (1 - t) / lower)
+        if upper is not None:
+            return upper * (1 - _algebraic(-2 * value / upper))
+        return value if lower is None else lower * (_algebraic(2 * value / lower) - 1)
+
+    # ---------------------------------------------------------------- links
+    def _softplus_link(self, start: Expr, x: Expr) -> Expr:
+        """`s softplus(softplus^-1(start) + x)`: `start` (in scales, at least 0.05) corrected on the scale of softplus."""
+        r = sympy.Max(start, sympy.Float(0.05))
+        return self.s * softplus(r + sympy.log(1 - sympy.exp(-r)) + x)
+
+    def _odds_link(self, lower: Expr, upper: Expr, link: Link) -> Expr:
+        """Between bounds: the odds of the postulate's place between them, times exp(z)."""
+        width = upper - lower
+        if link.product:
+            share = sympy.Max(sympy.Min((link.base - lower) / width, 1), 0)
+            z = self.s * self.x
+        else:
+            share = sympy.Max(sympy.Min((link.base - lower) / width, sympy.Float(0.98)), sympy.Float(0.02))
+            z = 4 * link.factor * self.s * self.x / width
+        limited = sympy.Max(sympy.Min(z, 300), -300)
+        return lower + width * share / (share + (1 - share) * sympy.exp(-limited))
+
+
+def _algebraic(x: Expr) -> Expr:
+    """`(x + sqrt(x^2 + 4))/2`: positive, increasing, 1 with slope 1/2 at 0; exact there, unlike softplus."""
+    return (x + sympy.sqrt(x**2 + 4)) / 2

@@ -1,0 +1,75 @@
+"""Which units of a network may depend on which arguments, so that its outputs have their directions.
+
+Every unit has a kind, one character an argument: `+` (not decreasing in it), `-`, `*` (freely), `0` (not at all).
+A weight from a unit of kind a to one of kind b may be positive if every direction of a is allowed by b, negative if
+every direction of a turned round is, of either sign if both, and is absent if neither: by induction over the layers each
+unit then depends on the arguments as its kind says, provided that the units on the way are monotone functions of their
+inputs. Units whose kind names a direction get monotone activations (a third bends upwards, a third downwards, a third
+levels off: Runje and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023); the others keep their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gbspec.ir.forms import Block, Layout, Shape
+
+TURNED = str.maketrans("+-", "-+")
+SHAPES: tuple[Shape, ...] = ("free", "convex", "concave", "saturating")
+
+
+class TooNarrow(Exception):  # noqa: N818 - an answer, told to the user with the place of the network
+    """A hidden layer has fewer units than there are kinds; `needed` is the least width."""
+
+    def __init__(self, needed: int) -> None:
+        self.needed = needed
+        super().__init__(f"at least {needed} units are needed")
+
+
+def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | None:
+    """The layout for outputs of the given kinds (those of the extra outputs last); None where all are free.
+
+    Raises:
+        TooNarrow: where a hidden layer cannot hold a unit of every kind.
+    """
+    if all(set(kind) <= {"*"} for kind in kinds):
+        return None
+    groups = _groups(kinds)
+    needed = sum(share for _, share in groups)
+    if any(width < len(groups) for width in hidden):
+        raise TooNarrow(len(groups))
+    return Layout(tuple(_blocks(groups, needed, width) for width in hidden), tuple(kinds), gates)
+
+
+def monotone(kind: str) -> bool:
+    """Whether a unit of that kind needs a monotone activation."""
+    return "+" in kind or "-" in kind
+
+
+def _groups(kinds: Sequence[str]) -> list[tuple[str, int]]:
+    """Kinds of hidden units with their shares: those of the outputs, and what the free arguments feed into them."""
+    found: dict[str, int] = {}
+    for kind in kinds:
+        if kind.translate(TURNED) not in found:  # turned round it is the same unit with the opposite sign
+            found[kind] = 2
+    for kind in kinds:
+        free = kind.translate(str.maketrans("+-", "00"))
+        if monotone(kind) and "*" in free:
+            found.setdefault(free, 1)
+    return list(found.items())
+
+
+def _blocks(groups: Sequence[tuple[str, int]], total: int, width: int) -> tuple[Block, ...]:
+    counts = [max(1, width * share // total) for _, share in groups]
+    while sum(counts) > width:
+        counts[counts.index(max(counts))] -= 1
+    counts[0] += width - sum(counts)
+    blocks = []
+    for (kind, _), count in zip(groups, counts, strict=True):
+        if not monotone(kind):
+            blocks.append(Block(kind, "free", count))
+            continue
+        third = count // 3
+        parts = (("convex", third), ("concave", third), ("saturating", count - 2 * third))
+        blocks += [Block(kind, shape, n) for shape, n in parts if n]  # type: ignore[arg-type]  # literals in a tuple
+    return tuple(sorted(blocks, key=lambda block: SHAPES.index(block.shape)))

@@ -1,0 +1,296 @@
+"""What an unknown's contracts ask of its correction `nn`, given the postulate that `nn` stands in.
+
+Without a postulate they ask of `nn` what they ask of the unknown. With one, either a simple demand on `nn` (nothing, a
+sign, directions, zeros) is proved to be enough, or the bounds are kept by a link: the postulate's own value is carried
+into a scale without bounds, corrected there, and carried back, as in a generalised linear model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import sympy
+
+from gbspec.ir.model import NN, Contract, Expr, Network, Unknown
+from gbspec.passes.intervals import REAL, Interval
+from gbspec.passes.signs import Prover
+
+NONNEGATIVE = Interval(0.0, REAL.high, False, True)
+
+
+class Refused(Exception):  # noqa: N818 - not an error: the answer that a guarantee cannot be given
+    """A contract that cannot be kept: why, in words, with its code and a way out."""
+
+    def __init__(self, code: str, message: str, contracts: Sequence[Contract], help: str = "") -> None:
+        self.code, self.message, self.contracts, self.help = code, message, tuple(contracts), help
+        super().__init__(message)
+
+
+@dataclass(frozen=True)
+class Zero:
+    """The value vanishes where argument number `argument` is `value`."""
+
+    argument: int
+    value: Expr
+    contract: Contract
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A set of demands on one function: bounds, zeros, and directions (1 or -1) by number of argument."""
+
+    lower: Expr | None = None
+    upper: Expr | None = None
+    zeros: tuple[Zero, ...] = ()
+    directions: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is a bound."""
+        return self.lower is not None or self.upper is not None
+
+
+@dataclass(frozen=True)
+class Link:
+    """Bounds kept by a link: `base` is the postulate's own value; `product` says that `nn` stands as a factor."""
+
+    base: Expr
+    product: bool
+    factor: Expr
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """Demands on `nn` and, where bounds are kept by a link, that link; `notes` says in words what was decided."""
+
+    correction: Wanted
+    link: Link | None = None
+    notes: tuple[str, ...] = ()
+
+
+def wanted(unknown: Unknown, network: Network) -> Wanted:
+    """The contracts of an unknown as demands on its value; bounds of the same kind are joined.
+
+    Raises:
+        Refused: GB603 where two contracts name opposite directions.
+    """
+    names = [argument.name for argument in network.arguments]
+    lower, upper, zeros = [], [], []
+    directions: dict[int, tuple[int, Contract]] = {}
+    for contract in unknown.contracts:
+        at = names.index(contract.argument) if contract.argument is not None else -1
+        match contract.kind:
+            case "lower":
+                lower.append(contract.value)
+            case "upper":
+                upper.append(contract.value)
+            case "zero":
+                zeros.append(Zero(at, contract.value, contract))
+            case "increasing" | "decreasing":
+                direction = 1 if contract.kind == "increasing" else -1
+                other, earlier = directions.setdefault(at, (direction, contract))
+                if other != direction:
+                    raise Refused(
+                        "GB603",
+                        f"`{unknown.name}` cannot be increasing and decreasing in `{contract.argument}`",
+                        (contract, earlier),
+                        f"delete one of them; if it does not depend on `{contract.argument}`, leave the argument out",
+                    )
+    return Wanted(
+        _joined(sympy.Max, lower), _joined(sympy.Min, upper), tuple(zeros), {i: d for i, (d, _) in directions.items()}
+    )
+
+
+def _joined(extremum: type[Expr], values: Iterable[Expr]) -> Expr | None:
+    distinct = list(dict.fromkeys(values))
+    if not distinct:
+        return None
+    return distinct[0] if len(distinct) == 1 else extremum(*distinct)
+
+
+def requirements(unknown: Unknown, network: Network, value: Wanted, prover: Prover) -> Requirements:
+    """What is asked of `nn`; `value` is asked of the unknown.
+
+    Raises:
+        Refused: GB605 where no demand is proved to be enough.
+    """
+    if unknown.postulate == NN:
+        return Requirements(value)
+    return _Translation(unknown, network, value, prover).run()
+
+
+class _Translation:
+    def __init__(self, unknown: Unknown, network: Network, value: Wanted, prover: Prover) -> None:
+        self.unknown, self.network, self.value, self.prover = unknown, network, value, prover
+        self.postulate = unknown.postulate
+        self.symbols = [argument.symbol for argument in network.arguments]
+
+    def run(self) -> Requirements:
+        for sign in (None, 1) if self.unknown.neutral > 0 else (None,):
+            domain = self.prover.with_box({NN: REAL if sign is None else NONNEGATIVE})
+            if not self._bounds_hold(domain):
+                continue
+            try:
+                directions = self._directions(domain)
+            except Refused:
+                if sign is None and self.unknown.neutral > 0:
+                    continue
+                raise
+            lower = None if sign is None else sympy.S.Zero
+            notes = () if sign is None else ("`nn` is kept positive",)
+            return Requirements(Wanted(lower, None, self._zeros(), directions), None, notes)
+        if not self.value.bounded:
+            self._directions(self.prover.with_box({NN: NONNEGATIVE if self.unknown.neutral > 0 else REAL}))
+        return self._linked()
+
+    def _bounds_hold(self, prover: Prover) -> bool:
+        """Whether the postulate keeps the bounds for every `nn` in its domain."""
+        lower, upper = self.value.lower, self.value.upper
+        return (lower is None or prover.nonnegative(self.postulate - lower)) and (
+            upper is None or prover.nonnegative(upper - self.postulate)
+        )
+
+    # ---------------------------------------------------------------- directions
+    def _directions(self, prover: Prover) -> dict[int, int]:
+        """The directions that `nn` must have, with those of the postulate's own part proved."""
+        if not self.value.directions:
+            return {}
+        slope = prover.slope(self.postulate, NN)
+        sign = None if slope is None else prover.sign(slope)
+        out = {}
+        for i, direction in self.value.directions.items():
+            contract = self._contract_of(i)
+            self._own_direction(self.postulate, i, direction, contract, prover)
+            if sign is None or sign == 0:
+                raise Refused(
+                    "GB605",
+                    f"`{contract.kind} in {self.symbols[i].name}` cannot be kept: it is not clear in which direction"
+                    f" `{self.postulate}` moves with `nn`",
+                    (contract,),
+                    self._ranges_help() or "let `nn` stand as `f + nn`, `f*nn` with f of one sign, or `exp(nn)`",
+                )
+            out[i] = direction * sign
+        return out
+
+    def _own_direction(self, expression: Expr, i: int, direction: int, contract: Contract, prover: Prover) -> None:
+        derivative = prover.slope(expression, self.symbols[i])
+        if derivative is None or not prover.nonnegative(direction * derivative):
+            name = self.symbols[i].name
+            how = "is not proved to be" if derivative is not None else "jumps (`if` or `sign`), so it is not"
+            raise Refused(
+                "GB605",
+                f"`{contract.kind} in {name}` cannot be kept: the postulate `{self.postulate}` {how} {contract.kind}"
+                f" in `{name}` by itself",
+                (contract,),
+                self._ranges_help(name) or "choose another postulate, or leave out the contract",
+            )
+
+    def _contract_of(self, argument: int) -> Contract:
+        name = self.network.arguments[argument].name
+        return next(c for c in self.unknown.contracts if c.argument == name and c.kind in ("increasing", "decreasing"))
+
+    def _ranges_help(self, first: str | None = None) -> str:
+        """Ranges that would help the proof: of arguments and constants that have none."""
+        used = self.postulate.free_symbols - {NN}
+        names = sorted((s.name for s in used if self.prover.box.get(s, REAL) == REAL), key=lambda n: (n != first, n))
+        if not names:
+            return ""
+        return f"a range may be what the proof lacks: `{names[0]} in [0, 10]`" + (
+            f" (also of {', '.join(f'`{n}`' for n in names[1:])})" if names[1:] else ""
+        )
+
+    # ---------------------------------------------------------------- zeros
+    def _zeros(self) -> tuple[Zero, ...]:
+        """The zeros that `nn` must have; none where the postulate vanishes by itself."""
+        needed = []
+        for zero in self.value.zeros:
+            at = self.postulate.xreplace({self.symbols[zero.argument]: zero.value})
+            if self.prover.zero(at):
+                continue
+            if not self.prover.zero(at.xreplace({NN: sympy.S.Zero})):
+                name = self.symbols[zero.argument].name
+                raise Refused(
+                    "GB605",
+                    f"`zero at {name} = {zero.value}` cannot be kept: there the postulate is `{at}`, which `nn = 0` does"
+                    " not make 0",
+                    (zero.contract,),
+                    f"choose a postulate that vanishes at `{name} = {zero.value}`",
+                )
+            needed.append(zero)
+        return tuple(needed)
+
+    # ---------------------------------------------------------------- links
+    def _linked(self) -> Requirements:
+        """Bounds by a link, for a postulate that is a sum or a product with `nn`."""
+        bounds = [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
+        factor = sympy.diff(self.postulate, NN)
+        rest = self.postulate.xreplace({NN: sympy.S.Zero})
+        if factor.has(NN) or rest.has(sympy.nan, sympy.zoo) or self.postulate.has(sympy.Piecewise):
+            raise Refused(
+                "GB605",
+                f"the bounds cannot be kept: `{self.postulate}` leaves them for some `nn`, and `nn` is neither a term nor"
+                " a factor of it",
+                bounds,
+                "write the postulate as `f + nn` or `f*nn`, or leave the bound out",
+            )
+        product = rest == 0
+        base = sympy.sympify(self.postulate.xreplace({NN: sympy.Float(self.unknown.neutral)}))
+        if product:
+            base = factor
+        two_sided = self.value.lower is not None and self.value.upper is not None
+        self._check_link(base, factor, product, two_sided, bounds)
+        sign = 1 if product else self.prover.sign(factor) or 1
+        directions = {i: sign * direction for i, direction in self.value.directions.items()}
+        note = "bounds are kept by a link that starts at the postulate"
+        return Requirements(Wanted(directions=directions), Link(base, product, factor), (note,))
+
+    def _check_link(self, base: Expr, factor: Expr, product: bool, two_sided: bool, bounds: Sequence[Contract]) -> None:
+        lower, upper = self.value.lower, self.value.upper
+        if not (self.prover.finite(base) and self.prover.finite(factor)):
+            raise Refused(
+                "GB605",
+                f"the bounds cannot be kept: `{self.postulate}` is not proved to be a finite number everywhere",
+                bounds,
+                self._ranges_help() or "choose a postulate without poles",
+            )
+        for i, direction in self.value.directions.items():
+            contract = self._contract_of(i)
+            self._own_direction(base, i, direction, contract, self.prover)
+            moving = [part for part in (lower, upper, None if product else factor) if part is not None]
+            if any(self.symbols[i] in part.free_symbols for part in moving):
+                raise Refused(
+                    "GB607",
+                    f"`{contract.kind} in {self.symbols[i].name}` together with a bound or a factor of `nn` that depends on"
+                    f" `{self.symbols[i].name}` has no construction",
+                    (contract, *bounds),
+                    "let the bounds be constant",
+                )
+        if not product and self.prover.sign(factor) not in (1, -1):
+            raise Refused("GB605", f"the bounds cannot be kept: the sign of `{factor}` is not clear", bounds)
+        inside_lower = lower is None or self.prover.nonnegative(base - lower)
+        inside_upper = upper is None or self.prover.nonnegative(upper - base)
+        if product and not two_sided and not (inside_lower and inside_upper):
+            raise Refused(
+                "GB605",
+                f"the bound cannot be kept: `{base}` is not proved to lie within it, so no factor `nn` near 1 does",
+                bounds,
+                self._ranges_help() or "choose a postulate that keeps the bound by itself",
+            )
+        for zero in self.value.zeros:
+            at = base.xreplace({self.symbols[zero.argument]: zero.value})
+            kept = self.prover.zero(at) and inside_lower and inside_upper and (two_sided or product)
+            at_end = any(end is not None and self.prover.zero(end) for end in (lower, upper))
+            if not (kept and at_end):
+                raise Refused(
+                    "GB607",
+                    f"`zero at {self.symbols[zero.argument].name} = {zero.value}` together with this bound has no"
+                    f" construction for the postulate `{self.postulate}`",
+                    (zero.contract, *bounds),
+                    "write the postulate as a product, `f*nn`, with an `f` that vanishes there and keeps the bounds",
+                )
+
+
+def without_bounds(demands: Wanted) -> Wanted:
+    """The same demands but for the bounds."""
+    return replace(demands, lower=None, upper=None)

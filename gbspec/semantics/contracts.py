@@ -1,0 +1,72 @@
+"""Contracts of unknowns as they are written: whether the names in them are arguments and outputs.
+
+Whether they can be kept is decided on the Model (`gbspec.passes.contracts`), where postulates are expressions.
+"""
+
+from __future__ import annotations
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.expressions import walk
+from gbspec.semantics.vocabulary import suggestion
+from gbspec.syntax import ast
+
+
+def check(unknown: ast.UnknownStatement, findings: Findings) -> None:
+    """Records what is wrong with the names in an unknown's contracts (GB601, GB602, GB604)."""
+    for contract in unknown.contracts:
+        _output(contract, unknown, findings)
+        match contract:
+            case ast.Monotone(argument=argument):
+                _argument(argument, unknown, findings)
+            case ast.ZeroAt(argument=argument, value=value):
+                if _argument(argument, unknown, findings):
+                    _own_argument(argument, value, findings)
+            case ast.Bound() | ast.RangeContract():
+                pass
+
+
+def outputs_of(contract: ast.Contract, unknown: ast.UnknownStatement) -> tuple[str, ...]:
+    """The outputs that a contract is about: the one that it names, else all."""
+    return tuple(n.text for n in unknown.names) if contract.name is None else (contract.name.text,)
+
+
+def _output(contract: ast.Contract, unknown: ast.UnknownStatement, findings: Findings) -> None:
+    names = [name.text for name in unknown.names]
+    if contract.name is None or contract.name.text in names:
+        return
+    findings.error(
+        "GB602",
+        f"the contract is on `{contract.name.text}`, which is no output of this unknown",
+        contract.name.span,
+        labels=[Label(unknown.names[0].span.to(unknown.names[-1].span), "its outputs")],
+        help=suggestion(contract.name.text, names)
+        or "name one of the outputs, or none: then the contract holds for all of them",
+    )
+
+
+def _argument(argument: ast.Name, unknown: ast.UnknownStatement, findings: Findings) -> bool:
+    names = [a.name.text for a in unknown.arguments]
+    if argument.text in names:
+        return True
+    listed = ", ".join(f"`{name}`" for name in names)
+    labels = [Label(unknown.arguments[0].span.to(unknown.arguments[-1].span), "its arguments")] if names else []
+    findings.error(
+        "GB601",
+        f"`{argument.text}` is no argument of `{unknown.names[0].text}`",
+        argument.span,
+        labels=labels,
+        help=suggestion(argument.text, names) or f"a contract speaks of the arguments {listed}",
+    )
+    return False
+
+
+def _own_argument(argument: ast.Name, value: ast.Expression, findings: Findings) -> None:
+    for node in walk(value):
+        if isinstance(node, ast.Name) and node.text == argument.text:
+            findings.error(
+                "GB604",
+                f"the place of a zero in `{argument.text}` cannot depend on `{argument.text}`",
+                node.span,
+                help="give it as an expression of constants, learnable constants and the other arguments",
+            )
+            return
