@@ -44,8 +44,7 @@ class BifurcationOptions:
 class Diagram:
     """A bifurcation diagram of `states` over `parameter` in `low`..`high`.
 
-    `outside` is the part of the range that lies outside of the parameter's plausible or trained range (None: nothing
-    is known of it, or all lies within).
+    `trained` is the parameter's trained (else plausible) range, None where nothing is known of it.
     """
 
     name: str
@@ -87,6 +86,7 @@ class Diagram:
                 "state": self._named(point.state),
                 "stable": point.stable,
                 "eigenvalues": [[float(one.real), float(one.imag)] for one in point.eigenvalues],
+                "outside": list(point.outside),
             }
             for point in branch.points
         ]
@@ -114,14 +114,18 @@ class Diagram:
             "stable": cycle.stable,
             "multipliers": [[float(one.real), float(one.imag)] for one in cycle.multipliers],
             "branch": branch,
+            "outside": list(cycle.outside),
         }
 
     def __str__(self) -> str:
         lines = [f"{self.name} over {self.parameter} from {self.low:.6g} to {self.high:.6g}"]
         for i, branch in enumerate(self.branches):
             stable = sum(point.stable for point in branch.points)
+            beyond = sum(bool(point.outside) for point in branch.points)
             lines.append(
-                f"  branch {i}: {len(branch.points)} steady states, {stable} stable; ends: {', '.join(branch.ends)}"
+                f"  branch {i}: {len(branch.points)} steady states, {stable} stable"
+                + (f", {beyond} outside of the ranges" if beyond else "")
+                + f"; ends: {', '.join(branch.ends)}"
             )
         lines += [f"  {_describe(point, self.parameter, self.states)}" for point in self.special]
         for family in self.cycles:
@@ -187,7 +191,7 @@ def bifurcate(
     if options.cycles:
         explorer.cycles_from_hopf()
         explorer.cycles_from_flow()
-    bounds = system.range(over)
+    bounds = system.trained.get(over, system.range(over))
     return Diagram(
         name=system.name,
         parameter=over,

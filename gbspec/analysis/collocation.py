@@ -255,7 +255,7 @@ def product_eigenvalues(matrices: Array) -> ComplexArray:
             frame, upper = np.linalg.qr(matrix @ frame)
             diagonal = upper @ diagonal
         turn, start = start.T @ frame, frame
-        if np.max(np.abs(np.tril(turn, -2))) < 1e-9:
+        if np.max(np.abs(np.tril(turn, -1))) < 1e-10:
             break
     return _block_eigenvalues(turn, diagonal)
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gbspec.analysis.design import Boxes, Plan, boxes, plan
 from gbspec.analysis.points import spread_points
 from gbspec.analysis.region import Region, regions
+from gbspec.analysis.system import trained_ranges
 from gbspec.diagnostics import ComputationError, Findings
 
 if TYPE_CHECKING:
@@ -209,12 +210,7 @@ def sampling_for(model: Model, sampling: SimulateOptions, member: Any) -> Simula
         expressed = state.initial.kind == "expression"
         if not ranged and not expressed and state.name not in initial and learned is not None and len(learned):
             initial[state.name] = (float(learned[:, i].min()), float(learned[:, i].max()))
-    trained: dict[str, tuple[float, float]] = {}
-    for network in member.networks:
-        ends = [member.weights.get(f"network.{network['name']}.input_{end}") for end in ("low", "high")]
-        if ends[0] is not None and ends[1] is not None:
-            for name, low, high in zip(network["arguments"], *ends, strict=True):
-                trained.setdefault(name, (float(low), float(high)))
+    trained = trained_ranges(model, member)
     external: tuple[Condition | Input, ...] = (*model.conditions, *model.inputs)
     for item in external:
         ranged = item.range is not None and item.range.bounded

@@ -26,11 +26,15 @@ Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus
 
 @dataclass(frozen=True)
 class SteadyPoint:
-    """A steady state [n] at one value of the parameter, with the Jacobian's eigenvalues by falling real part."""
+    """A steady state [n] at one value of the parameter, with the Jacobian's eigenvalues by falling real part.
+
+    `outside` names what lies outside of its trained (else plausible) range there.
+    """
 
     value: float
     state: Array
     eigenvalues: ComplexArray
+    outside: tuple[str, ...] = ()
 
     @property
     def stable(self) -> bool:
@@ -123,7 +127,7 @@ class SteadyCurve:
     def steady_point(self, y: Array) -> SteadyPoint:
         """The point in the user's units."""
         state, value = self.unscaled(y)
-        return SteadyPoint(value, state, self.eigenvalues(y))
+        return SteadyPoint(value, state, self.eigenvalues(y), self.family.at(value).outside(state))
 
     def solve(self, state: Array, value: float) -> Array | None:
         """The scaled steady state near `state` at exactly this value of the parameter."""

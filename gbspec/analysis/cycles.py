@@ -54,7 +54,8 @@ class CycleOptions:
 class Cycle:
     """A limit cycle at one value of the parameter: period, extremes [n] and Floquet multipliers by falling modulus.
 
-    `times` [P] of one period and `states` [P, n] draw it; `stable` leaves the multiplier 1 along the cycle out.
+    `times` [P] of one period and `states` [P, n] draw it; `stable` leaves the multiplier 1 along the cycle out;
+    `outside` names what leaves its trained (else plausible) range on it.
     """
 
     value: float
@@ -64,6 +65,7 @@ class Cycle:
     multipliers: ComplexArray
     times: Array = field(repr=False)
     states: Array = field(repr=False)
+    outside: tuple[str, ...] = ()
 
     @property
     def stable(self) -> bool:
@@ -311,14 +313,18 @@ class CycleCurve:
         states = orbit.at(s) * scale
         period = float(np.exp(orbit.log_period))
         maximum, minimum = extremes(orbit)
+        value = orbit.parameter * self.equations.width
+        system = self.family.at(value)
+        left = {*system.outside(maximum * scale), *system.outside(minimum * scale)}
         return Cycle(
-            value=orbit.parameter * self.equations.width,
+            value=value,
             period=period,
             maximum=maximum * scale,
             minimum=minimum * scale,
             multipliers=place.multipliers,
             times=s * period,
             states=states,
+            outside=tuple(name for name in (*system.states, *system.parameters) if name in left),
         )
 
 

@@ -99,12 +99,10 @@ def find_zeros(linear: Linear, starts: Array, scale: Array) -> Array:
     """The distinct zeros [M, n] of a right-hand side found from starts [N, n], each verified by Newton's next step."""
     half = len(starts) // 2
     with np.errstate(all="ignore"):
-        candidates = np.concatenate(
-            [
-                _newton(linear, starts[half:], scale, 60, 0.2),
-                _newton(linear, _pseudo_transient(linear, starts[:half], scale, 40), scale, 20, 0.2),
-            ]
-        )
+        candidates = _newton(linear, starts[half:], scale, 60, 0.2)
+        if half:
+            settled = _newton(linear, _pseudo_transient(linear, starts[:half], scale, 40), scale, 20, 0.2)
+            candidates = np.concatenate([candidates, settled])
         candidates = candidates[np.isfinite(candidates).all(axis=1)]
         if not len(candidates):
             return np.empty((0, starts.shape[1]))

@@ -33,8 +33,8 @@ class System:
 
     `rhs` is a casadi.Function of these five columns; `values` holds the known numbers of conditions, inputs and
     constants by name (a name without one must be given wherever a point is needed); `ranges` holds the plausible or
-    trained ranges of states, conditions and inputs by name, of which `declared` are the user's own; `starts` guesses
-    where states begin.
+    trained ranges of states, conditions and inputs by name, of which `declared` are the user's own; `trained` says
+    where the training data lay; `starts` guesses where states begin.
     """
 
     name: str
@@ -46,6 +46,7 @@ class System:
     values: Mapping[str, float] = field(default_factory=dict)
     ranges: Mapping[str, Box] = field(default_factory=dict)
     declared: frozenset[str] = frozenset()
+    trained: Mapping[str, Box] = field(default_factory=dict)
     starts: Mapping[str, float] = field(default_factory=dict)
     time: float = 0.0
 
@@ -68,10 +69,14 @@ class System:
         return replace(self, values={**self.values, **{name: float(value) for name, value in values.items()}})
 
     def outside(self, x: Array) -> tuple[str, ...]:
-        """The states, and conditions and inputs at `values`, that lie outside of their plausible or trained range."""
+        """The states, conditions and inputs that lie outside of their trained (else plausible) range."""
         numbers = {**self.values, **dict(zip(self.states, map(float, x), strict=True))}
         names = (*self.states, *self.conditions, *self.inputs)
-        return tuple(name for name in names if name in numbers and not _inside(numbers[name], self.range(name)))
+        return tuple(
+            name
+            for name in names
+            if name in numbers and not _inside(numbers[name], self.trained.get(name, self.range(name)))
+        )
 
     def admissible(self, x: Array) -> bool:
         """Whether no state is below a declared lower bound that is zero or more (a concentration below zero)."""
@@ -148,6 +153,7 @@ def system_of(evaluator: Any, model: Model) -> System:
     values.update(zip(model.constant_names, map(float, evaluator.constants), strict=True))
     ranged: tuple[State | Condition | Input, ...] = (*model.states, *external)
     declared = {item.name: _box(item.range) for item in ranged if item.range is not None}
+    trained = trained_ranges(model, module)
     return System(
         name=model.name,
         states=tuple(state.name for state in model.states),
@@ -156,8 +162,9 @@ def system_of(evaluator: Any, model: Model) -> System:
         inputs=tuple(item.name for item in model.inputs),
         constants=model.constant_names,
         values=values,
-        ranges={**_trained_ranges(module), **declared},
+        ranges={**trained, **declared},
         declared=frozenset(declared),
+        trained=trained,
         starts={state.name: float(state.start) for state in model.states if state.start is not None},
         time=model.time.start or 0.0,
     )
@@ -174,15 +181,24 @@ def _inside(value: float, box: Box) -> bool:
     return low - slack <= value <= high + slack
 
 
-def _trained_ranges(module: Any) -> dict[str, Box]:
-    """Where the data lay, for every network argument: kept with the weights."""
+def trained_ranges(model: Model, module: Any) -> dict[str, Box]:
+    """Where the training data lay, kept with the weights, for each name that an unknown is applied to as it is."""
+    import sympy
+
+    applications = {
+        one.func.__name__: one
+        for expression in model.inlined((*model.balances, *(channel.value for channel in model.channels)))
+        for one in expression.atoms(sympy.core.function.AppliedUndef)
+    }
     ranges: dict[str, Box] = {}
-    for network in module.networks:
-        low = module.weights.get(f"network.{network['name']}.input_low")
-        high = module.weights.get(f"network.{network['name']}.input_high")
-        if low is not None and high is not None:
-            for argument, a, b in zip(network["arguments"], low, high, strict=True):
-                ranges.setdefault(argument, (float(a), float(b)))
+    for network in model.networks:
+        ends = [module.weights.get(f"network.{network.name}.input_{end}") for end in ("low", "high")]
+        for output in network.outputs:
+            if output in applications and ends[0] is not None and ends[1] is not None:
+                for argument, low, high in zip(applications[output].args, *ends, strict=True):
+                    if argument.is_Symbol:
+                        known = ranges.get(argument.name, (math.inf, -math.inf))
+                        ranges[argument.name] = min(known[0], float(low)), max(known[1], float(high))
     return ranges
 
 
