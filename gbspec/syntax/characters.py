@@ -117,6 +117,7 @@ def _replace(chunk: Chunk, text: str) -> tuple[str | None, list[Diagnostic]]:
         return text, []
     letters = list(text)
     places: dict[str, list[int]] = {}
+    raised = -1  # where a run of superscripts or subscripts ends: it is one finding
     outside = _STRING.sub(lambda found: " " * len(found[0]), text)
     for found in _UNUSUAL.finditer(outside):
         at, character = found.start(), found[0]
@@ -127,6 +128,11 @@ def _replace(chunk: Chunk, text: str) -> tuple[str | None, list[Diagnostic]]:
             continue
         elif ("a" + character).isidentifier():
             continue
+        if unicodedata.decomposition(character).startswith(("<super>", "<sub>")):
+            if at == raised:
+                raised += 1
+                continue
+            raised = at + 1
         places.setdefault(character, []).append(at)
     for string in _STRING.finditer(text):
         for control in _CONTROL.finditer(text, *string.span()):
@@ -147,16 +153,25 @@ def _unusual(chunk: Chunk, character: str, places: list[int]) -> Diagnostic:
         name = unicodedata.name(character, "a control character").lower()
         message = f"an invisible character (U+{ord(character):04X}, {name}) stands here"
         return Diagnostic("GB004", message, spans[0], labels=again, help="delete it; it often comes with pasted text")
-    plain = unicodedata.normalize("NFKC", character)
     if unicodedata.decomposition(character).startswith("<super>"):
         message = f"`{character}` (a superscript) is not read as a power"
-        return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `^{plain.replace('−', '-')}`")
+        power = _run(spans[0], "<super>")
+        return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `^{power}`")
     if unicodedata.decomposition(character).startswith("<sub>"):
         message = f"`{character}` (a subscript) cannot stand in a name"
-        return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `{plain}` or `_{plain}`")
+        index = _run(spans[0], "<sub>")
+        return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `{index}` or `_{index}`")
     message = f"`{character}` ({_described(character)}) means nothing here"
     hint = _HINTS.get(character, "names are letters of any script, digits and `_`; everything else is plain ASCII")
     return Diagnostic("GB007", message, spans[0], labels=again, help=hint)
+
+
+def _run(first: Span, kind: str) -> str:
+    """What a run of superscripts or subscripts spells in plain characters."""
+    text, end = first.source.text, first.start
+    while end < len(text) and unicodedata.decomposition(text[end]).startswith(kind):
+        end += 1
+    return unicodedata.normalize("NFKC", text[first.start : end]).replace("−", "-")
 
 
 def _described(character: str) -> str:

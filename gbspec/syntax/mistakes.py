@@ -52,7 +52,9 @@ class Mistake:
     found: str = ""
     word: str = ""
     meant: bool = False
+    state: str = ""
     open: bool = False
+    closed: bool = False
     at: str = "found"
     label: str = ""
 
@@ -220,7 +222,7 @@ def where(error: UnexpectedInput) -> tuple[int, str]:
 def _fits(mistake: Mistake, slip: Slip) -> bool:
     """Whether an entry's conditions hold; the groups of its patterns are kept in the slip."""
     slip.groups, slip.group_spans = {}, {}
-    if mistake.open and slip.opener is None:
+    if (mistake.open and slip.opener is None) or (mistake.closed and slip.opener is not None):
         return False
     if mistake.meant and not slip.meant:
         return False
@@ -230,7 +232,9 @@ def _fits(mistake: Mistake, slip: Slip) -> bool:
     for pattern, text, start in patterns:
         if pattern and not _keep(_pattern(pattern).match(text, start), slip):
             return False
-    return not mistake.before or _keep(_pattern(mistake.before + r"\s*\Z").search(slip.before), slip)
+    if mistake.before and not _keep(_pattern(f"(?:{mistake.before})\\s*\\Z").search(slip.before), slip):
+        return False
+    return not mistake.state or slip.kinds.get(slip.groups[mistake.state]) == "state"
 
 
 @cache

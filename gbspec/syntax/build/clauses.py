@@ -186,5 +186,3 @@ class ClauseRules(ExpressionRules):
                 help="keep one of the two",
             )
         )
-
-

@@ -6,11 +6,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
-from lark import Token
-
-from gbspec.diagnostics import Diagnostic, Label
 from gbspec.syntax import ast
 from gbspec.syntax.build.parts import Children, Parts, nodes
 
@@ -112,5 +109,3 @@ class ExpressionRules(Parts):
     def unit_group(self, children: Children) -> ast.UnitExpression:
         inner: ast.UnitExpression = children[1]
         return replace(inner, span=self.over(children))
-
-

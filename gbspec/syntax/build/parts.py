@@ -164,5 +164,3 @@ def nodes(children: Sequence[Any]) -> tuple[Any, ...]:
 def tokens(children: Sequence[Any], kind: str) -> list[Token]:
     """The tokens of one kind."""
     return [child for child in children if isinstance(child, Token) and child.type == kind]
-
-

@@ -4,12 +4,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Any
 
 from lark import Token, Transformer
 
-from gbspec.diagnostics import Diagnostic, Label
 from gbspec.syntax import ast
 from gbspec.syntax.build.clauses import ClauseRules
 from gbspec.syntax.build.parts import Children, Names, tokens

@@ -1,0 +1,84 @@
+"""Likely slips: each gets one finding, with its code, at the right place; and no entry of the table is idle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gbspec.diagnostics import Findings, Source, Span
+from gbspec.syntax import mistakes
+from gbspec.syntax.grammar import engine
+from gbspec.syntax.parser import parse
+
+ROOT = Path(__file__).parents[2]
+SLIPS = [line.split("\t") for line in (Path(__file__).parent / "slips.tsv").read_text("utf-8").splitlines()[1:]]
+BEFORE, AFTER = "state X\nstate x\n", "let after = 3\n"
+
+
+def findings_of(text: str) -> Findings:
+    findings = Findings()
+    parse(Source("test.gb", text), findings)
+    return findings
+
+
+@pytest.mark.parametrize(("code", "marked", "slip"), SLIPS, ids=[slip for _, _, slip in SLIPS])
+def test_a_slip_is_one_finding_at_its_place(code: str, marked: str, slip: str) -> None:
+    (finding,) = findings_of(f"{BEFORE}{slip}\n{AFTER}")
+    assert finding.code == code
+    assert isinstance(finding.place, Span)
+    assert finding.place.text == marked
+    assert finding.place.position[0] == 3
+    assert finding.help or finding.label
+
+
+def test_no_message_shows_the_grammar_s_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminals = {terminal.name for terminal in engine()[0].terminals}
+    shouting = {name for name in terminals if len(name) > 2 and name not in {"AND", "NOT"}}
+    for _, _, slip in SLIPS:
+        (finding,) = findings_of(f"{BEFORE}{slip}\n")
+        said = f"{finding.message} {finding.label} {finding.help}".replace(slip, "")
+        words = {word.strip("`'\",.:;()") for word in said.split()} - {"NAME", "STATE"}
+        assert not words & shouting, finding.message
+
+
+def test_every_entry_of_the_table_speaks_for_some_slip(monkeypatch: pytest.MonkeyPatch) -> None:
+    spoken: list[mistakes.Mistake] = []
+    say = mistakes._say
+    monkeypatch.setattr(mistakes, "_say", lambda mistake, slip: (spoken.append(mistake), say(mistake, slip))[1])
+    for _, _, slip in SLIPS:
+        findings_of(f"{BEFORE}{slip}\n{AFTER}")
+    for path in ROOT.glob("tests/bad/syntax/*.gb"):
+        findings_of(path.read_text(encoding="utf-8"))
+    assert [entry.message for entry in mistakes.table(engine()[0]).entries if entry not in spoken] == []
+
+
+def test_the_finding_does_not_depend_on_what_stands_before() -> None:
+    slip = "let a = 2x\n"
+    messages = set()
+    for before in ("", "model m\n", "state y\n" * 50, "unknown f(u)\n  >= 0\n"):
+        (finding,) = findings_of(before + slip)
+        messages.add((finding.code, finding.message, finding.help))
+    assert len(messages) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("state Y\nY = 3\n", "write `Y' = …`"),
+        ("learn Y = 1\nY = 3\n", "write `let Y = …`"),
+        ("Y = 3\nstate Y\n", "write `Y' = …`"),
+        ("stat Y\n", "did you mean `state`?"),
+        ("observe y nose normal(3)\n", "did you mean `noise`?"),
+    ],
+)
+def test_help_takes_the_rest_of_the_file_into_account(text: str, said: str) -> None:
+    (finding,) = findings_of(text)
+    assert said in finding.help
+
+
+def test_what_was_expected_is_said_in_the_user_s_words() -> None:
+    (finding,) = findings_of("time t : h from\n")
+    assert finding.label == "expected an expression"
+    (finding,) = findings_of("model a model\n")
+    assert finding.label == "expected a text in quotes, the end of the statement or `extends`"
