@@ -142,6 +142,7 @@ def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
 def read_model(path: Path) -> Model:
     """The model of a run, from its text. Raises `UserError` with what is wrong with it."""
     from gbspec.lower import lower
+    from gbspec.passes.contracts import with_contracts
     from gbspec.semantics import check
     from gbspec.syntax.parser import parse
     from gbspec.syntax.reading import read_source
@@ -152,6 +153,8 @@ def read_model(path: Path) -> Model:
     if checked is None:
         raise UserError(findings)
     model = lower(checked, findings)
+    findings.raise_if_failed()
+    model = with_contracts(model, findings)
     findings.raise_if_failed()
     return model
 

@@ -24,8 +24,9 @@ POINTS = 6000
 class Points:
     """M points of the curves: `t` [M], `x` and `slope` [M, n_states], `condition`, `inputs`, `trajectory` [M].
 
-    `equations`: indices of the balances that can be compared (their states and all they contain have curves);
-    `scale` [n_states]: size of the slopes.
+    `equations`: indices of the balances that can be compared: their states have curves, and so has all that they
+    contain. `rough`: balances whose own state has a curve, hidden states in them standing at a guess: enough for an
+    order of magnitude. `scale` [n_states]: size of the slopes.
     """
 
     t: Array
@@ -35,6 +36,7 @@ class Points:
     inputs: Array
     trajectory: Integers
     equations: tuple[int, ...]
+    rough: tuple[int, ...]
     scale: Array
 
     def __len__(self) -> int:
@@ -50,8 +52,11 @@ def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
     )
 
 
-def collocate(model: Model, trajectories: Trajectories, curves: Curves) -> Points:
-    """Evenly spaced points within the span that all of a trajectory's needed states have in common."""
+def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: Array) -> Points:
+    """Evenly spaced points within the span that all of a trajectory's needed states have in common.
+
+    States without curves stand at `guess` [N, n_states].
+    """
     equations = comparable_balances(model, curves)
     covered = [i for i in range(len(model.states)) if curves.covers(i)]
     per_trajectory = int(np.clip(POINTS // max(len(trajectories), 1), 4, 400))
@@ -59,14 +64,14 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves) -> Point
     for i, item in enumerate(trajectories.items):
         found = [curves.items[i][state] for state in covered]
         present = [curve for curve in found if curve is not None]
-        if not equations or not present or len(present) < len(found):
+        if not present or len(present) < len(found):
             continue
         low, high = max(c.low for c in present), min(c.high for c in present)
         if high <= low:
             continue
         count = int(min(per_trajectory, 4 * len(item.times)))
         t = low + (high - low) * (np.arange(count) + 0.5) / count
-        x, slope = np.zeros((count, len(model.states))), np.zeros((count, len(model.states)))
+        x, slope = np.tile(guess[i], (count, 1)), np.zeros((count, len(model.states)))
         for state, curve in zip(covered, present, strict=True):
             x[:, state], slope[:, state] = curve.value(t), curve.slope(t)
         columns["t"].append(t)
@@ -89,6 +94,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves) -> Point
         joined["inputs"],
         joined["trajectory"].astype(np.int64),
         equations if len(slope) else (),
+        tuple(covered) if len(slope) else (),
         np.where(scale > 0, scale, 1.0),
     )
 

@@ -32,6 +32,7 @@ class Context:
     options: TrainOptions
     seed: int
     max_step: float
+    smooth: bool
     curves: Curves
     points: Points
     start_value: Array
@@ -62,12 +63,12 @@ class Context:
 
 
 def build_context(
-    model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int
+    model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int, smooth: bool = False
 ) -> Context:
-    """Splits off what is held out and prepares the rest."""
+    """Splits off what is held out and prepares the rest; `smooth` chooses smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)
     max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
-    curves = fit_curves(model, kept)
+    curves = fit_curves(model, kept, smooth)
     packed = pack(kept, model, max_step)
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
@@ -79,8 +80,9 @@ def build_context(
         options,
         seed,
         max_step,
+        smooth,
         curves,
-        collocate(model, kept, curves),
+        collocate(model, kept, curves, value),
         value,
         free,
         state_scale,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from importlib.metadata import version
 from pathlib import Path
@@ -48,7 +47,7 @@ def train(
     path = Path(directory)
     record = _record(model, trajectories, options)
     _prepare(path, model, record, options)
-    threads = options.threads or max(1, (os.cpu_count() or 1) // options.workers)
+    threads = options.threads or 1
     torch.set_num_threads(threads)
     results: dict[int, MemberResult] = {}
     module = load_module(model)

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from scipy.stats import qmc
 
 from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import linearise
@@ -37,7 +36,7 @@ def refit_starts(
     best, losses = theta, _trajectory_losses(window, parameters, theta)
     starts = _starts(parameters, theta)
     width = parameters.start_free * parameters.start_scale * radius
-    points = 2 * qmc.Sobol(len(parameters.start_scale), seed=np.random.default_rng([seed, 23])).random(candidates) - 1
+    points = np.random.default_rng([seed, 23]).uniform(-1, 1, (candidates, len(parameters.start_scale)))
     for fraction in (1.0, 0.25):
         found = _best_candidates(window, parameters, best, starts, points * fraction, width)
         best, losses = _keep_better(window, parameters, best, found, losses)

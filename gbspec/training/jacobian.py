@@ -119,7 +119,7 @@ class _Sweep:
         )
 
     def _of_trained_weights(self, shared: Tensor) -> Tensor:
-        """Columns of the weights in use as columns of those that are trained (they differ where contracts need signs)."""
+        """Columns of the weights in use as those of the trained ones (they differ where contracts need signs)."""
         slopes = {} if self.only_local else self.problem.module.weight_slopes(self._detached())
         position = 0
         for name, shape in self.parameters.weight_shapes.items():

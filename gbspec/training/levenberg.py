@@ -1,14 +1,14 @@
-"""Levenberg-Marquardt steps with the exact Jacobian, identity damping, and Huber's weights.
+"""Damped least-squares steps from the exact Jacobian, with Huber's weights and a ridge on the network weights.
 
-The damped normal equations `(J^T W J + D) s = -(J^T W r + ridge * (theta - centre))`, D = damping + ridge, are solved
-in the smaller of their two forms. With fewer residuals than shared columns: the dual, of the residuals' size. Else the
-primal, whose blocks of single trajectories (own constants, initial states) are eliminated first, so that its size is
-the number of shared columns whatever the number of trajectories.
+The damped normal equations `(J^T W J + D) s = -(J^T W r + ridge * w)` (w the network weights, D = damping, plus the
+ridge at the weights) are solved in the smaller of their two forms. With fewer residuals than shared columns: the dual,
+of the residuals' size. Else the primal, whose blocks of single trajectories (own constants, initial states) are
+eliminated first, so that its size is the number of shared columns whatever the number of trajectories.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import linalg
@@ -17,17 +17,8 @@ from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import Linearised
 from gbspec.training.parameters import Parameters
 
-
-@dataclass(frozen=True)
-class Prior:
-    """A Gaussian prior on the trainable vector: `precision` [size] (0: none) around `centre` [size]."""
-
-    precision: Array
-    centre: Array
-
-    def value(self, theta: Array) -> float:
-        """Half of the weighted squared distance from the centre."""
-        return 0.5 * float(np.sum(self.precision * (theta - self.centre) ** 2))
+PROBES = 12
+"""Random vectors in the estimate of a trace; its relative error is about sqrt(2 / (PROBES * trace))."""
 
 
 def huber(residuals: Array, delta: float) -> float:
@@ -35,6 +26,8 @@ def huber(residuals: Array, delta: float) -> float:
     size = np.abs(residuals)
     if not np.isfinite(size).all():
         return float("inf")
+    if np.isinf(delta):
+        return 0.5 * float(residuals @ residuals)
     return float(np.where(size <= delta, 0.5 * residuals**2, delta * (size - 0.5 * delta)).sum())
 
 
@@ -45,21 +38,27 @@ def huber_weights(residuals: Array, delta: float) -> Array:
 
 
 class NormalEquations:
-    """The linearised problem at one vector, solved for any damping."""
+    """The linearised problem at one vector, solved for any damping.
 
-    def __init__(self, system: Linearised, parameters: Parameters, weights: Array, prior: Prior, theta: Array) -> None:
+    `weights` [m] are those of the residuals; `ridge` is the precision of the prior on network weights around zero, in
+    units of the residuals.
+    """
+
+    def __init__(self, system: Linearised, parameters: Parameters, weights: Array, ridge: float, theta: Array) -> None:
         root = np.sqrt(weights)
         self.parameters = parameters
         self.shared = system.shared.numpy() * root[:, None]
         self.local = system.local.numpy() * root[:, None]
         self.residuals = system.residuals.numpy() * root
         self.owner = system.owner.numpy()
-        self.prior, self.offset = prior, theta - prior.centre
+        self.ridge = ridge
+        self.penalised = np.zeros(parameters.size)
+        self.penalised[: parameters.n_weights] = 1.0
+        self.theta = theta
         self.groups = [np.flatnonzero(self.owner == i) for i in range(parameters.trajectories)]
-        self.uniform = not prior.precision.any()
         self.dual = len(self.residuals) < parameters.n_shared
-        self._gram: Array | None = None
-        self._factor: tuple[tuple[Array, bool], float] | None = None
+        self._grams: tuple[Array, Array] | None = None
+        self._factor: tuple[Any, tuple[float, float]] | None = None
 
     # ---------------------------------------------------------------- products
     def times(self, step: Array) -> Array:
@@ -78,78 +77,100 @@ class NormalEquations:
 
     def gradient(self) -> Array:
         """Gradient of the objective [size]."""
-        return self.transposed(self.residuals) + self.prior.precision * self.offset
+        return self.transposed(self.residuals) + self.ridge * self.penalised * self.theta
 
     def predicted_decrease(self, step: Array) -> float:
         """By how much the linear model says that a step lowers the objective."""
         change = self.times(step)
-        quadratic = 0.5 * float(change @ change) + 0.5 * float(np.sum(self.prior.precision * step**2))
+        quadratic = 0.5 * float(change @ change) + 0.5 * self.ridge * float(np.sum(self.penalised * step**2))
         return -float(self.gradient() @ step) - quadratic
 
     # ---------------------------------------------------------------- solutions
-    def solve(self, damping: float, residuals: Array | None = None) -> Array:
-        """The step [size] for `damping`; with `residuals`, for these (weighted) ones and without the prior."""
-        diagonal = damping + self.prior.precision
-        if residuals is None:
-            shift = -self.prior.precision / diagonal * self.offset
-            # Completing the square in the damping and the prior leaves one diagonal and shifted residuals.
-            target = self.residuals + self.times(shift) if not self.uniform else self.residuals
-        else:
-            shift, target = np.zeros_like(diagonal), residuals
-        step = self._solve_dual(diagonal, damping, target) if self.dual else self._solve_primal(diagonal, target)
-        return step + shift
+    def step(self, damping: float) -> Array:
+        """The step [size] that minimises the damped linear model."""
+        diagonal = damping + self.ridge * self.penalised
+        # Completing the square in damping and ridge leaves one diagonal term and shifted residuals.
+        shift = -self.ridge * self.penalised / diagonal * self.theta
+        target = self.residuals + self.times(shift) if self.ridge else self.residuals
+        return self.respond(target, damping) + shift
 
-    def _solve_dual(self, diagonal: Array, damping: float, target: Array) -> Array:
-        if self._factor is None or self._factor[1] != damping:
-            self._factor = (
-                linalg.cho_factor(self._dual_matrix(diagonal, damping), lower=True, check_finite=False),
-                damping,
-            )
-        y = linalg.cho_solve(self._factor[0], target, check_finite=False)
-        return np.asarray(-self.transposed(y) / diagonal, dtype=np.float64)
+    def respond(self, target: Array, damping: float) -> Array:
+        """-(J^T J + D)^-1 J^T target [size]."""
+        if self.dual:
+            y = linalg.cho_solve(self._dual_factor(damping), target, check_finite=False)
+            return np.asarray(-self.transposed(y) / self._diagonal(damping), dtype=np.float64)
+        return -self._primal(self.transposed(target), damping)
 
-    def _dual_matrix(self, diagonal: Array, damping: float) -> Array:
-        """I + J D^-1 J^T [m, m]."""
-        if self.uniform:
-            if self._gram is None:
-                self._gram = self._dual_gram(np.ones_like(diagonal))
-            matrix = self._gram / damping
-        else:
-            matrix = self._dual_gram(1.0 / diagonal)
-        matrix[np.diag_indices_from(matrix)] += 1.0
-        return matrix
+    def invert(self, vector: Array, damping: float) -> Array:
+        """(J^T J + D)^-1 v [size]."""
+        if not self.dual:
+            return self._primal(vector, damping)
+        diagonal = self._diagonal(damping)
+        scaled = vector / diagonal
+        y = linalg.cho_solve(self._dual_factor(damping), self.times(scaled), check_finite=False)
+        return np.asarray(scaled - self.transposed(y) / diagonal, dtype=np.float64)
 
-    def _dual_gram(self, inverse: Array) -> Array:
-        parameters = self.parameters
-        root = np.sqrt(inverse)
-        shared = self.shared * root[: parameters.n_shared] if not self.uniform else self.shared
-        gram = shared @ shared.T
-        local_root = root[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
-        for i, rows in enumerate(self.groups):
-            block = self.local[rows] * local_root[i]
-            gram[np.ix_(rows, rows)] += block @ block.T
-        return np.asarray(gram, dtype=np.float64)
+    def degrees_of_freedom(self, damping: float, seed: int) -> float:
+        """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
+        rng = np.random.default_rng([seed, 53])
+        probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
+        return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
 
-    def _solve_primal(self, diagonal: Array, target: Array) -> Array:
-        parameters = self.parameters
-        ns, nl = parameters.n_shared, parameters.n_local
-        if self._gram is None:
-            self._gram = self.shared.T @ self.shared
-        gradient = self.transposed(target)
+    def _diagonal(self, damping: float) -> Array:
+        return np.asarray(damping + self.ridge * self.penalised, dtype=np.float64)
+
+    def _dual_factor(self, damping: float) -> Any:
+        """Cholesky factor of I + J D^-1 J^T [m, m]; the two Gram matrices are formed once."""
+        if self._factor is None or self._factor[1] != (damping, self.ridge):
+            if self._grams is None:
+                self._grams = self._form_grams()
+            of_weights, of_rest = self._grams
+            matrix = of_weights / (damping + self.ridge)
+            matrix += of_rest / damping
+            matrix[np.diag_indices_from(matrix)] += 1.0
+            factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+            self._factor = factor, (damping, self.ridge)
+        return self._factor[0]
+
+    def _form_grams(self) -> tuple[Array, Array]:
+        weights = self.shared[:, : self.parameters.n_weights]
+        constants = self.shared[:, self.parameters.n_weights :]
+        rest = constants @ constants.T
+        for rows in self.groups:
+            block = self.local[rows]
+            rest[np.ix_(rows, rows)] += block @ block.T
+        return weights @ weights.T, rest
+
+    def _primal(self, gradient: Array, damping: float) -> Array:
+        """(J^T J + D)^-1 g, the trajectories' blocks eliminated."""
+        ns, nl = self.parameters.n_shared, self.parameters.n_local
+        factor, inverses, crosses = self._primal_factor(damping)
         g_shared, g_local = gradient[:ns].copy(), gradient[ns:].reshape(-1, nl)
-        d_local = diagonal[ns:].reshape(-1, nl)
-        matrix = self._gram + np.diag(diagonal[:ns])
+        for inverse, cross, g in zip(inverses, crosses, g_local, strict=True):
+            g_shared -= cross @ (inverse @ g)
+        x = linalg.cho_solve(factor, g_shared, check_finite=False)
+        blocks = [v @ (g - c.T @ x) for v, g, c in zip(inverses, g_local, crosses, strict=True)]
+        return np.concatenate([x, *blocks])
+
+    def _primal_factor(self, damping: float) -> Any:
+        if self._factor is not None and self._factor[1] == (damping, self.ridge):
+            return self._factor[0]
+        ns, nl = self.parameters.n_shared, self.parameters.n_local
+        if self._grams is None:
+            self._grams = self.shared.T @ self.shared, np.zeros((0, 0))
+        diagonal = self._diagonal(damping)
+        matrix = self._grams[0].copy()
+        matrix[np.diag_indices_from(matrix)] += diagonal[:ns]
         inverses, crosses = [], []
         for i, rows in enumerate(self.groups):
             local = self.local[rows]
-            inverse = np.linalg.inv(local.T @ local + np.diag(d_local[i]))
-            cross = self.shared[rows].T @ local
-            g_shared -= cross @ (inverse @ g_local[i])
-            inverses.append(inverse)
-            crosses.append(cross)
+            own = diagonal[ns + i * nl : ns + (i + 1) * nl]
+            inverses.append(np.linalg.inv(local.T @ local + np.diag(own)))
+            crosses.append(self.shared[rows].T @ local)
         if crosses and nl:
-            wide = np.concatenate([c @ np.linalg.cholesky(v) for c, v in zip(crosses, inverses, strict=True)], axis=1)
-            matrix -= wide @ wide.T
-        step_shared = -linalg.cho_solve(linalg.cho_factor(matrix, lower=True, check_finite=False), g_shared)
-        blocks = [-v @ (g + c.T @ step_shared) for v, g, c in zip(inverses, g_local, crosses, strict=True)]
-        return np.concatenate([step_shared, *blocks])
+            wide = [c @ np.linalg.cholesky(0.5 * (v + v.T)) for c, v in zip(crosses, inverses, strict=True)]
+            joined = np.concatenate(wide, axis=1)
+            matrix -= joined @ joined.T
+        factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+        self._factor = (factor, inverses, crosses), (damping, self.ridge)
+        return self._factor[0]

@@ -13,14 +13,16 @@ import torch
 
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.trajectories import Array, Trajectories
+from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.training.context import Context, build_context
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.plan import Planned, plan
+from gbspec.training.preparation import prepare
 from gbspec.training.progress import Progress, Update
-from gbspec.training.stages import Outcome, Stage, State, initial_parameters
+from gbspec.training.stages import Outcome, Stage, State
 from gbspec.training.summary import MemberResult, summarise
 
 SAVE_EVERY = 5.0
@@ -31,12 +33,14 @@ SAVE_EVERY = 5.0
 class Position:
     """Where a member stands: the stage it is in, how many of its steps are done, its state, and what lies behind.
 
+    `entry` is the vector with which the present stage began, from which it is built again on resume;
     `best` and `best_score` are of the vector that predicts held-out data best (without held-out data: the last one).
     """
 
     stage: int = 0
     iteration: int = 0
     state: State = field(default_factory=dict)
+    entry: Array = field(default_factory=lambda: np.zeros(0))
     theta: Array = field(default_factory=lambda: np.zeros(0))
     best: Array = field(default_factory=lambda: np.zeros(0))
     best_score: float = float("inf")
@@ -63,9 +67,21 @@ def fit_member(
     when `stop()`, asked after every iteration, says so.
     """
     torch.manual_seed(options.seed + member)
-    context = build_context(model, module, trajectories, options, options.seed + member)
-    parameters, theta = initial_parameters(context)
-    return _Runner(context, parameters, theta, member, directory, progress, stop).run()
+    seed = options.seed + member
+    checkpoint = _checkpoint(directory) if options.resume else None
+    began = time.monotonic()
+    with uninterrupted() as interrupted:
+        if checkpoint is not None:
+            arrays, remarks = checkpoint
+            context = build_context(model, module, trajectories, options, seed, bool(remarks["smooth"]))
+            fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
+            runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
+        else:
+            ready = prepare(model, module, trajectories, options, seed)
+            position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss)
+            runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
+            runner.record_preparation(time.monotonic() - began)
+        return runner.run(lambda: interrupted() or stop())
 
 
 class Interrupted(KeyboardInterrupt):
@@ -81,30 +97,43 @@ class _Runner:
         self,
         context: Context,
         parameters: Parameters,
-        theta: Array,
+        position: Position,
         member: int,
         directory: Path,
         progress: Progress,
-        stop: Callable[[], bool],
     ) -> None:
-        self.stop = stop
         self.context, self.parameters, self.member = context, parameters, member
         self.directory, self.progress = directory, progress
-        self.position = Position(theta=theta, best=theta)
+        self.position = position
         self.plan = plan(context, parameters)
-        if context.options.resume:
-            self._restore()
         self._began = time.monotonic() - self.position.seconds
         self._saved = time.monotonic()
 
     # ---------------------------------------------------------------- running
-    def run(self) -> MemberResult:
+    def record_preparation(self, seconds: float) -> None:
+        """Enters the warm start in the history, as if it were a stage."""
+        position = self.position
+        position.seconds = seconds
+        self._began = time.monotonic() - seconds
+        name = "warm start" if self.context.options.warm_start else "start"
+        constants = self._constants(position.theta)
+        position.history.append((name, 1, seconds, position.loss, constants))
+        position.stages.append({"name": name, "iterations": 1, "loss": position.loss, "seconds": seconds})
+        names = [k.name for k in self.parameters.model.learnables]
+        self.progress.update(
+            Update(self.member, name, 1, 1, position.loss, seconds, None, dict(zip(names, constants, strict=True)))
+        )
+
+    def run(self, stop: Callable[[], bool]) -> MemberResult:
+        """All stages from the present position on; `stop` is asked after every iteration."""
         position = self.position
         if position.finished:
             return self._result()
         try:
             while position.stage < len(self.plan):
-                self._run_stage(self.plan[position.stage])
+                if stop():
+                    raise KeyboardInterrupt
+                self._run_stage(self.plan[position.stage], stop)
                 position.stage, position.iteration, position.state = position.stage + 1, 0, {}
                 self._save()
         except KeyboardInterrupt:
@@ -114,27 +143,26 @@ class _Runner:
         self._save()
         return self._result()
 
-    def _run_stage(self, planned: Planned) -> None:
+    def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
-        if position.iteration == 0 and not planned.wanted(position.theta):
-            return
-        stage = planned.make()
+        if position.iteration == 0:
+            if not planned.wanted(position.theta):
+                return
+            position.entry = position.theta
+        stage = planned.make(position.entry)
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
             position.stages.append({"name": stage.name, "iterations": 0, "loss": None, "seconds": 0.0})
         began = time.monotonic() - float(position.stages[-1]["seconds"])
-        with uninterrupted() as interrupted:
-            while position.iteration < stage.total:
-                outcome = stage.step(position.state, position.iteration)
-                self._record(stage, outcome, time.monotonic() - began)
-                if outcome.done:
-                    break
-                if interrupted() or self.stop():
-                    raise KeyboardInterrupt
-                if time.monotonic() - self._saved > SAVE_EVERY:
-                    self._save()
-            if interrupted():
+        while position.iteration < stage.total:
+            outcome = stage.step(position.state, position.iteration)
+            self._record(stage, outcome, time.monotonic() - began)
+            if outcome.done:
+                break
+            if stop():
                 raise KeyboardInterrupt
+            if time.monotonic() - self._saved > SAVE_EVERY:
+                self._save()
 
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
@@ -212,12 +240,14 @@ class _Runner:
         """Writes the last and the best checkpoint."""
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
-        arrays |= {"theta": position.theta, "best": position.best}
+        arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
+        arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = {
             "stage": position.stage,
             "iteration": position.iteration,
             "seconds": position.seconds,
             "finished": position.finished,
+            "smooth": self.context.smooth,
             "stages": position.stages,
             "exact": {"loss": position.loss.hex(), "best_score": position.best_score.hex()},
             "history": [
@@ -230,38 +260,38 @@ class _Runner:
         files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})
         self._saved = time.monotonic()
 
-    def _restore(self) -> None:
-        """Takes up the last checkpoint, if there is one; a damaged one is an error of the user's files."""
-        path = self.directory / files.CHECKPOINT
-        if not path.is_file():
-            return
-        arrays, remarks = read_checkpoint(path)
-        position = self.position
-        position.state = {n.partition(".")[2]: v for n, v in arrays.items() if n.startswith("state.")}
-        position.theta, position.best = arrays["theta"], arrays["best"]
-        position.stage, position.iteration = remarks["stage"], remarks["iteration"]
-        position.seconds, position.finished, position.stages = (
-            remarks["seconds"],
-            remarks["finished"],
-            remarks["stages"],
-        )
-        position.loss = float.fromhex(remarks["exact"]["loss"])
-        position.best_score = float.fromhex(remarks["exact"]["best_score"])
-        position.history = [
-            (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
-            for name, i, seconds, loss, constants in remarks["history"]
-        ]
 
-
-def read_checkpoint(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """A checkpoint's arrays and remarks. Raises `UserError` (GB852) where it is damaged."""
-    from gbspec.diagnostics import Diagnostic, UserError
-
+def _checkpoint(directory: Path) -> tuple[dict[str, Array], dict[str, Any]] | None:
+    """The last checkpoint, if there is one. Raises `UserError` (GB852) where it is damaged."""
+    path = directory / files.CHECKPOINT
+    if not path.is_file():
+        return None
     try:
         return files.read_tensors(path)
     except ValueError as error:
-        help_text = "delete the member's directory to fit it anew"
+        help_text = f"delete `{directory}` to fit the member anew"
         raise UserError([Diagnostic("GB852", str(error), None, help=help_text)]) from None
+
+
+def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
+    """The position that a checkpoint keeps."""
+    return Position(
+        stage=remarks["stage"],
+        iteration=remarks["iteration"],
+        state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
+        entry=arrays["entry"],
+        theta=arrays["theta"],
+        best=arrays["best"],
+        best_score=float.fromhex(remarks["exact"]["best_score"]),
+        seconds=remarks["seconds"],
+        loss=float.fromhex(remarks["exact"]["loss"]),
+        history=[
+            (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
+            for name, i, seconds, loss, constants in remarks["history"]
+        ],
+        stages=remarks["stages"],
+        finished=remarks["finished"],
+    )
 
 
 class uninterrupted:  # noqa: N801 - a context manager, named like a phrase

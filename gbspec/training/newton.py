@@ -1,4 +1,4 @@
-"""The Levenberg-Marquardt stage: robust, damped, checkpointed after every iteration."""
+"""The Levenberg-Marquardt stage: robust, damped, regularised where asked, resumable after every iteration."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import linearise
-from gbspec.training.levenberg import NormalEquations, Prior, huber, huber_weights
+from gbspec.training.levenberg import NormalEquations, huber, huber_weights
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 from gbspec.training.stages import Outcome, State, mean_loss, require_finite, scalar
@@ -19,16 +20,24 @@ DELTA_HIGH, DELTA_LOW = 0.1, 0.003
 """Huber's threshold, in deviations of the data: four times the median residual, within these bounds."""
 ATTEMPTS = 10
 """Dampings tried in one iteration before the stage gives up."""
+WEAK = 1e-2
+"""Prior precision of what has no prior, relative to the noise, in the count of degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class LevenbergOptions:
-    """`robust`: Huber's function (else least squares); `tolerance`: relative decrease below which the stage ends
-    (twice in a row); `damping`: the first one."""
+    """How a stage steps and when it ends.
+
+    `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
+    stage ends; `damping`: the first one; `ridge`: precision of the weights' prior in units of squared residuals;
+    `evidence`: let the data set it anew after each iteration.
+    """
 
     robust: bool = True
     tolerance: float = 1e-3
     damping: float = 1.0
+    ridge: float = 0.0
+    evidence: bool = False
 
 
 class LevenbergMarquardt:
@@ -41,15 +50,18 @@ class LevenbergMarquardt:
         problem_at: Callable[[int], Problem],
         parameters: Parameters,
         options: LevenbergOptions,
-        prior: Prior | None = None,
     ) -> None:
         self.name, self.total, self.problem_at, self.parameters = name, total, problem_at, parameters
         self.options = options
-        self.prior = prior if prior is not None else Prior(np.zeros(parameters.size), np.zeros(parameters.size))
 
     def begin(self, theta: Array) -> State:
-        """The vector, the damping, and how often in a row the decrease was small."""
-        return {"theta": theta, "damping": np.array(self.options.damping), "small": np.array(0.0)}
+        """The vector, the damping, the ridge, and how often in a row the decrease was small."""
+        return {
+            "theta": theta,
+            "damping": np.array(self.options.damping),
+            "ridge": np.array(self.options.ridge),
+            "small": np.array(0.0),
+        }
 
     def threshold(self, residuals: Array) -> float:
         """Huber's threshold for these residuals."""
@@ -60,30 +72,73 @@ class LevenbergMarquardt:
     def step(self, state: State, iteration: int) -> Outcome:
         """One Jacobian, and as many dampings as it takes to improve."""
         problem, theta = self.problem_at(iteration), state["theta"]
-        damping, small = scalar(state, "damping"), scalar(state, "small")
+        damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
         system = linearise(problem, self.parameters, theta)
         residuals = system.residuals.numpy()
         require_finite(problem, self.parameters, theta, residuals, self.name)
         delta = self.threshold(residuals)
-        value = huber(residuals, delta) + self.prior.value(theta)
-        weights = huber_weights(residuals, delta)
-        equations = NormalEquations(system, self.parameters, weights, self.prior, theta)
+        equations = NormalEquations(system, self.parameters, huber_weights(residuals, delta), ridge, theta)
+
+        def objective(r: Array, at: Array) -> float:
+            return huber(r, delta) + 0.5 * ridge * float(np.sum(equations.penalised * at**2))
+
+        value = objective(residuals, theta)
         for _ in range(ATTEMPTS):
-            step = equations.solve(damping)
+            step = _try_step(equations, damping)
             trial = theta + step
             new_residuals = solve(problem, self.parameters, trial)
-            new = huber(new_residuals, delta) + self.prior.value(trial)
+            new = objective(new_residuals, trial)
             if new < value:
                 break
             damping *= 4
         else:
-            kept: State = {"theta": theta, "damping": np.array(damping), "small": np.array(2.0)}
+            kept = state | {"damping": np.array(damping), "small": np.array(2.0)}
             return Outcome(kept, mean_loss(residuals), True)
-        predicted = equations.predicted_decrease(step)
-        gain = (value - new) / max(predicted, 1e-300)
+        gain = (value - new) / max(equations.predicted_decrease(step), 1e-300)
+        if self.options.evidence:
+            ridge = _evidence(equations, residuals, delta, trial, ridge, iteration)
         # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
         damping *= float(np.clip(1 - (2 * gain - 1) ** 3, 0.2, 2.0))
-        decrease = (value - new) / max(value, 1e-300)
-        small = small + 1 if decrease < self.options.tolerance else 0.0
-        after: State = {"theta": trial, "damping": np.array(damping), "small": np.array(small)}
+        small = small + 1 if (value - new) < self.options.tolerance * max(value, 1e-300) else 0.0
+        after: State = {
+            "theta": trial,
+            "damping": np.array(max(damping, 1e-12)),
+            "ridge": np.array(ridge),
+            "small": np.array(small),
+        }
         return Outcome(after, mean_loss(new_residuals), small >= 2)
+
+
+def _try_step(equations: NormalEquations, damping: float) -> Array:
+    """The step; a step of NaN (which no objective accepts) where the equations are singular to rounding."""
+    try:
+        return equations.step(damping)
+    except (LinAlgError, np.linalg.LinAlgError):
+        return np.full(equations.parameters.size, np.nan)
+
+
+def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:
+    """Residual variance with the degrees of freedom that the fit used taken off."""
+    weights = huber_weights(residuals, delta)
+    return float(np.sum(weights * residuals**2)) / max(len(residuals) - freedom, 0.1 * len(residuals), 1.0)
+
+
+def _evidence(
+    equations: NormalEquations, residuals: Array, delta: float, theta: Array, ridge: float, seed: int
+) -> float:
+    """The ridge that maximises the evidence at the present linearisation (MacKay 1992), approached by half (in logs).
+
+    With gamma effective weights the prior's precision is gamma / |w|^2 and the noise variance is that of the
+    residuals with all used degrees of freedom taken off; the ridge is their product.
+    """
+    parameters = equations.parameters
+    weights = theta[: parameters.n_weights]
+    size = float(weights @ weights)
+    if not len(weights) or size == 0.0:
+        return ridge
+    scale = max(float(np.mean(residuals**2)), 1e-300)
+    freedom = equations.degrees_of_freedom(WEAK * scale, seed)
+    unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+    effective = max(freedom - unpenalised, 1.0)
+    target = noise_variance(equations, residuals, delta, freedom) * effective / size
+    return target if ridge <= 0 else float(np.sqrt(ridge * target))

@@ -74,7 +74,8 @@ class TrainOptions:
         },
     )
     threads: int | None = field(
-        default=None, metadata={"help": "Threads of each worker; the number of cores over the workers if not given."}
+        default=None,
+        metadata={"help": "Threads of each worker for tensors (1 if not given: they are small).", "metavar": "N"},
     )
 
     @property

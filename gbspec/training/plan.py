@@ -9,106 +9,195 @@ import numpy as np
 
 from gbspec.data.trajectories import Array
 from gbspec.training.context import Context
+from gbspec.training.descent import Adam, LimitedMemory
 from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
-from gbspec.training.stages import InitialStates, Stage, WarmStart, imputed_forcing, mean_loss
+from gbspec.training.search import Search
+from gbspec.training.stages import InitialStates, Stage, imputed_forcing, typical
 from gbspec.training.unroll import solve
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {
-    "low": {"imputed forcing": 4, "teacher forcing": 6, "half step": 0, "autoregressive": 10, "least squares": 100},
-    "normal": {"imputed forcing": 6, "teacher forcing": 12, "half step": 3, "autoregressive": 25, "least squares": 200},
-    "high": {"imputed forcing": 10, "teacher forcing": 50, "half step": 12, "autoregressive": 60, "least squares": 500},
+    "low": {"imputed": 4, "teacher": 6, "half": 0, "blend": 4, "autoregressive": 8, "least squares": 100, "adam": 100},
+    "normal": {
+        "imputed": 6,
+        "teacher": 12,
+        "half": 3,
+        "blend": 6,
+        "autoregressive": 20,
+        "least squares": 200,
+        "adam": 300,
+    },
+    "high": {
+        "imputed": 10,
+        "teacher": 50,
+        "half": 12,
+        "blend": 10,
+        "autoregressive": 60,
+        "least squares": 500,
+        "adam": 1500,
+    },
 }
 """Most iterations of each stage by effort."""
+NOISE = 0.01
+"""Above this typical residual after teacher forcing (in deviations of the data) the data count as noisy."""
+FEW = 600
+"""Below this number of measured values the weights have a prior from the first."""
+FIRST_RIDGE = 1e-3
+"""The ridge before the data have set it, as a multiple of the squared typical residual (at least 1e-4)."""
+
+Wanted = Callable[[Array], bool]
+At = Callable[[int], Problem]
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A stage that may run: `wanted` looks at the vector at its turn; `make` builds it."""
+    """A stage that may run: `wanted` looks at the vector at its turn, `make` builds it for that vector."""
 
     name: str
     total: int
-    make: Callable[[], Stage]
-    wanted: Callable[[Array], bool]
+    make: Callable[[Array], Stage]
+    wanted: Wanted
 
 
 def plan(context: Context, parameters: Parameters) -> list[Planned]:
     """The stages for these data and options, in order."""
-    return _Planner(context, parameters).stages()
+    return [stage for stage in _Planner(context, parameters).stages() if stage.total > 0]
 
 
 class _Planner:
     def __init__(self, context: Context, parameters: Parameters) -> None:
-        self.context, self.parameters = context, parameters
-        self.limits = dict(ITERATIONS[context.options.effort])
+        self.context, self.parameters, self.options = context, parameters, context.options
+        self.limits = ITERATIONS[context.options.effort]
+        self.blend = context.options.blend
+        self.values = int((context.packed().weights > 0).sum())
 
     def stages(self) -> list[Planned]:
-        context, options = self.context, self.context.options
-        out: list[Planned] = []
-        if context.model.networks and options.warm_start and len(context.points):
-            out.append(Planned("warm start", 1, lambda: WarmStart(context, self.parameters), _always))
-        if options.method == "gradient-matching":
-            return [*out, self._starts("initial states", 1.0)]
-        if options.method == "auto":
-            return out + self._automatic()
-        return out
+        if self.options.method == "gradient-matching":
+            return [self._starts("initial states", 1.0)]
+        if self.options.method == "auto":
+            return self._constants_alone() if not self.parameters.n_weights else self._automatic()
+        return [self._starts("initial states", self.blend), self._chosen()]
 
-    def _automatic(self) -> list[Planned]:
+    def _chosen(self) -> Planned:
+        """The one optimiser that was asked for."""
+        epochs = self.options.epochs
+        if self.options.method == "adam":
+            return self._adam(epochs or self.limits["adam"], lambda theta: True)
+        if self.options.method == "lbfgs":
+            total = epochs or self.limits["adam"]
+
+            def make(theta: Array) -> Stage:
+                return LimitedMemory("lbfgs", total, self._at(self.blend), self.parameters, self.options.batch_size)
+
+            return Planned("lbfgs", total, make, lambda theta: True)
+        total = epochs or self.limits["teacher"]
+        return self._newton("lm", total, self._at(self.blend), lambda theta: True, LevenbergOptions(tolerance=1e-6))
+
+    def _constants_alone(self) -> list[Planned]:
+        """A model whose functions are all known: least squares of the whole solution, from several starts."""
+        blend = self.blend if self.options.forcing != "teacher" else 0.0
+        plain = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2)
+        context, parameters = self.context, self.parameters
+
+        def make(theta: Array) -> Stage:
+            return Search(context.problem(blend), parameters, context.seed)
+
         return [
-            self._lm("imputed forcing", lambda i: self._imputed(i), self._needs_imputing),
-            self._starts("initial states", 1.0),
-            self._lm("teacher forcing", lambda i: self.context.problem(1.0, 1.0, i), _always),
-            self._starts("initial states again", 1.0),
-            self._lm(
-                "half step",
-                lambda i: self.context.problem(1.0, 0.5, i),
-                lambda theta: self.context.options.half_step,
-                damping=0.1,
-            ),
+            Planned("search", 1, make, lambda theta: True),
+            self._newton("least squares", self.limits["least squares"], self._at(blend), lambda theta: True, plain),
         ]
 
-    def _half_step(self, theta: Array) -> bool:
-        return self.context.options.half_step
+    def _automatic(self) -> list[Planned]:
+        """The recipe: see the module's documentation of the stages."""
+        limits = self.limits
+        if self.options.forcing != "teacher":
+            first, last = self._at(1.0), self._at(self.blend)
+            return [
+                self._starts("initial states", 1.0),
+                self._newton("teacher forcing", limits["teacher"], first, lambda theta: True, self._prior),
+                self._newton("forcing as asked", limits["autoregressive"], last, lambda theta: True, self._regular),
+            ]
+        return [
+            self._adam(limits["adam"] // 2, self._hidden),
+            self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
+            self._starts("initial states", 1.0),
+            self._newton("teacher forcing", limits["teacher"], self._at(1.0), lambda theta: True, self._prior),
+            self._starts("initial states again", 1.0),
+            self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, LevenbergOptions(damping=0.1)),
+            self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
+            self._newton("autoregressive", limits["autoregressive"], self._at(0.0), self._noisy, self._regular),
+        ]
+
+    # ---------------------------------------------------------------- problems
+    def _at(self, blend: float, fraction: float = 1.0) -> At:
+        return lambda iteration: self.context.problem(blend, fraction, iteration)
 
     def _imputed(self, iteration: int) -> Problem:
         problem = self.context.problem(1.0, 1.0, iteration)
         return replace(problem, forcing=imputed_forcing(self.context, problem))
 
+    # ---------------------------------------------------------------- decisions
+    def _hidden(self, theta: Array) -> bool:
+        """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
+        return not self.context.points.equations or not self.options.warm_start
+
     def _needs_imputing(self, theta: Array) -> bool:
         """Whether plain teacher forcing starts far worse than with every state imputed."""
-        if not len(self.context.points):
+        if not self.context.points.equations:
             return False
-        problem = self.context.problem()
-        plain = solve(problem, self.parameters, theta)
-        imputed = solve(replace(problem, forcing=imputed_forcing(self.context, problem)), self.parameters, theta)
-        if not np.isfinite(plain).all():
-            return True
-        return float(np.median(np.abs(plain))) > 3 * float(np.median(np.abs(imputed))) + 1e-6
+        plain = solve(self.context.problem(), self.parameters, theta)
+        return typical(plain) > 3 * typical(solve(self._imputed(0), self.parameters, theta)) + 1e-6
 
+    def _noise(self, theta: Array) -> float:
+        return typical(solve(self.context.problem(), self.parameters, theta))
+
+    def _noisy(self, theta: Array) -> bool:
+        return self.values < FEW or self._noise(theta) > NOISE
+
+    def _clean(self, theta: Array) -> bool:
+        return self.options.half_step and not self._noisy(theta)
+
+    def _prior(self, theta: Array) -> LevenbergOptions:
+        """Regularised where there are few data, else plain."""
+        return self._regular(theta) if self.values < FEW else LevenbergOptions()
+
+    def _regular(self, theta: Array) -> LevenbergOptions:
+        """With a ridge on the weights, from the noise, or as asked for."""
+        noise = max(self._noise(theta), 0.01)
+        noise = noise if np.isfinite(noise) else 1.0
+        if self.options.ridge is None:
+            return LevenbergOptions(ridge=FIRST_RIDGE * noise**2, evidence=True, tolerance=1e-4)
+        if self.options.ridge == 0:
+            return LevenbergOptions(tolerance=1e-4)
+        initial = np.concatenate([v.ravel() for k, v in self.context.module.weights.items() if k.endswith("weight")])
+        deviation = self.options.ridge * float(np.sqrt(np.mean(initial**2)))
+        return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
+
+    # ---------------------------------------------------------------- stages
     def _starts(self, name: str, blend: float) -> Planned:
-        def make() -> Stage:
-            stage = InitialStates(self.context.problem(blend), self.parameters, self.context.seed)
-            stage.name = name
-            return stage
+        def make(theta: Array) -> Stage:
+            return InitialStates(name, self.context.problem(blend), self.parameters, self.context.seed)
 
         return Planned(name, 1, make, lambda theta: bool(self.parameters.start_free.any()))
 
-    def _lm(
-        self, name: str, problem_at: Callable[[int], Problem], wanted: Callable[[Array], bool], damping: float = 1.0
+    def _adam(self, epochs: int, wanted: Wanted) -> Planned:
+        def make(theta: Array) -> Stage:
+            options = self.options
+            return Adam("adam", epochs, self._at(self.blend), self.parameters, options, self.context.seed)
+
+        return Planned("adam", epochs, make, wanted)
+
+    def _newton(
+        self,
+        name: str,
+        total: int,
+        problem_at: At,
+        wanted: Wanted,
+        options: LevenbergOptions | Callable[[Array], LevenbergOptions],
     ) -> Planned:
-        total = self.limits[name]
+        def make(theta: Array) -> Stage:
+            chosen = options if isinstance(options, LevenbergOptions) else options(theta)
+            return LevenbergMarquardt(name, total, problem_at, self.parameters, chosen)
 
-        def make() -> Stage:
-            return LevenbergMarquardt(name, total, problem_at, self.parameters, LevenbergOptions(damping=damping))
-
-        return Planned(name, total, make, lambda theta: total > 0 and wanted(theta))
-
-
-def _always(theta: Array) -> bool:
-    return True
-
-
-def solution_loss(context: Context, parameters: Parameters, theta: Array, blend: float) -> float:
-    """Mean of half squared residuals of the solution with forcing of strength `blend`."""
-    return mean_loss(solve(context.problem(blend), parameters, theta))
+        return Planned(name, total, make, wanted)

@@ -1,7 +1,8 @@
 """A curve through each measured state of each trajectory, for warm starts and imputed values.
 
-Interpolating where the data look free of noise, smoothed by generalised cross-validation where they do not; shape
-preserving (PCHIP) where the data are monotone, so that a curve does not wiggle between sparse points.
+Either interpolating (cubic; shape preserving where the data are monotone, so that a curve does not wiggle between
+sparse points) or smoothed by generalised cross-validation. Which of them suits the data the warm start finds out by
+trying: cross-validation alone takes sparsely sampled oscillations for noise.
 """
 
 from __future__ import annotations
@@ -17,9 +18,6 @@ from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
 
 Curve = Callable[[Array], Array]
-
-NOISE_FREE = 10.0
-"""Below this median distance of the smoothed curve from the data (relative to their deviation) curves interpolate."""
 
 
 @dataclass(frozen=True)
@@ -47,29 +45,23 @@ class Curves:
     """Curves by trajectory and state (None: not measured there, or fewer than two points)."""
 
     items: tuple[tuple[StateCurve | None, ...], ...]
-    noise: Array
-    """Distance of data and curves, in units of the data's deviation (0 where curves interpolate) [n_states]."""
 
     def covers(self, state: int) -> bool:
         """Whether the state has a curve in at least one trajectory."""
         return any(item[state] is not None for item in self.items)
 
 
-def fit_curves(model: Model, trajectories: Trajectories) -> Curves:
-    """Fits all curves; whether a state's curves smooth is decided for all trajectories together."""
-    columns: list[list[StateCurve | None]] = []
-    noise = np.zeros(len(model.states))
-    for state in range(len(model.states)):
-        channels = [i for i, c in enumerate(model.channels) if c.state == state]
-        series = [_series(item.times, item.values[:, channels[-1:]]) for item in trajectories.items]
-        smoothed = [_smooth(t, y) for t, y in series]
-        noise[state] = _noise_level(series, smoothed)
-        if noise[state] < NOISE_FREE:
-            noise[state] = 0.0
-            smoothed = [None] * len(series)
-        columns.append([_curve(t, y, s) for (t, y), s in zip(series, smoothed, strict=True)])
-    items = tuple(tuple(column[i] for column in columns) for i in range(len(trajectories)))
-    return Curves(items, noise)
+def fit_curves(model: Model, trajectories: Trajectories, smooth: bool = False) -> Curves:
+    """Fits all curves, interpolating or smoothing (where a series is long enough for that)."""
+    items = []
+    for item in trajectories.items:
+        row: list[StateCurve | None] = []
+        for state in range(len(model.states)):
+            channels = [i for i, c in enumerate(model.channels) if c.state == state]
+            t, y = _series(item.times, item.values[:, channels[-1:]])
+            row.append(_curve(t, y, _smooth(t, y) if smooth else None))
+        items.append(tuple(row))
+    return Curves(tuple(items))
 
 
 def _series(times: Array, values: Array) -> tuple[Array, Array]:
@@ -109,17 +101,6 @@ class _Rescaled:
     def derivative(self) -> Curve:
         """The slope in natural units."""
         return _Rescaled(self.spline.derivative(), self.origin, self.width, 0.0, self.deviation / self.width)  # type: ignore[attr-defined]
-
-
-def _noise_level(series: list[tuple[Array, Array]], smoothed: list[Curve | None]) -> float:
-    """Root mean square of the distances from the smoothed curves, corrected for degrees of freedom, relative."""
-    pairs = [(y, s(t)) for (t, y), s in zip(series, smoothed, strict=True) if s is not None]
-    if not pairs:
-        return 0.0
-    values = np.concatenate([y for y, _ in pairs])
-    distance = np.concatenate([y - fit for y, fit in pairs])
-    spread = float(values.std())
-    return float(1.4826 * np.median(np.abs(distance)) / spread) if spread > 0 else 0.0
 
 
 def _curve(t: Array, y: Array, smoothed: Curve | None) -> StateCurve | None:

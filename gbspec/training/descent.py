@@ -1,0 +1,171 @@
+"""First-order stages: Adam on minibatches of trajectories with a one-cycle schedule, and L-BFGS on all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from gbspec.data.trajectories import Array
+from gbspec.training.options import TrainOptions
+from gbspec.training.packing import Integers
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Problem
+from gbspec.training.stages import Outcome, State, mean_loss, require_finite, scalar
+from gbspec.training.unroll import measured_residuals, solve, unroll
+
+BETAS, EPSILON, CLIP = (0.9, 0.999), 1e-8, 1.0
+WARMUP = 0.1
+"""The part of all steps in which the learning rate rises."""
+MEMORY = 20
+"""Pairs of steps and gradient differences that L-BFGS keeps."""
+
+
+def loss_and_gradient(problem: Problem, parameters: Parameters, theta: Array, batch: int) -> tuple[float, Array]:
+    """Mean of half squared residuals and its gradient, summed over batches of trajectories to bound the memory."""
+    total, count = 0.0, int((problem.packed.weights > 0).sum())
+    gradient = np.zeros_like(theta)
+    for begin in range(0, parameters.trajectories, batch):
+        index = np.arange(begin, min(begin + batch, parameters.trajectories), dtype=np.int64)
+        value, part = _part(problem.take(index), parameters, theta, index)
+        total += value
+        gradient += part
+    return total / max(count, 1), gradient / max(count, 1)
+
+
+def _part(problem: Problem, parameters: Parameters, theta: Array, index: Integers) -> tuple[float, Array]:
+    """Sum of half squared residuals of some trajectories, and its gradient in the whole vector."""
+    local = parameters.take(index)
+    vector = torch.from_numpy(parameters.take_vector(theta, index)).requires_grad_()
+    residuals = measured_residuals(problem, unroll(problem, local, vector).residuals)
+    loss = 0.5 * (residuals**2).sum()
+    gradient = np.zeros_like(theta)
+    if loss.requires_grad:
+        (found,) = torch.autograd.grad(loss, vector)
+        part = found.numpy()
+        gradient[: parameters.n_shared] = part[: parameters.n_shared]
+        blocks = gradient[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+        blocks[index] = part[parameters.n_shared :].reshape(len(index), parameters.n_local)
+    return float(loss.detach()), gradient
+
+
+class Adam:
+    """Adam (Kingma and Ba 2015); a step of the stage is an epoch.
+
+    The learning rate rises over the first tenth and falls as a cosine (one cycle); gradients are clipped to norm 1.
+    Minibatches are drawn from the seed and the epoch's number, so that a resumed stage draws the same ones.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        total: int,
+        problem_at: Callable[[int], Problem],
+        parameters: Parameters,
+        options: TrainOptions,
+        seed: int,
+    ) -> None:
+        self.name, self.total, self.problem_at, self.parameters = name, total, problem_at, parameters
+        self.options, self.seed = options, seed
+
+    def begin(self, theta: Array) -> State:
+        """The vector, both moments, and the number of updates."""
+        return {
+            "theta": theta,
+            "first": np.zeros_like(theta),
+            "second": np.zeros_like(theta),
+            "updates": np.array(0.0),
+        }
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One pass over all trajectories."""
+        problem, parameters = self.problem_at(iteration), self.parameters
+        theta, first, second = state["theta"].copy(), state["first"].copy(), state["second"].copy()
+        updates = int(scalar(state, "updates"))
+        order = np.random.default_rng([self.seed, 61, iteration]).permutation(parameters.trajectories)
+        batch = self.options.batch_size
+        per_epoch = -(-len(order) // batch)
+        for begin in range(0, len(order), batch):
+            index = np.sort(order[begin : begin + batch]).astype(np.int64)
+            part = problem.take(index)
+            count = max(int((part.packed.weights > 0).sum()), 1)
+            value, gradient = _part(part, parameters, theta, index)
+            if not np.isfinite(value) or not np.isfinite(gradient).all():
+                residuals = solve(problem, parameters, theta)
+                require_finite(problem, parameters, theta, residuals, self.name)
+                continue
+            gradient /= count
+            gradient *= min(1.0, CLIP / max(float(np.linalg.norm(gradient)), 1e-300))
+            updates += 1
+            first = BETAS[0] * first + (1 - BETAS[0]) * gradient
+            second = BETAS[1] * second + (1 - BETAS[1]) * gradient**2
+            rate = self._rate(updates, per_epoch * self.total)
+            corrected = second / (1 - BETAS[1] ** updates)
+            theta -= rate * first / (1 - BETAS[0] ** updates) / (np.sqrt(corrected) + EPSILON)
+        residuals = solve(problem, parameters, theta)
+        require_finite(problem, parameters, theta, residuals, self.name)
+        after: State = {"theta": theta, "first": first, "second": second, "updates": np.array(float(updates))}
+        return Outcome(after, mean_loss(residuals), False)
+
+    def _rate(self, update: int, total: int) -> float:
+        peak, rise = self.options.learning_rate, max(WARMUP * total, 1.0)
+        if update <= rise:
+            return peak * update / rise
+        return peak * (0.01 + 0.99 * 0.5 * (1 + float(np.cos(np.pi * (update - rise) / max(total - rise, 1.0)))))
+
+
+class LimitedMemory:
+    """L-BFGS (Nocedal 1980) with backtracking to Armijo's condition; a step of the stage is an iteration."""
+
+    def __init__(
+        self, name: str, total: int, problem_at: Callable[[int], Problem], parameters: Parameters, batch: int
+    ) -> None:
+        self.name, self.total, self.problem_at, self.parameters, self.batch = name, total, problem_at, parameters, batch
+
+    def begin(self, theta: Array) -> State:
+        """The vector and an empty memory."""
+        return {"theta": theta, "steps": np.zeros((0, len(theta))), "changes": np.zeros((0, len(theta)))}
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One quasi-Newton step."""
+        problem, theta = self.problem_at(iteration), state["theta"]
+        value, gradient = loss_and_gradient(problem, self.parameters, theta, self.batch)
+        require_finite(problem, self.parameters, theta, np.array([value, *gradient]), self.name)
+        direction = -self._apply(state, gradient)
+        slope = float(gradient @ direction)
+        if slope >= 0:
+            direction, slope = -gradient, -float(gradient @ gradient)
+        length = 1.0 if len(state["steps"]) else min(1.0, 0.1 / max(float(np.linalg.norm(gradient)), 1e-300))
+        for _ in range(30):
+            trial = theta + length * direction
+            residuals = solve(problem, self.parameters, trial)
+            if mean_loss(residuals) <= value + 1e-4 * length * slope:
+                break
+            length *= 0.5
+        else:
+            return Outcome(state, value, True)
+        _, new_gradient = loss_and_gradient(problem, self.parameters, trial, self.batch)
+        s, y = trial - theta, new_gradient - gradient
+        steps, changes = state["steps"], state["changes"]
+        if float(s @ y) > 1e-12 * float(y @ y):
+            steps, changes = np.vstack([steps, s])[-MEMORY:], np.vstack([changes, y])[-MEMORY:]
+        loss = mean_loss(residuals)
+        after: State = {"theta": trial, "steps": steps, "changes": changes}
+        return Outcome(after, loss, value - loss <= 1e-9 * max(value, 1e-300))
+
+    @staticmethod
+    def _apply(state: State, gradient: Array) -> Array:
+        """The inverse Hessian's approximation times a vector: the two-loop recursion."""
+        pairs = list(zip(state["steps"], state["changes"], strict=True))
+        q, factors = gradient.copy(), []
+        for s, y in reversed(pairs):
+            factor = float(s @ q) / float(s @ y)
+            factors.append(factor)
+            q -= factor * y
+        if pairs:
+            s, y = pairs[-1]
+            q *= float(s @ y) / float(y @ y)
+        for (s, y), factor in zip(pairs, reversed(factors), strict=True):
+            q += s * (factor - float(y @ q) / float(s @ y))
+        return q
