@@ -51,6 +51,7 @@ def load_model(path: str | Path, findings: Findings) -> Model:
     """
     from gbspec.ir.verify import verify
     from gbspec.lower import lower
+    from gbspec.passes.claims import check_claims
     from gbspec.passes.contracts import with_contracts
     from gbspec.semantics import check
     from gbspec.syntax.parser import parse
@@ -63,6 +64,7 @@ def load_model(path: str | Path, findings: Findings) -> Model:
     model = lower(checked, findings)
     findings.raise_if_failed()
     verify(model)
+    check_claims(model, findings)
     model = with_contracts(model, findings)
     findings.raise_if_failed()
     return model

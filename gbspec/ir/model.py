@@ -339,6 +339,10 @@ class Model:
         known = {truth.name for truth in self.truth_functions}
         return all(unknown.name in known for unknown in self.unknowns)
 
+    def accepts(self, code: str, name: str | None = None) -> bool:
+        """Whether the author accepts the warning `code` about `name` by an `allow`."""
+        return any(allowed == code and about in (None, name) for allowed, about in self.allowed)
+
     def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
         """The expressions with every intermediate replaced by what it stands for."""
         table: dict[sympy.Symbol, Expr] = {}

@@ -12,7 +12,6 @@ import pytest
 
 from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.render import render_text
-from gbspec.syntax.parser import parse, read_source
 
 HERE = Path(__file__).parent
 FILES = sorted(path for path in HERE.glob("*/*.gb") if not path.stem.startswith("_"))
@@ -29,19 +28,10 @@ def rendered_findings(path: Path) -> str:
 
 
 def run_front_end(path: Path, findings: Findings) -> None:
-    """Reads, parses, checks and, where there is no error, lowers a file."""
-    from gbspec.lower import lower
-    from gbspec.passes.contracts import with_contracts
-    from gbspec.semantics import check
+    """Everything that `gbspec check` does before it looks for what data cannot tell."""
+    from gbspec.driver import load_model
 
-    file = parse(read_source(path), findings)
-    if file is None:
-        return
-    checked = check(file, findings, read_source)
-    if checked is not None and not findings.failed:
-        model = lower(checked, findings)
-        if not findings.failed:
-            with_contracts(model, findings)
+    load_model(path, findings)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")

@@ -6,30 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from gbspec.diagnostics import Findings, Source
+from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.catalogue import Entry, entries
-from gbspec.lower import lower
-from gbspec.semantics import check
-from gbspec.syntax.parser import parse
+from gbspec.driver import load_model
 
-TOPICS = {"names", "balances", "learning"}
+TOPICS = {"names", "balances", "learning", "conservation"}
 ENTRIES = [entry for entry in entries().values() if entry.topic in TOPICS]
 
 
 def findings_of(text: str, folder: Path) -> Findings:
-    name = text.split()[1]
-    path = folder / f"{name}.gb"
+    path = folder / f"{text.split()[1]}.gb"
     path.write_text(text)
     findings = Findings()
-
-    def load(path: Path) -> Source:
-        return Source(str(path), path.read_text())
-
-    file = parse(load(path), findings)
-    assert file is not None
-    checked = check(file, findings, load)
-    if checked is not None:
-        lower(checked, findings)
+    try:
+        load_model(path, findings)
+    except UserError as error:
+        findings.extend(error.diagnostics)
     return findings
 
 

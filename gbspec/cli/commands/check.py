@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -10,6 +11,7 @@ from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Findings, Severity, UserError
 from gbspec.ir.model import Model
+from gbspec.passes.conservation import Law, linear_laws
 from gbspec.report.text import model_summary, start
 
 
@@ -26,14 +28,16 @@ def run(
     for name in models:
         findings = Findings()
         model: Model | None = None
+        laws: Sequence[Law] = ()
         try:
             model = driver.load_model(name, findings)
         except UserError as error:
             findings.extend(error.diagnostics)
         everything.extend(findings)
-        documents.append(describe(name, model, findings))
         if model is not None:
-            output.summary(model_summary(model))
+            laws = linear_laws(model)
+            output.summary(model_summary(model) + "".join(f"conserved {law}\n" for law in laws))
+        documents.append(describe(name, model, findings, laws))
     output.findings(everything)
     output.document({"files": documents})
     warnings = [d for d in everything if d.severity is Severity.WARNING]
@@ -43,7 +47,7 @@ def run(
         raise ExitWith(WRONG_INPUT)
 
 
-def describe(path: str, model: Model | None, findings: Findings) -> dict[str, Any]:
+def describe(path: str, model: Model | None, findings: Findings, laws: Sequence[Law] = ()) -> dict[str, Any]:
     """One entry of `files` of `check --json`; of a model that cannot be read the parts are empty."""
     from gbspec.diagnostics.render import to_json
 
@@ -60,7 +64,7 @@ def describe(path: str, model: Model | None, findings: Findings) -> dict[str, An
             {"names": n.outputs, "arguments": [a.name for a in n.arguments], "parameters": n.parameters}
             for n in parts.networks
         ],
-        "laws": [],
+        "laws": [str(law) for law in laws],
         "identifiability": None,
         "diagnostics": [to_json(d) for d in findings],
         "channels": [channel.name for channel in parts.channels],

@@ -1,0 +1,188 @@
+"""`conserve` claims: each proved, or refuted with the terms that remain, whatever the unknown functions are.
+
+The rate of a quantity Q(x, t) along the balances x' = f is the sum of dQ/dx_i f_i plus dQ/dt. That it equals what is
+claimed is an identity, decided in three steps of growing cost: with process rates as free symbols, with everything
+written out, and with the constants at their values. In each, applications of unknowns are free symbols, and an
+expression that does not cancel as it stands is evaluated at random points to 50 digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import sympy
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.ir.model import Claim, Expr, Model
+from gbspec.passes.conservation import as_text
+from gbspec.passes.terms import Opened, constants_of, exact, terms
+
+DIGITS = 50
+POINTS = 6
+ROUNDING = sympy.Float("1e-12")
+"""With constants at their values, what cancels to this part of its terms counts as rounding of these values."""
+
+_NOTHING: Mapping[sympy.Symbol, Expr] = {}
+_PIECEWISE = (sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max, sympy.sign)
+
+
+class Verdict(Enum):
+    """What is known of an identity."""
+
+    HOLDS = "holds"
+    FAILS = "fails"
+    UNDECIDED = "undecided"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict on a claim, and for one that fails what its rate differs by."""
+
+    claim: Claim
+    verdict: Verdict
+    difference: Expr = sympy.S.Zero
+
+
+def check_claims(model: Model, findings: Findings) -> None:
+    """Decides every claim; reports one that fails (GB330), needs the rate of an input (GB332) or stays open (GB331)."""
+    for claim in model.claims:
+        inputs = [i.name for i in model.inputs if i.symbol in model.inlined([claim.value])[0].free_symbols]
+        if inputs:
+            findings.error(
+                "GB332",
+                f"`{claim.name}` contains the input `{inputs[0]}`, whose rate of change is not known",
+                claim.span,
+                help="claim something about states; an input may stand after `rate`",
+                subject=claim.name,
+            )
+            continue
+        decision = decide(model, claim)
+        if decision.verdict is Verdict.FAILS:
+            _refuted(model, decision, findings)
+        elif decision.verdict is Verdict.UNDECIDED and not model.accepts("GB331", claim.name):
+            findings.warning(
+                "GB331",
+                f"whether `{claim.name}` is conserved could not be decided",
+                claim.span,
+                help=f"write its parts more simply, or accept it with `allow GB331 {claim.name}`",
+                subject=claim.name,
+            )
+
+
+def decide(model: Model, claim: Claim) -> Decision:
+    """Whether the claim holds for every state, time, constant and unknown function."""
+    free = _difference(model, claim, model.balances, claim.value, claim.rate)
+    if free is not None and _vanishes(model, free) is Verdict.HOLDS:
+        return Decision(claim, Verdict.HOLDS)
+    *balances, value, rate = model.inlined([*model.balances, claim.value, claim.rate])
+    whole = _difference(model, claim, balances, value, rate)
+    assert whole is not None
+    verdict = _vanishes(model, whole)
+    if verdict is not Verdict.HOLDS:
+        numbers = {c.symbol: sympy.Rational(repr(c.value)) for c in model.constants}
+        if numbers and _vanishes(model, whole, numbers) is Verdict.HOLDS:
+            verdict = Verdict.HOLDS
+    return Decision(claim, verdict, whole)
+
+
+def _difference(model: Model, claim: Claim, balances: Sequence[Expr], value: Expr, rate: Expr) -> Expr | None:
+    """The rate of `value` less what is claimed; None where `value` still holds intermediates."""
+    if value.free_symbols & {i.symbol for i in model.intermediates}:
+        return None
+    parts = [sympy.diff(value, s.symbol) * balance for s, balance in zip(model.states, balances, strict=True)]
+    return sympy.Add(*parts, sympy.diff(value, model.time.symbol), -rate)
+
+
+# ------------------------------------------------------------------------------------------------------- identities
+
+
+def _vanishes(model: Model, expression: Expr, numbers: Mapping[sympy.Symbol, Expr] = _NOTHING) -> Verdict:
+    """Whether an expression is zero for all values of its symbols, those in `numbers` at their values."""
+    opened = Opened(constants_of(model))
+    plain = opened.open(expression)
+    table = opened.split(plain)
+    if not table:
+        return Verdict.HOLDS
+    opaque = {atom: sympy.Dummy(real=True) for atom in plain.atoms(*_PIECEWISE)}
+    if _zero_at_points(_outermost(plain, opaque), numbers):
+        return Verdict.HOLDS
+    if not opaque:
+        return Verdict.FAILS
+    return Verdict.UNDECIDED if _zero_at_points(plain, numbers) else Verdict.FAILS
+
+
+def _outermost(expression: Expr, opaque: dict[Expr, sympy.Dummy]) -> Expr:
+    """What has branches stands for any number: an identity that holds then holds on every branch."""
+    return expression.xreplace(opaque) if opaque else expression
+
+
+def _zero_at_points(expression: Expr, numbers: Mapping[sympy.Symbol, Expr]) -> bool:
+    tolerance = ROUNDING if numbers else sympy.Float(f"1e-{DIGITS - 15}", DIGITS)
+    parts = terms(exact(expression))
+    symbols = sorted(expression.free_symbols, key=sympy.default_sort_key)
+    for point in range(POINTS):
+        place = {s: numbers.get(s, _coordinate(point, i)) for i, s in enumerate(symbols)}
+        values = [term.xreplace(place) for term in parts]
+        total = sympy.Add(*values)
+        if total == 0:
+            continue
+        size = sympy.Add(*(abs(value) for value in values)).evalf(DIGITS)
+        if not size.is_number or not size.is_finite:
+            continue
+        if abs(total.evalf(DIGITS)) > size * tolerance:
+            return False
+    return True
+
+
+def _coordinate(point: int, index: int) -> Expr:
+    """Coordinates between 0.2 and 3, by the golden ratio: far from special values and the same every time."""
+    fraction = (sympy.Rational(6180339887, 10**10) * (point * 101 + index * 7 + 1)) % 1
+    return sympy.Rational(1, 5) + fraction * sympy.Rational(14, 5)
+
+
+# -------------------------------------------------------------------------------------------------------- reporting
+
+
+def _refuted(model: Model, decision: Decision, findings: Findings) -> None:
+    claim = decision.claim
+    opened = Opened(constants_of(model))
+    remains = opened.split(opened.open(decision.difference))
+    shown = _sum_as_text(_terms(remains, opened))
+    places = [
+        Label(state.span, "its balance brings this in")
+        for state, balance in zip(model.states, model.inlined(model.balances), strict=True)
+        if state.span is not None
+        and set(remains) & set(opened.split(opened.open(_contribution(model, claim, state.symbol, balance))))
+    ]
+    than = "0" if claim.rate == 0 else f"`{as_text(claim.rate)}`"
+    total = opened.split(opened.open(decision.difference + model.inlined([claim.rate])[0]))
+    rate = _sum_as_text(_terms(total, opened)) if total else "0"
+    findings.error(
+        "GB330",
+        f"`{claim.name}` does not change at the rate that is claimed"
+        if claim.rate != 0
+        else f"`{claim.name}` is not conserved",
+        claim.span,
+        label=f"{shown} remains",
+        labels=places[:4],
+        notes=[f"its rate of change is {rate}, not {than}"],
+        help="mend a balance, or claim what holds"
+        + (f": `conserve {claim.name} = … rate {rate.strip('`')}`" if len(rate) < 60 and "…" not in rate else ""),
+        subject=claim.name,
+    )
+
+
+def _terms(table: Mapping[Expr, Expr], opened: Opened) -> list[Expr]:
+    """The terms of a split expression as the user knows them, the simplest first."""
+    return sorted((opened.close(key * coefficient) for key, coefficient in table.items()), key=lambda e: e.count_ops())
+
+
+def _contribution(model: Model, claim: Claim, state: sympy.Symbol, balance: Expr) -> Expr:
+    return sympy.diff(model.inlined([claim.value])[0], state) * balance
+
+
+def _sum_as_text(parts: Sequence[Expr], most: int = 3) -> str:
+    text = " + ".join(as_text(part) for part in parts[:most]).replace("+ -", "- ")
+    return f"`{text}`" if len(parts) <= most else f"`{text} + …` ({len(parts)} terms)"

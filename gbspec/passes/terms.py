@@ -1,0 +1,106 @@
+"""Right sides as sums of terms, each a constant coefficient times something that varies; unknowns are left open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import product
+
+import sympy
+from sympy.core.function import AppliedUndef
+
+from gbspec.ir.model import Expr, Model
+
+MOST_TERMS = 2000
+"""A product of sums that would have more terms than this is left as it is."""
+
+
+def exact(expression: Expr) -> Expr:
+    """The expression with every float as the decimal number that it was written as, so that sums cancel exactly."""
+    floats = expression.atoms(sympy.Float)
+    return expression.xreplace({f: sympy.Rational(repr(float(f))) for f in floats}) if floats else expression
+
+
+def term_count(expression: Expr) -> int:
+    """How many terms the expression has once its products are multiplied out (powers of sums are not)."""
+    if expression.is_Add:
+        return sum(term_count(part) for part in expression.args)
+    if expression.is_Mul:
+        count = 1
+        for part in expression.args:
+            count *= term_count(part)
+            if count > MOST_TERMS:
+                return count
+        return count
+    return 1
+
+
+def terms(expression: Expr) -> list[Expr]:
+    """The terms of an expression with its products of sums multiplied out, unless that would make it huge.
+
+    (`sympy.expand_mul` also multiplies out denominators, after which equal terms need not look equal.)
+    """
+    if term_count(expression) > MOST_TERMS:
+        return list(sympy.Add.make_args(expression))
+    if expression.is_Add:
+        return [term for part in expression.args for term in terms(part)]
+    if expression.is_Mul and any(part.is_Add for part in expression.args):
+        return [term for choice in product(*map(terms, expression.args)) for term in _again(sympy.Mul(*choice))]
+    return [expression]
+
+
+def _again(term: Expr) -> list[Expr]:
+    """A product may have become a sum: `2*(a + b)` is one to sympy."""
+    return terms(term) if term.is_Add else [term]
+
+
+@dataclass
+class Opened:
+    """Expressions in which each distinct application of an unknown is a symbol of its own: it may be any number.
+
+    `applications` maps them; those whose arguments are all constant are constant themselves.
+    """
+
+    constants: frozenset[sympy.Symbol]
+    applications: dict[Expr, sympy.Dummy] = field(default_factory=dict)
+    fixed: set[sympy.Dummy] = field(default_factory=set)
+
+    def open(self, expression: Expr) -> Expr:
+        """The expression, exact, with applications replaced."""
+        expression = exact(expression)
+        found = expression.atoms(AppliedUndef)
+        if not found:
+            return expression
+        for application in sorted(found, key=sympy.default_sort_key):
+            if application not in self.applications:
+                dummy = sympy.Dummy(application.func.__name__, real=True)
+                self.applications[application] = dummy
+                if application.free_symbols <= self.constants:
+                    self.fixed.add(dummy)
+        return expression.xreplace(self.applications)
+
+    def close(self, expression: Expr) -> Expr:
+        """The applications put back."""
+        return expression.xreplace({dummy: application for application, dummy in self.applications.items()})
+
+    def split(self, expression: Expr) -> dict[Expr, Expr]:
+        """Coefficients (of constants alone) by what varies; a term without it stands under 1."""
+        table: dict[Expr, list[Expr]] = {}
+        still = self.constants | self.fixed
+        for term in terms(expression):
+            factors = sympy.Mul.make_args(term)
+            coefficient = [f for f in factors if f.free_symbols <= still]
+            varying = [f for f in factors if not f.free_symbols <= still]
+            table.setdefault(sympy.Mul(*varying), []).append(sympy.Mul(*coefficient))
+        sums = {key: sympy.Add(*values) for key, values in table.items()}
+        return {key: value for key, value in sums.items() if value != 0}
+
+
+def constants_of(model: Model) -> frozenset[sympy.Symbol]:
+    """Symbols that do not vary within a trajectory: constants, learnables and conditions."""
+    names: Iterable[sympy.Symbol] = (
+        *(c.symbol for c in model.constants),
+        *(k.symbol for k in model.learnables),
+        *(c.symbol for c in model.conditions),
+    )
+    return frozenset(names)
