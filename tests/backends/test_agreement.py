@@ -25,7 +25,7 @@ from tests.strategies import Point, models, point
 Array = NDArray[np.float64]
 
 RANDOM = settings(
-    max_examples=40,
+    max_examples=25,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
     phases=(Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink),

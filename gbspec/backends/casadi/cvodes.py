@@ -41,6 +41,10 @@ class Problem:
     atol: float
 
 
+class _Stopped(Exception):  # noqa: N818 - what happened, not what is wrong
+    """CVODES could not reach the end of a piece."""
+
+
 class Integrator:
     """Integrates one right-hand side: casadi.Function (t, x, condition, inputs, constants) -> dx.
 
@@ -75,13 +79,13 @@ class Integrator:
         """States [n, n_states] at `times` in a piece, the last of which is its end."""
         try:
             return self._solve(x, piece, times, problem, self._stiff)
-        except RuntimeError:
+        except _Stopped:
             pass
         if not self._stiff:
             # Adams' methods take many steps where a problem is stiff; BDF does not, and is kept from then on.
             try:
                 found = self._solve(x, piece, times, problem, stiff=True)
-            except RuntimeError:
+            except _Stopped:
                 pass
             else:
                 self._stiff = True
@@ -89,7 +93,7 @@ class Integrator:
         raise self._failure(x, piece, times, problem)
 
     def _solve(self, x: Array, piece: Segment, times: Array, problem: Problem, stiff: bool) -> Array:
-        """Raises RuntimeError where CVODES gives up or a state is not finite."""
+        """Raises `_Stopped` where CVODES gives up or a state is not finite."""
         length = piece.end - piece.begin
         grid = (*((times - piece.begin) / length).tolist()[:-1], 1.0)
         solver = self._solver(grid, problem, stiff)
@@ -97,9 +101,12 @@ class Integrator:
         parameters = np.concatenate(
             ([piece.begin, length], problem.condition, piece.inputs, piece.slopes, problem.constants, scales)
         )
-        found = np.array(solver(x0=x / scales, p=parameters)["xf"]).T * scales
+        try:
+            found = np.array(solver(x0=x / scales, p=parameters)["xf"]).T * scales
+        except RuntimeError as error:
+            raise _Stopped from error
         if not np.all(np.isfinite(found)):
-            raise RuntimeError("the solution is not finite")
+            raise _Stopped
         return found
 
     def _solver(self, grid: tuple[float, ...], problem: Problem, stiff: bool) -> Any:
@@ -127,7 +134,7 @@ class Integrator:
             part = Segment(last, float(time), _inputs_at(piece, last), piece.slopes, np.zeros_like(x))
             try:
                 x = self._solve(x, part, np.array([time]), problem, stiff=True)[-1]
-            except RuntimeError:
+            except _Stopped:
                 break
             last = float(time)
         return ComputationError(
@@ -165,7 +172,7 @@ def _scaled(rhs: Any) -> Any:
     return ca.Function(
         "system",
         [tau, y, z, p, u],
-        [length * dx / scales, empty, empty, empty],
+        [ca.densify(length * dx / scales), empty, empty, empty],
         ["t", "x", "z", "p", "u"],
         ["ode", "alg", "quad", "zero"],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 
 from gbspec.ir.model import Condition, Declared, Input, Learnable, Model, Network, Range, State
 
@@ -55,8 +56,8 @@ def attributes(model: Model) -> str:
             "inputs": tuple(item.default for item in model.inputs),
         },
         "ranges": {item.name: _ends(item.range) for item in ranged if item.range is not None},
-        "units": {item.name: item.unit for item in reversed(named) if item.unit},
-        "descriptions": {item.name: item.description for item in reversed(named) if item.description},
+        "units": _first((item.name, item.unit) for item in named),
+        "descriptions": _first((item.name, item.description) for item in named),
         "networks": tuple(_network(model, network) for network in model.networks),
     }
     comments = {
@@ -81,6 +82,15 @@ def _network(model: Model, network: Network) -> dict[str, object]:
         "raw": any(unknown.form is not None for unknown in model.unknowns if unknown.name in network.outputs),
         "layout": None if network.layout is None else network.layout.plain(),
     }
+
+
+def _first(pairs: Iterable[tuple[str, str | None]]) -> dict[str, str]:
+    """What is said of each name, of a channel that is a state what is said of the state."""
+    table: dict[str, str] = {}
+    for name, text in pairs:
+        if text:
+            table.setdefault(name, text)
+    return table
 
 
 def _ends(span: Range) -> tuple[float, float]:

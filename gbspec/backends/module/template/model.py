@@ -109,9 +109,8 @@ class Template:  # {{class}}
             place = place / "members" / str(member) / "weights.safetensors"
         arrays, metadata = _read_tensors(place)
         try:
-            info = json.loads(metadata.get("info", "{}"))
-            return cls(arrays, info)
-        except ValueError as error:
+            return cls(arrays, dict(json.loads(metadata.get("info", "{}"))))
+        except (TypeError, ValueError) as error:
             raise ValueError(f"{place}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:

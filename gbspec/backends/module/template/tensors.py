@@ -43,7 +43,8 @@ def _read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[st
     arrays, spans = {}, []
     for name, entry in header.items():
         try:
-            dtype, shape, (begin, end) = np.dtype(_DTYPES[entry["dtype"]]), entry["shape"], entry["data_offsets"]
+            dtype, shape = np.dtype(_DTYPES[entry["dtype"]]), tuple(entry["shape"])
+            begin, end = entry["data_offsets"]
         except (KeyError, TypeError, ValueError):
             raise wrong(f"the entry of {name!r} is incomplete or of an unknown type") from None
         if not all(type(n) is int and n >= 0 for n in (*shape, begin, end)):
