@@ -23,9 +23,13 @@ from gbspec.report.content import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 P = ParamSpec("P")
+ACROSS = 3
+"""Panels side by side in a figure of functions."""
+SLICES = 3
+"""Slices of one function that are shown; those along which it varies most come first."""
 
 
 def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
@@ -79,31 +83,32 @@ def _heading(trajectory: TrajectoryFit) -> str:
 # ------------------------------------------------------------------------------------------------------ functions
 @_styled
 def functions(learned: Sequence[LearnedFunction]) -> Figure:
-    """One row a function: slices through it, its plane where it has two arguments or more, parity with the truth."""
-    columns = max(_panels(function) for function in learned)
-    made = style.figure(3.2 * columns + 0.3, 2.7 * len(learned) + 0.3)
-    axes = made.subplots(len(learned), columns, squeeze=False)
-    for row, function in zip(axes, learned, strict=True):
-        used = _function_row(made, row, function)
-        for spare in row[used:]:
+    """A block a function: slices through it, its plane where it has two arguments or more, parity with the truth."""
+    rows = [-(-_panels(function) // ACROSS) for function in learned]
+    made = style.figure(3.3 * min(ACROSS, max(_panels(function) for function in learned)) + 0.4, 2.8 * sum(rows) + 0.2)
+    blocks = made.subfigures(len(learned), 1, squeeze=False, height_ratios=rows)[:, 0]
+    for block, function, count in zip(blocks, learned, rows, strict=True):
+        columns = min(ACROSS, _panels(function))
+        panels = list(block.subplots(count, columns, squeeze=False).ravel())
+        for spare in panels[_draw_function(block, panels, function) :]:
             spare.set_axis_off()
     return made
 
 
 def _panels(function: LearnedFunction) -> int:
     planes = 0 if function.plane is None else (1 if function.plane.truth is None else 2)
-    return min(len(function.slices), 3) + planes + (function.truth is not None)
+    return max(1, min(len(function.slices), SLICES) + planes + (function.truth is not None))
 
 
-def _function_row(made: Figure, row: Sequence[Axes], function: LearnedFunction) -> int:
+def _draw_function(block: SubFigure, panels: Sequence[Axes], function: LearnedFunction) -> int:
     used = 0
-    for piece in function.slices[:3]:
-        draw_slice(row[used], function.name, piece, legend=used == 0)
+    for piece in function.slices[:SLICES]:
+        draw_slice(panels[used], function.name, piece, legend=used == 0)
         used += 1
     if function.plane is not None:
-        used += _draw_plane(made, row[used:], function.name, function.plane)
+        used += _draw_plane(block, panels[used:], function.name, function.plane)
     if function.truth is not None:
-        draw_parity(row[used], function)
+        draw_parity(panels[used], function)
         used += 1
     return used
 
@@ -121,37 +126,39 @@ def draw_slice(axes: Axes, name: str, piece: Slice, *, legend: bool = True) -> N
         axes.legend(loc="best")
 
 
-def _draw_plane(made: Figure, row: Sequence[Axes], name: str, plane: Plane) -> int:
+def _draw_plane(block: SubFigure, row: Sequence[Axes], name: str, plane: Plane) -> int:
     shown = [("learned", plane.learned)] + ([("truth", plane.truth)] if plane.truth is not None else [])
     low = min(float(np.nanmin(values)) for _, values in shown)
     high = max(float(np.nanmax(values)) for _, values in shown)
     for axes, (word, values) in zip(row, shown, strict=False):
         mesh = axes.pcolormesh(
-            plane.x, plane.y, values, vmin=low, vmax=high, cmap="viridis", shading="gouraud", rasterized=True
+            plane.x, plane.y, values, vmin=low, vmax=high, cmap="viridis", shading="nearest", rasterized=True
         )
         axes.set_xlabel(plane.x_name)
         axes.set_ylabel(plane.y_name)
         axes.set_title(f"{name}, {word}" + (f" at {plane.label}" if plane.label else ""), fontsize=8.5)
         axes.grid(visible=False)
-    made.colorbar(mesh, ax=list(row[: len(shown)]), fraction=0.05, pad=0.02)
+        axes.set_facecolor("#f2f4f7")
+        block.colorbar(mesh, ax=axes, fraction=0.06, pad=0.03)
     return len(shown)
 
 
 def draw_parity(axes: Axes, function: LearnedFunction) -> None:
-    """Learned against true values at the points that the data visit, with the largest error."""
+    """Learned against true values at the points that the data visit, the outermost two in a thousand left out."""
     if function.truth is None:
         raise ValueError("parity needs a truth")
-    learned = function.members.mean(axis=0)
-    low = float(min(learned.min(), function.truth.min()))
-    high = float(max(learned.max(), function.truth.max()))
+    learned, truth = function.members.mean(axis=0), function.truth
+    low, high = np.quantile(np.concatenate([learned, truth]), [0.002, 0.998])
+    shown = (np.minimum(learned, truth) >= low) & (np.maximum(learned, truth) <= high)
     axes.plot([low, high], [low, high], color=style.MUTED, linewidth=0.9, zorder=2)
-    axes.plot(function.truth, learned, ".", color=style.LEARNED, markersize=3, alpha=0.45, zorder=3, rasterized=True)
+    axes.plot(
+        truth[shown], learned[shown], ".", color=style.LEARNED, markersize=3, alpha=0.45, zorder=3, rasterized=True
+    )
     axes.set_xlabel(f"true {function.name}")
     axes.set_ylabel(f"learned {function.name}")
-    error = float(np.sqrt(np.mean((learned - function.truth) ** 2)))
-    span = high - low
-    share = f", {100 * error / span:.2g} % of range" if span > 0 else ""
-    axes.set_title(f"rms error {error:.2g}{share}", fontsize=8.5)
+    error = float(np.median(np.abs(learned - truth)))
+    share = f"{100 * error / (high - low):.2g} % of range" if high > low else f"{error:.2g}"
+    axes.set_title(f"median error {share}", fontsize=8.5)
 
 
 # ------------------------------------------------------------------------------------------------------ constants
@@ -229,7 +236,7 @@ def _draw_stages(column: Sequence[Axes], member: History) -> None:
         for axes in column:
             if k % 2:
                 axes.axvspan(left, right, color="#f2f4f7", linewidth=0, zorder=0)
-        if (right - left) / total > 0.06:
+        if (right - left) / total > 0.013 * len(member.stage[first]):
             place: Any = {"transform": column[0].get_xaxis_transform(), "ha": "center", "va": "bottom"}
             column[0].text((left + right) / 2, 1.01, member.stage[first], fontsize=7.5, color="#555555", **place)
 

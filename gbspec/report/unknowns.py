@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
@@ -15,6 +16,10 @@ from gbspec.report.collect import Fitted, visited
 from gbspec.report.content import LearnedFunction, Plane, Slice
 
 CURVE, GRID = 160, 60
+NEAR = 20
+"""Points that a slice needs near it before they set its range."""
+FAR = 0.06
+"""Parts of a plane further than this (in widths of the axes) from every visited point are left blank."""
 EDGE = 0.02
 """The share of visited points left out at either end of an argument's range: a few outliers do not set the axis."""
 
@@ -84,7 +89,9 @@ class _Drawn:
             self.points,
             self.members(self.points),
             self.true(self.points),
-            tuple(self.slice(i) for i in varying),
+            tuple(
+                sorted((self.slice(i) for i in varying), key=lambda piece: -float(np.ptp(piece.members.mean(axis=0))))
+            ),
             self.plane(varying[0], varying[1]) if len(varying) > 1 else None,
         )
 
@@ -97,11 +104,22 @@ class _Drawn:
         return None if self.truth is None else self.truth(points)
 
     def slice(self, i: int) -> Slice:
-        """The function along argument `i`, the others at their medians."""
-        x = np.linspace(self.low[i], self.high[i], CURVE)
+        """The function along argument `i`, the others at their medians, as far as the data go there."""
+        x = np.linspace(*self.reach(i), CURVE)
         points = np.tile(self.middle, (CURVE, 1))
         points[:, i] = x
         return Slice(self.arguments[i], x, self.members(points), self.true(points), self._label({i}))
+
+    def reach(self, i: int) -> tuple[float, float]:
+        """The range of argument `i` among the points whose other arguments lie in their middle halves."""
+        lower, upper = np.quantile(self.points, [0.25, 0.75], axis=0)
+        inside = (self.points >= lower) & (self.points <= upper)
+        inside[:, i] = True
+        column = self.points[inside.all(axis=1), i]
+        if len(column) < NEAR:
+            return float(self.low[i]), float(self.high[i])
+        low, high = np.quantile(column, [EDGE, 1 - EDGE])
+        return (float(low), float(high)) if high > low else (float(self.low[i]), float(self.high[i]))
 
     def plane(self, i: int, j: int) -> Plane:
         """The function over the plane of two arguments, the others at their medians."""
@@ -109,10 +127,24 @@ class _Drawn:
         points = np.tile(self.middle, (GRID * GRID, 1))
         points[:, i], points[:, j] = (axis.ravel() for axis in np.meshgrid(x, y))
         true = self.true(points)
-        learned = self.members(points).mean(axis=0).reshape(GRID, GRID)
-        reference = None if true is None else true.reshape(GRID, GRID)
+        far = self._far(points[:, [i, j]], [i, j])
+        learned = np.where(far, np.nan, self.members(points).mean(axis=0)).reshape(GRID, GRID)
+        reference = None if true is None else np.where(far, np.nan, true).reshape(GRID, GRID)
         return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}))
+
+    def _far(self, places: Array, columns: list[int]) -> NDArray[np.bool_]:
+        """Which places [P, 2] in the plane of two arguments lie far from every visited point."""
+        from scipy.spatial import KDTree
+
+        width = self.high[columns] - self.low[columns]
+        distance, _ = KDTree(self.points[:, columns] / width).query(places / width)
+        return np.asarray(distance > FAR, dtype=np.bool_)
 
     def _label(self, varied: set[int]) -> str:
         fixed = [i for i in range(len(self.arguments)) if i not in varied]
         return ", ".join(f"{self.arguments[i]} = {self.middle[i]:.3g}" for i in fixed)
+
+
+def _flatness(piece: Slice) -> float:
+    """Slices along which the function varies most come first."""
+    return -float(np.ptp(piece.members.mean(axis=0)))
