@@ -10,6 +10,7 @@ import sympy
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from gbspec.ir.forms import logistic, softplus
 from gbspec.ir.model import (
     NN,
     Argument,
@@ -63,6 +64,8 @@ FUNCTIONS: dict[type[sympy.Basic], Callable[[Expr], Expr]] = {
     sympy.cot: lambda a: sympy.cot(1 + sympy.tanh(a) / 2),
     sympy.sec: lambda a: sympy.sec(sympy.tanh(a)),
     sympy.csc: lambda a: sympy.csc(1 + sympy.tanh(a) / 2),
+    softplus: softplus,
+    logistic: logistic,
 }
 
 POWERS: tuple[Callable[[Expr], Expr], ...] = (

@@ -10,6 +10,7 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
+from gbspec.ir.forms import logistic, softplus
 from gbspec.ir.model import NN, Expr, Model
 from gbspec.ir.tableaus import RK4
 from tests.strategies import Point
@@ -124,6 +125,8 @@ FUNCTIONS: Mapping[type[sympy.Basic], Callable[..., Any]] = {
         getattr(sympy, name): getattr(mpmath, name)
         for name in ["asin", "acos", "atan", "asinh", "acosh", "atanh", "atan2", "sign"]
     },
+    softplus: lambda a: mpmath.log(1 + mpmath.exp(a)),
+    logistic: lambda a: 1 / (1 + mpmath.exp(-a)),
     sympy.StrictLessThan: lambda a, b: a < b,
     sympy.LessThan: lambda a, b: a <= b,
     sympy.StrictGreaterThan: lambda a, b: a > b,
