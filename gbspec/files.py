@@ -21,7 +21,7 @@ def existing(path: str | Path, *, kind: str = "file") -> Path:
 
 
 def writable(path: str | Path) -> Path:
-    """The path, if a file can be written there; raises `UserError` (GB802, GB803) otherwise. Writes nothing."""
+    """The path, if a file can be written there; raises `UserError` (GB802, GB805) otherwise. Writes nothing."""
     target = Path(path)
     if target.is_dir():
         message = f"`{path}` is a directory; a file name is wanted"
@@ -29,10 +29,10 @@ def writable(path: str | Path) -> Path:
     folder = target.parent
     if not folder.is_dir():
         message = f"`{path}` cannot be written: there is no folder `{folder}`"
-        raise UserError([Diagnostic("GB803", message, None, help=f"make it first: mkdir -p {folder}")])
+        raise UserError([Diagnostic("GB805", message, None, help=f"make it first: mkdir -p {folder}")])
     if not os.access(target if target.exists() else folder, os.W_OK):
         message = f"`{path}` cannot be written: permission denied"
-        raise UserError([Diagnostic("GB803", message, None, help="choose another path")])
+        raise UserError([Diagnostic("GB805", message, None, help="choose another path")])
     return target
 
 

@@ -169,7 +169,7 @@ class Parameters:
     def natural(self, theta: Array) -> Weights:
         """The content of a weights file: network arrays and scales, constants, learned initial states."""
         vector = torch.as_tensor(theta, dtype=torch.float64)
-        out = {name: np.array(value, dtype=np.float64) for name, value in self.weights(vector).items()}
+        out = {name: value.numpy().astype(np.float64) for name, value in self.weights(vector).items()}
         constants = self.constants(vector).numpy()
         names = self.model.constant_names
         known = len(self.model.constants)
