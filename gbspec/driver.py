@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gbspec.analysis.eigen import Eigen
+    from gbspec.analysis.predict import Prediction
     from gbspec.analysis.system import System
     from gbspec.analysis.validate import Validation
     from gbspec.backends.casadi.evaluator import Evaluator
@@ -167,7 +168,13 @@ def eigen(
     truth = None
     if source.run is not None and source.model.has_truth:
         truth = system(reference(source.model))
-    return run(system(source), truth=truth, at=at, along=along, steady=steady)
+    predicted: list[Prediction] = []
+    if along is not None:
+        from gbspec.analysis.estimate import predictions
+
+        data = {} if source.run is None else source.run.fit.get("data", {})
+        predicted = predictions(source.evaluator, source.model, along, data)
+    return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
 
 
 def training_data(run: Run, findings: Findings) -> Trajectories | None:

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 RTOL = 1e-8
 """Relative tolerance of the truth's solutions, from given starts."""
-DRAWN = 1e-6
+DRAWN = 1e-5
 """Relative tolerance of the solutions that lead to a test point: where exactly it lies does not matter."""
 ATTEMPTS = 200
 CHECKS = 32

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from gbspec.analysis.steady import ordered_eigenvalues, steady_states
 from gbspec.analysis.system import System, state_at
+from gbspec.data.signals import evaluate
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories
+    from gbspec.analysis.predict import Prediction
+    from gbspec.data.trajectories import Trajectories, Trajectory
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -35,8 +37,9 @@ def format_eigenvalue(value: complex) -> str:
 class EigenPoint:
     """The Jacobian's eigenvalues at one point, by falling real part, and the truth's at the same point.
 
-    `kind` says what the point is: given, on a trajectory (`trajectory` and `time` say where), or a steady state of the
-    model. `outside` names what lies outside of its plausible or trained range there.
+    `kind` says what the point is: `given`; `data` (measured) or `predicted`, on a trajectory that `trajectory` and
+    `time` name; or a `steady` state of the model. `outside` names what lies outside of its trained (else plausible)
+    range there.
     """
 
     state: Mapping[str, float]
@@ -75,18 +78,67 @@ class EigenPoint:
         return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Eigen:
-    """Eigenvalues at several points."""
+FAST = 3.0
+"""A mode that falls to exp(-3), a twentieth, between two measurements leaves nothing for the second one to see."""
 
-    points: tuple[EigenPoint, ...] = field(default=())
+
+@dataclass(frozen=True)
+class FastMode:
+    """A mode that dies out between two measurements, so that the data could not determine it.
+
+    `fastest` and `slowest` are the ends of its real part over the points; `decayed` is the time by which even the
+    slowest of them has fallen to a twentieth.
+    """
+
+    rank: int
+    fastest: float
+    slowest: float
+
+    @property
+    def decayed(self) -> float:
+        """The time by which it has fallen to a twentieth everywhere."""
+        return -FAST / self.slowest
 
     def to_json(self) -> dict[str, object]:
-        """The document of `eigen --json`."""
-        return {"points": [point.to_json() for point in self.points]}
+        """Rank (from 0, by falling real part), real parts and the time of decay."""
+        return {"rank": self.rank, "fastest": self.fastest, "slowest": self.slowest, "decayed": self.decayed}
+
+
+@dataclass(frozen=True)
+class Eigen:
+    """Eigenvalues at several points; `interval` is the usual time between measurements, where there are data."""
+
+    points: tuple[EigenPoint, ...] = field(default=())
+    interval: float | None = None
+
+    @property
+    def fast_modes(self) -> tuple[FastMode, ...]:
+        """The modes that die out between two measurements at every point; none without data."""
+        if self.interval is None or not self.points:
+            return ()
+        rates = np.array([point.eigenvalues.real for point in self.points])
+        return tuple(
+            FastMode(rank, float(column.min()), float(column.max()))
+            for rank, column in enumerate(rates.T)
+            if column.max() * self.interval < -FAST
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `eigen --json`: points, the interval between measurements, and the modes it cannot show."""
+        return {
+            "points": [point.to_json() for point in self.points],
+            "interval": self.interval,
+            "fast_modes": [mode.to_json() for mode in self.fast_modes],
+        }
 
     def __str__(self) -> str:
-        return "\n".join(map(str, self.points)) or "no points"
+        lines = [str(point) for point in self.points] or ["no points"]
+        lines += [
+            f"mode {mode.rank + 1} (real part {mode.fastest:.4g} to {mode.slowest:.4g}) dies out within "
+            f"{mode.decayed:.3g}, between two measurements ({self.interval:.3g} apart): the data could not determine it"
+            for mode in self.fast_modes
+        ]
+        return "\n".join(lines)
 
 
 def eigen_at(system: System, x: Array, truth: System | None = None, time: float | None = None) -> EigenPoint:
@@ -113,6 +165,7 @@ def eigen(
     truth: System | None = None,
     at: Sequence[Mapping[str, float]] = (),
     along: Trajectories | None = None,
+    predicted: Sequence[Prediction] = (),
     steady: bool = False,
     starts: int = 64,
 ) -> Eigen:
@@ -120,8 +173,9 @@ def eigen(
 
     With `steady`, steady states are sought at every entry of `at` (which then need name no states), else at the
     default of every condition, or at five values across the range of the one condition without a default. Along data,
-    the points are the rows at which every state is measured as a channel of its own. Raises UserError for points that
-    name what the model does not have or leave out what it needs (GB870, GB871).
+    the points are the rows at which every state is measured as a channel of its own, or with `predicted` (one for each
+    trajectory) all rows, at the predicted states where some state is not measured. Raises UserError for points that
+    name what the model does not have or leave out what it needs (GB870, GB871), GB874 for data that measure too little.
     """
     findings = Findings()
     points: list[EigenPoint] = []
@@ -136,8 +190,8 @@ def eigen(
                 points.append(eigen_at(*place, truth))
     findings.raise_if_failed()
     if along is not None:
-        points.extend(_along(system, along, truth))
-    return Eigen(tuple(points))
+        points.extend(_along(system, along, predicted, truth))
+    return Eigen(tuple(points), None if along is None else usual_interval(along))
 
 
 def _settings(system: System, at: Sequence[Mapping[str, float]], findings: Findings) -> Iterable[System]:
@@ -158,26 +212,43 @@ def _settings(system: System, at: Sequence[Mapping[str, float]], findings: Findi
     return [system]
 
 
-def _along(system: System, data: Trajectories, truth: System | None) -> Iterable[EigenPoint]:
-    """The rows of a table at which every state is measured."""
-    findings = Findings()
+def usual_interval(data: Trajectories) -> float | None:
+    """The median time between two rows of a trajectory; None where no trajectory has two."""
+    intervals = np.concatenate([np.diff(item.times) for item in data.items])
+    return float(np.median(intervals)) if len(intervals) else None
+
+
+def _along(
+    system: System, data: Trajectories, predicted: Sequence[Prediction], truth: System | None
+) -> Iterable[EigenPoint]:
+    """The rows of a table: measured states where all of them are, else predicted ones."""
     missing = [name for name in system.states if name not in data.channels]
-    if missing:
+    if missing and not predicted:
+        findings = Findings()
         names = ", ".join(f"`{name}`" for name in missing)
         findings.error(
             "GB874", f"the table does not measure {names}, so it gives no points to take eigenvalues at", None,
             help="measure every state as a channel of its own, or give points with `--at`",
         )  # fmt: skip
         findings.raise_if_failed()
-    columns = [data.channels.index(name) for name in system.states]
-    for item in data.items:
+    for i, item in enumerate(data.items):
         moved = system.with_values(dict(zip(system.conditions, map(float, item.condition), strict=True)))
-        rows = item.values[:, columns]
-        for i in np.flatnonzero(np.isfinite(rows).all(axis=1)):
-            time = float(item.times[i])
-            held = {
-                name: float(np.interp(time, signal.times, signal.values))
-                for name, signal in zip(system.inputs, item.inputs, strict=True)
-            }
-            point = eigen_at(moved.with_values(held), rows[i], truth, time)
-            yield replace(point, kind="data", trajectory=item.label, time=time)
+        measured = np.full((len(item.times), system.size), np.nan)
+        if not missing:
+            measured = item.values[:, [data.channels.index(name) for name in system.states]]
+        solved = predicted[i].states if predicted else measured
+        for row, time in enumerate(map(float, item.times)):
+            seen = bool(np.isfinite(measured[row]).all())
+            state = measured[row] if seen else solved[row]
+            if np.isfinite(state).all():
+                held = _inputs(system, item, time)
+                point = eigen_at(moved.with_values(held), state, truth, time)
+                yield replace(point, kind="data" if seen else "predicted", trajectory=item.label, time=time)
+
+
+def _inputs(system: System, item: Trajectory, time: float) -> dict[str, float]:
+    """The inputs' values at a time of a trajectory."""
+    return {
+        name: float(evaluate(signal, interpolation, time))
+        for name, signal, interpolation in zip(system.inputs, item.inputs, system.interpolation, strict=True)
+    }

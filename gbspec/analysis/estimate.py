@@ -7,17 +7,27 @@ weak pull towards the first guess keeps what the data do not determine from runn
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.analysis.metrics import spread
 from gbspec.analysis.points import spread_points
-from gbspec.analysis.predict import Prediction, Start, measured_start, needed, predict
+from gbspec.analysis.predict import (
+    Prediction,
+    Start,
+    learned_positions,
+    learned_start,
+    measured_start,
+    needed,
+    predict,
+)
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectory
+    from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
 
 Array = NDArray[np.float64]
@@ -51,6 +61,23 @@ def prior_of(member: Any, model: Model) -> Prior:
         centre.append(guess)
         spread.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
     return Prior(np.array(centre, dtype=float), np.array(spread, dtype=float))
+
+
+def predictions(
+    evaluator: Any, model: Model, trajectories: Trajectories, data: Mapping[str, Any] | None = None
+) -> list[Prediction]:
+    """The predictions of one member for a table: from learned starts on training data, else known or estimated ones.
+
+    `data` is what `fit.json` says of the training data, where there is one.
+    """
+    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in trajectories.items]).T])
+    estimator = Estimator(evaluator, model, spreads)
+    positions = learned_positions(evaluator.instance, trajectories, data or {})
+    starts = [
+        estimator.start(item) if position is None else learned_start(evaluator, position, item)
+        for item, position in zip(trajectories.items, positions, strict=True)
+    ]
+    return [predict(evaluator, model, item, start) for item, start in zip(trajectories.items, starts, strict=True)]
 
 
 class Estimator:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.analysis.compiled import Compiled
+from gbspec.data.signals import Interpolation
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class System:
     `rhs` is a casadi.Function of these five columns; `values` holds the known numbers of conditions, inputs and
     constants by name (a name without one must be given wherever a point is needed); `ranges` holds the plausible or
     trained ranges of states, conditions and inputs by name, of which `declared` are the user's own; `trained` says
-    where the training data lay; `starts` guesses where states begin.
+    where the training data lay; `starts` guesses where states begin; `interpolation` is that of each input.
     """
 
     name: str
@@ -42,6 +43,7 @@ class System:
     rhs: Any = field(repr=False)
     conditions: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
+    interpolation: tuple[Interpolation, ...] = ()
     constants: tuple[str, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     ranges: Mapping[str, Box] = field(default_factory=dict)
@@ -160,6 +162,7 @@ def system_of(evaluator: Any, model: Model) -> System:
         rhs=evaluator.rhs,
         conditions=tuple(condition.name for condition in model.conditions),
         inputs=tuple(item.name for item in model.inputs),
+        interpolation=tuple(item.interpolation for item in model.inputs),
         constants=model.constant_names,
         values=values,
         ranges={**trained, **declared},

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.analysis.estimate import Estimator
+from gbspec.analysis.estimate import predictions
 from gbspec.analysis.metrics import ChannelErrors, channel_errors, finite, spread
-from gbspec.analysis.predict import Prediction, learned_positions, learned_start, mean_prediction, predict
+from gbspec.analysis.predict import Prediction, mean_prediction
 from gbspec.analysis.step_check import StepCheck, step_check
 from gbspec.analysis.truth_errors import TruthErrors, truth_errors
 from gbspec.diagnostics import UserError
@@ -117,14 +117,14 @@ def validate(
     members = run.members if member == "mean" else (run.member(member),)
     evaluators = [Evaluator(one) for one in members]
     warnings: list[str] = []
-    predictions: tuple[Prediction, ...] = ()
+    predicted: tuple[Prediction, ...] = ()
     channels: dict[str, ChannelErrors] = {}
     errors: tuple[TrajectoryError, ...] = ()
     check = StepCheck(None, None, run.max_step)
     if trajectories is not None:
-        each = [_predictions(one, run.model, trajectories, run.fit.get("data", {})) for one in evaluators]
-        predictions = tuple(mean_prediction(group) for group in zip(*each, strict=True))
-        channels, errors = _on_data(run.model, trajectories, predictions)
+        each = [predictions(one, run.model, trajectories, run.fit.get("data", {})) for one in evaluators]
+        predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
+        channels, errors = _on_data(run.model, trajectories, predicted)
         # The step is a matter of each right-hand side, so a mean of several is checked by its first member.
         check = step_check(evaluators[0], run.max_step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
@@ -133,19 +133,7 @@ def validate(
     compared = None
     if truth and run.model.has_truth:
         compared = _against_truth(run.model, evaluators, sampling, metrics, warnings)
-    return Validation(member, channels, errors, check, compared, tuple(warnings), predictions)
-
-
-def _predictions(evaluator: Any, model: Model, trajectories: Trajectories, data: Mapping[str, Any]) -> list[Prediction]:
-    """The predictions of one member: from learned starts on training data, else known or estimated ones."""
-    spreads = np.array([spread(column) for column in _stacked(trajectories).T])
-    estimator = Estimator(evaluator, model, spreads)
-    positions = learned_positions(evaluator.instance, trajectories, data)
-    starts = [
-        estimator.start(item) if position is None else learned_start(evaluator, position, item)
-        for item, position in zip(trajectories.items, positions, strict=True)
-    ]
-    return [predict(evaluator, model, item, start) for item, start in zip(trajectories.items, starts, strict=True)]
+    return Validation(member, channels, errors, check, compared, tuple(warnings), predicted)
 
 
 def _stacked(trajectories: Trajectories) -> Array:

@@ -1,14 +1,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gbspec.analysis.eigen import eigen, format_eigenvalue
+from gbspec.analysis.predict import Prediction, Start
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import UserError
-from tests.analysis.textbook import brusselator, urp
+from tests.analysis.textbook import brusselator, textbook, urp
 
 
 def test_eigenvalues_at_a_point_beside_the_truth() -> None:
@@ -29,7 +31,7 @@ def test_the_truth_keeps_its_own_constants() -> None:
 
 def test_json_has_the_keys_of_the_contract() -> None:
     document = json.loads(json.dumps(eigen(urp(), at=[{"x1": 0.4, "x2": 1.2, "Da": 0.3}]).to_json()))
-    assert list(document) == ["points"]
+    assert next(iter(document)) == "points"
     assert list(document["points"][0])[:5] == ["state", "condition", "rhs_norm", "eigenvalues", "truth"]
     assert document["points"][0]["truth"] is None
     assert document["points"][0]["state"] == {"x1": 0.4, "x2": 1.2}
@@ -82,3 +84,29 @@ def test_eigenvalues_print_as_people_write_them() -> None:
     text = str(eigen(urp(), at=[{"x1": 0.4, "x2": 1.2, "Da": 0.3}]))
     assert "x1 = 0.4" in text
     assert "eigenvalues" in text
+
+
+def test_rows_that_measure_too_little_take_the_predicted_states() -> None:
+    data = trajectory([[0.4, 1.2], [0.5, np.nan], [0.6, 1.4]])
+    item = data.items[0]
+    states = np.array([[9.0, 9.0], [0.55, 1.3], [9.0, 9.0]])
+    start = Start(states[0], np.zeros(0), "estimated")
+    found = eigen(urp(), along=data, predicted=[Prediction("one", start, item.times, states, states)])
+    assert [point.kind for point in found.points] == ["data", "predicted", "data"]
+    assert [point.state["x1"] for point in found.points] == [0.4, 0.55, 0.6]
+
+
+def test_modes_that_die_out_between_measurements_are_named() -> None:
+    def rhs(x1: object, x2: object) -> tuple[object, ...]:
+        return -0.1 * x1, -40.0 * x2  # type: ignore[operator]
+
+    system = textbook("two_scales", ("x1", "x2"), rhs, {}, {})
+    data = trajectory([[0.4, 1.2], [0.5, 1.0]])
+    data = replace(data, items=(replace(data.items[0], condition=np.zeros(0)),))
+    found = eigen(system, along=data)
+    (mode,) = found.fast_modes
+    assert (found.interval, mode.rank, mode.fastest) == (1.0, 1, pytest.approx(-40.0))
+    assert mode.decayed == pytest.approx(3.0 / 40.0)
+    assert "the data could not determine it" in str(found)
+    assert found.to_json()["fast_modes"] == [mode.to_json()]
+    assert eigen(system, at=[{"x1": 0.0, "x2": 0.0}]).fast_modes == ()
