@@ -8,6 +8,7 @@ Kuznetsov, Elements of Applied Bifurcation Theory (3rd ed.), equation (5.62), wi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -54,22 +55,28 @@ def critical_pair(jacobian: Array) -> tuple[float, ComplexArray, ComplexArray]:
 def analyse_hopf(family: Family, state: Array, value: float) -> Hopf:
     """The first Lyapunov coefficient at a Hopf point: state [n] and parameter."""
     n = family.size
-    jacobian = family.linear(state, value)[1].reshape(n, n)
+    return normal_form(
+        family.linear(state, value)[1].reshape(n, n),
+        lambda u, v: family.bilinear(state, value, u, v)[0],
+        lambda u, v, w: family.trilinear(state, value, u, v, w)[0],
+    )
+
+
+def normal_form(
+    jacobian: Array,
+    second: Callable[[Array, Array], Array],
+    third: Callable[[Array, Array, Array], Array],
+) -> Hopf:
+    """The same from the Jacobian [n, n] and the derivatives B(u, v) and C(u, v, w) of real vectors [n]."""
     frequency, q, p = critical_pair(jacobian)
 
     def bilinear(u: ComplexArray, v: ComplexArray) -> ComplexArray:
-        def real(a: Array, b: Array) -> Array:
-            return family.bilinear(state, value, a, b)[0]
-
-        straight = real(u.real, v.real) - real(u.imag, v.imag)
-        return straight + 1j * (real(u.real, v.imag) + real(u.imag, v.real))
-
-    def cubic(a: Array, b: Array, c: Array) -> Array:
-        return family.trilinear(state, value, a, b, c)[0]
+        straight = second(u.real, v.real) - second(u.imag, v.imag)
+        return straight + 1j * (second(u.real, v.imag) + second(u.imag, v.real))
 
     r, s = q.real, q.imag
-    third = cubic(r, r, r) + cubic(r, s, s) + 1j * (cubic(r, r, s) + cubic(s, s, s))
+    cubic = third(r, r, r) + third(r, s, s) + 1j * (third(r, r, s) + third(s, s, s))
     static = np.linalg.solve(jacobian, bilinear(q, q.conj())).astype(complex)
-    double = np.linalg.solve(2j * frequency * np.eye(n) - jacobian, bilinear(q, q)).astype(complex)
-    total = np.sum(p.conj() * (third - 2.0 * bilinear(q, static) + bilinear(q.conj(), double)))
+    double = np.linalg.solve(2j * frequency * np.eye(len(q)) - jacobian, bilinear(q, q)).astype(complex)
+    total = np.sum(p.conj() * (cubic - 2.0 * bilinear(q, static) + bilinear(q.conj(), double)))
     return Hopf(frequency, q, float(total.real) / (2.0 * frequency))
