@@ -3,7 +3,20 @@
 from __future__ import annotations
 
 from gbspec.diagnostics import Findings
-from gbspec.semantics import allow, balances, columns, graph, places, processes, size, table, truths, unknowns, usage
+from gbspec.semantics import (
+    allow,
+    balances,
+    columns,
+    graph,
+    places,
+    processes,
+    size,
+    table,
+    truths,
+    unit_rules,
+    unknowns,
+    usage,
+)
 from gbspec.semantics.checked import Checked
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.merge import Item, Load, Merged, merge
@@ -61,6 +74,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     balances.start_cycles(items, places_of, names, findings)
     columns.check(items, names, findings)
     known = _truths(items, places_of, names, values, numbers, findings, merged)
+    _units(items, places_of, names, rests, terms, numbers, findings)
     if findings.failed or merged.uncertain:
         return None
     if not usage.has_states(items, names, findings):
@@ -69,6 +83,24 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     usage.only_compared(places_of, usage.observed_names(items), names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
     return Checked(items, names, order, values, numbers, terms, known, accepted)
+
+
+def _units(
+    items: tuple[Item, ...],
+    places_of: list[Site],
+    names: Table,
+    rests: graph.Graph,
+    terms: Terms,
+    numbers: Numbers,
+    findings: Findings,
+) -> None:
+    """Units of all expressions in which nothing else is wrong."""
+    sound = {id(s.expression): s.references.complete and rests.broken.isdisjoint(s.references.names) for s in places_of}
+
+    def usable(expression: ast.Expression | None) -> bool:
+        return sound.get(id(expression), False)
+
+    unit_rules.check(items, names, rests.order, terms, numbers.evaluate, usable, places_of, findings)
 
 
 def _takers(places_of: list[Site], names: Table) -> dict[str, list[str]]:

@@ -10,7 +10,7 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.catalogue import Entry, entries
 from gbspec.driver import load_model
 
-TOPICS = {"names", "balances", "learning", "conservation"}
+TOPICS = {"names", "balances", "learning", "conservation", "units"}
 ENTRIES = [entry for entry in entries().values() if entry.topic in TOPICS]
 
 

@@ -1,0 +1,308 @@
+"""Units through the whole model: every sum, call, balance and process. Only models that name a unit are checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.expressions import chain, fold, operands, walk
+from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.unification import Solution, factor_between
+from gbspec.semantics.units import ONE, Unit, read
+from gbspec.syntax import ast
+from gbspec.syntax.names import FUNCTIONS
+from gbspec.syntax.walk import ungrouped
+
+_OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
+_SAME = frozenset({"abs", "min", "max"})
+_HALF = Fraction(1, 2)
+
+NEEDS_UNIT = frozenset({Kind.TIME, Kind.STATE, Kind.CONDITION, Kind.INPUT, Kind.CONST, Kind.LEARN, Kind.UNKNOWN})
+"""What declares a unit, or should where others do; the units of `let`s and rates follow."""
+
+Formals = Mapping[str, Unit]
+
+
+@dataclass
+class Units:
+    """The units of a model's names, and those of its expressions."""
+
+    table: Table
+    findings: Findings
+    evaluate: Evaluator
+    solution: Solution
+    declared: dict[str, Unit] = field(default_factory=dict)
+    arguments: dict[str, list[Unit]] = field(default_factory=dict)
+    told: set[tuple[int, int]] = field(default_factory=set)
+    broken: bool = False
+    _within: list[Span] = field(default_factory=list)
+    """The calls in which a function's body is being looked at, outermost first."""
+    _calls: dict[tuple[str, tuple[Unit, ...]], Unit] = field(default_factory=dict)
+
+    # ------------------------------------------------------------------------------------------------------- reading
+
+    def read(self, unit: ast.UnitExpression | None, name: str) -> Unit:
+        """The declared unit, or an unknown one under the name."""
+        if unit is not None:
+            found = read(unit, self.solution.namespace, self.findings)
+            if found is not None:
+                return found
+            self.broken = True
+            return self.solution.fresh()
+        return self.solution.of(name)
+
+    def of(self, name: str) -> Unit:
+        """The unit of a declared name."""
+        return self.declared.setdefault(name, self.solution.of(name))
+
+    # --------------------------------------------------------------------------------------------------- expressions
+
+    def expression(self, node: ast.Expression, formals: Formals | None = None) -> Unit:
+        """The unit of an expression; disagreements inside are reported."""
+        shadow = formals or {}
+        return fold(node, lambda part, units: self._combine(part, units, shadow), _parts)
+
+    def _combine(self, node: ast.Expression, units: Sequence[Unit], formals: Formals) -> Unit:
+        match node:
+            case ast.Number():
+                return self.solution.fresh() if node.value == 0 else ONE
+            case ast.Name(text=text):
+                return self._name(node, formals) if text != "pi" else ONE
+            case ast.Group() | ast.Unary(operator="-" | "+"):
+                return units[0]
+            case ast.Unary() | ast.Logic():
+                return ONE
+            case ast.Comparison(left=left, right=right):
+                self.same([left, right], units, "are compared")
+                return ONE
+            case ast.Conditional(then=then, otherwise=otherwise):
+                return self.same([then, otherwise], units[1:], "are the two values of an `if`")
+            case ast.Binary(operator="^"):
+                return self._power(node, units[0], units[1])
+            case ast.Binary(operator="+" | "-"):
+                return self.same([part for _, part in chain(node)], units, "are added or subtracted")
+            case ast.Binary():
+                return self._product(node, units)
+            case ast.Call():
+                return self._call(node, units, formals)
+            case _:
+                return self.solution.fresh()
+
+    def _name(self, node: ast.Name, formals: Formals) -> Unit:
+        if node.text in formals:
+            return formals[node.text]
+        declaration = self.table.get(node.text)
+        if declaration is not None and isinstance(declaration.statement, ast.UnknownStatement):
+            names = [ast.Name(node.span, a.name.text) for a in declaration.statement.arguments]
+            self._apply(declaration.statement, names, [self._name(n, formals) for n in names])
+        return self.of(node.text)
+
+    def same(self, nodes: Sequence[ast.Expression], units: Sequence[Unit], how: str) -> Unit:
+        """Makes the units of several parts equal; what disagrees with the first is reported, and their unit unknown."""
+        agreed = True
+        for node, unit in zip(nodes[1:], units[1:], strict=True):
+            if not self.solution.equal(units[0], unit, node.span):
+                agreed = False
+                self._disagree(nodes[0], units[0], node, unit, how)
+        return units[0] if agreed else self.solution.fresh()
+
+    def _product(self, node: ast.Binary, units: Sequence[Unit]) -> Unit:
+        result = ONE
+        for (inverted, _), unit in zip(chain(node), units, strict=True):
+            result = result.times(unit, Fraction(-1 if inverted else 1))
+        return result
+
+    def _power(self, node: ast.Binary, base: Unit, exponent: Unit) -> Unit:
+        self.pure(node.right, exponent, "an exponent")
+        value = self.evaluate(node.right)
+        if value is not None:
+            return base.power(Fraction(value).limit_denominator(1000))
+        self.pure(node.left, base, "the base of a power whose exponent varies")
+        return ONE
+
+    def pure(self, node: ast.Expression, unit: Unit, what: str) -> None:
+        """What must be a pure number."""
+        if not self.solution.equal(unit, ONE, node.span) and self._once(node.span, node.span):
+            self.findings.error(
+                "GB503",
+                f"{what} is a pure number, but this has the unit `{self.solution.shown(unit)}`",
+                node.span,
+                label=f"in `{self.solution.shown(unit)}`",
+                labels=self._origins(unit),
+                help=f"divide it by a constant of the unit `{self.solution.shown(unit)}`",
+            )
+
+    # --------------------------------------------------------------------------------------------------------- calls
+
+    def _call(self, node: ast.Call, units: Sequence[Unit], formals: Formals) -> Unit:
+        name = node.function.text
+        if name == "net":
+            state = node.arguments[0]
+            return self.rate_of(state.text) if isinstance(state, ast.Name) else self.solution.fresh()
+        declaration = self.table.get(name)
+        match declaration.statement if declaration is not None else None:
+            case ast.FunctionStatement() as function:
+                return self._written_out(function, units, node.span)
+            case ast.UnknownStatement() as unknown:
+                self._apply(unknown, node.arguments, units)
+                return self.of(name)
+            case _:
+                return self._elementary(node, units)
+
+    def _elementary(self, node: ast.Call, units: Sequence[Unit]) -> Unit:
+        name = node.function.text
+        if name not in FUNCTIONS:
+            return self.solution.fresh()
+        if name in _SAME:
+            return self.same(node.arguments, units, f"are arguments of `{name}`")
+        if name == "sqrt":
+            return units[0].power(_HALF)
+        if name == "atan2":
+            self.same(node.arguments, units, "are arguments of `atan2`")
+        elif name != "sign":
+            self.pure(node.arguments[0], units[0], f"the argument of `{name}`")
+        return ONE
+
+    def _written_out(self, function: ast.FunctionStatement, units: Sequence[Unit], place: Span) -> Unit:
+        key = (function.name.text, tuple(self.solution.resolved(u) for u in units))
+        if key not in self._calls:
+            formals = dict(zip((p.text for p in function.parameters), units, strict=True))
+            self._within.append(place)
+            self._calls[key] = self.expression(function.value, formals)
+            self._within.pop()
+        return self._calls[key]
+
+    def _apply(self, unknown: ast.UnknownStatement, nodes: Sequence[ast.Expression], units: Sequence[Unit]) -> None:
+        formals = self.arguments[unknown.names[0].text]
+        for argument, formal, node, unit in zip(unknown.arguments, formals, nodes, units, strict=True):
+            if not self.solution.equal(formal, unit, node.span) and self._once(node.span, argument.span):
+                self._mismatch(
+                    f"the argument `{argument.name.text}` of `{unknown.names[0].text}`",
+                    argument.span,
+                    formal,
+                    node,
+                    unit,
+                )
+
+    # ------------------------------------------------------------------------------------------------- whole statements
+
+    def rate_of(self, state: str) -> Unit:
+        """The unit of a state's rate of change."""
+        time = next((d.name for d in self.table.values() if d.kind is Kind.TIME), "t")
+        return self.of(state).times(self.of(time), Fraction(-1))
+
+    def agrees(self, node: ast.Expression, wanted: Unit, what: str, at: Span, formals: Formals | None = None) -> None:
+        """An expression has the unit that its place needs."""
+        unit = self.expression(node, formals)
+        if not self.solution.equal(wanted, unit, node.span) and self._once(node.span, at):
+            self._mismatch(what, at, wanted, node, unit)
+
+    def carries(self, node: ast.Expression, wanted: Unit, what: str, at: Span, formals: Formals | None = None) -> None:
+        """The same, where a pure number carries the declared unit."""
+        if any(isinstance(part, ast.Name) and part.text != "pi" for part in walk(node)):
+            self.agrees(node, wanted, what, at, formals)
+
+    def term_disagrees(self, process: ast.Name, state: str, span: Span, unit: Unit) -> None:
+        """Reports a term of a process whose coefficient does not fit the rate."""
+        wanted = self.rate_of(state)
+        if self._once(span, process.span):
+            a, b = self.solution.shown(wanted), self.solution.shown(unit)
+            rate = self.solution.shown(self.of(process.text))
+            self.findings.error(
+                "GB504",
+                f"`{state}` changes in `{a}`, but this coefficient times the rate of `{process.text}` is in `{b}`",
+                span,
+                label=f"in `{b}` with the rate",
+                labels=[Label(process.span, f"its rate is in `{rate}`"), *self._origins(unit, wanted)],
+                help=self._remedy(wanted, unit, " ".join(span.text.split())),
+            )
+
+    def channel_disagrees(self, name: ast.Name, wanted: Unit) -> None:
+        """Reports a channel that declares another unit than what it measures."""
+        unit = self.of(name.text)
+        if self._once(name.span, name.span):
+            a, b = self.solution.shown(wanted), self.solution.shown(unit)
+            factor = factor_between(
+                self.solution.resolved(unit), self.solution.resolved(wanted), self.solution.namespace
+            )
+            self.findings.error(
+                "GB504",
+                f"the channel `{name.text}` is in `{a}`, but what it measures is in `{b}`",
+                name.span,
+                help="nothing converts silently"
+                + (
+                    f"; measure `{name.text}_converted = {factor:.12g}*…` with a constant in `{a}/({b})`"
+                    if factor
+                    else ""
+                ),
+            )
+
+    # ----------------------------------------------------------------------------------------------------- reporting
+
+    def _once(self, first: Span, second: Span) -> bool:
+        key = (first.start, second.start)
+        self.broken = True
+        if key in self.told:
+            return False
+        self.told.add(key)
+        return True
+
+    def _disagree(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> None:
+        if not self._once(first.span, second.span):
+            return
+        a, b = self.solution.shown(one), self.solution.shown(other)
+        self.findings.error(
+            "GB502",
+            f"`{_excerpt(first)}` in `{a}` and `{_excerpt(second)}` in `{b}` {how}",
+            second.span,
+            label=f"in `{b}`",
+            labels=[Label(first.span, f"in `{a}`"), *self._origins(other, one)],
+            help=self._remedy(one, other, _excerpt(second)),
+        )
+
+    def _mismatch(self, what: str, at: Span, wanted: Unit, node: ast.Expression, unit: Unit) -> None:
+        a, b = self.solution.shown(wanted), self.solution.shown(unit)
+        self.findings.error(
+            "GB504",
+            f"{what} is in `{a}`, but this is in `{b}`",
+            node.span,
+            label=f"in `{b}`",
+            labels=[Label(at, f"in `{a}`"), *self._origins(unit, wanted)],
+            help=self._remedy(wanted, unit, _excerpt(node)),
+        )
+
+    def _remedy(self, wanted: Unit, unit: Unit, text: str) -> str:
+        wanted, unit = self.solution.resolved(wanted), self.solution.resolved(unit)
+        if wanted.unknowns or unit.unknowns:
+            return ""
+        ratio = wanted.times(unit, Fraction(-1))
+        factor = factor_between(unit, wanted, self.solution.namespace)
+        if factor is None and any(name in _OFFSET for name, _ in ratio.names):
+            return "scales of temperature with different zeros do not convert by a factor; use one of them throughout"
+        if factor is None:
+            return f"a factor with the unit `{ratio}` is missing, or one too many stands there"
+        return f"multiply `{text}` by a constant that converts: `const per : {ratio} = {factor:.12g}`"
+
+    def _origins(self, *units: Unit) -> list[Label]:
+        """Where the units of names that declare none were settled."""
+        labels = [Label(self._within[0], "in this call")] if self._within else []
+        for unit in units:
+            for name, _ in unit.unknowns:
+                span = self.solution.origins.get(name)
+                if span is not None and name in self.table and self.table[name].kind in NEEDS_UNIT:
+                    value = self.solution.shown(self.solution.of(name))
+                    labels.append(Label(span, f"`{name}` declares no unit; from here it is `{value}`"))
+        return labels[:4]
+
+
+def _parts(node: ast.Expression) -> tuple[ast.Expression, ...]:
+    net = isinstance(node, ast.Call) and node.function.text == "net"
+    return () if net else operands(node)
+
+
+def _excerpt(node: ast.Expression) -> str:
+    text = " ".join(ungrouped(node).span.text.split())
+    return text if len(text) <= 30 else text[:27] + "..."

@@ -1,0 +1,273 @@
+"""Where which unit is needed, statement by statement; and what is left without one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+from gbspec.diagnostics import Findings, Span
+from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.dimensions import NEEDS_UNIT, Units
+from gbspec.semantics.merge import Item, target_name
+from gbspec.semantics.processes import Term
+from gbspec.semantics.sites import Site
+from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.unification import Solution
+from gbspec.semantics.units import ONE, Namespace, Unit
+from gbspec.syntax import ast
+
+Terms = Mapping[str, Sequence[tuple[bool, Term]]]
+Usable = Callable[[ast.Expression | None], bool]
+
+
+def names_a_unit(items: Iterable[Item]) -> bool:
+    """Whether a model says anything about units."""
+    for item in items:
+        statement: Any = item.statement
+        if (
+            isinstance(statement, ast.UnitStatement)
+            or getattr(statement, "unit", None)
+            or getattr(statement, "units", ())
+        ):
+            return True
+        if isinstance(statement, ast.UnknownStatement) and any(a.unit for a in statement.arguments):
+            return True
+    return False
+
+
+def check(
+    items: Sequence[Item],
+    table: Table,
+    order: Sequence[str],
+    terms: Terms,
+    evaluate: Evaluator,
+    usable: Usable,
+    sites: Sequence[Site],
+    findings: Findings,
+) -> None:
+    """Checks the units of a model that names any.
+
+    Errors: a name that is no unit (GB501), parts that are added or compared in different units (GB502), a number needed
+    that is none (GB503), an expression in another unit than its place (GB504). A warning (GB550): a name without a unit
+    where use does not tell it.
+    """
+    if not names_a_unit(items):
+        return
+    own = frozenset(i.statement.name.text for i in items if isinstance(i.statement, ast.UnitStatement))
+    units = Units(table, findings, evaluate, Solution(Namespace(own)))
+    rules = _Rules(units, terms, usable)
+    for item in items:
+        rules.read(item.statement)
+    by_name = {name: declaration.statement for name, declaration in table.items()}
+    for name in order:
+        rules.named(by_name[name])
+    for item in items:
+        rules.statement(item.statement)
+    for network, place in rules.networks:  # pure where its place does not say
+        if units.solution.known(network) is None:
+            units.solution.equal(network, ONE, place)
+    if not units.broken:
+        _undetermined(units, sites, findings)
+
+
+class _Rules:
+    def __init__(self, units: Units, terms: Terms, usable: Usable) -> None:
+        self._units = units
+        self._terms = terms
+        self._usable = usable
+        self.networks: list[tuple[Unit, Span]] = []
+        """The units of `nn` in postulates, which are whatever their places need."""
+
+    def read(self, statement: ast.Statement) -> None:
+        """Takes in the declared units of a statement."""
+        units = self._units
+        match statement:
+            case ast.StateStatement(declarator=declarator, unit=unit):
+                units.declared[declarator.name.text] = units.read(unit, declarator.name.text)
+            case (
+                ast.TimeStatement(name=name, unit=unit)
+                | ast.ConditionStatement(name=name, unit=unit)
+                | ast.InputStatement(name=name, unit=unit)
+                | ast.ConstStatement(name=name, unit=unit)
+                | ast.LearnStatement(name=name, unit=unit)
+                | ast.LetStatement(name=name, unit=unit)
+            ):
+                units.declared[name.text] = units.read(unit, name.text)
+            case ast.UnknownStatement(names=names, arguments=arguments):
+                outputs = statement.units if len(statement.units) == len(names) else statement.units * len(names)
+                for i, name in enumerate(names):
+                    units.declared[name.text] = units.read(outputs[i] if i < len(outputs) else None, name.text)
+                units.arguments[names[0].text] = [
+                    units.read(a.unit, f"{names[0].text}({a.name.text})") for a in arguments
+                ]
+                for name in names[1:]:
+                    units.arguments[name.text] = units.arguments[names[0].text]
+            case _:
+                pass
+
+    def named(self, statement: ast.Statement | None) -> None:
+        """Constants, functions, `let`s and rates, each after what it depends on."""
+        units = self._units
+        match statement:
+            case ast.ConstStatement(name=name, value=value) if self._usable(value):
+                units.carries(value, units.of(name.text), f"`{name.text}`", name.span)
+            case ast.LetStatement(name=name, value=value) if self._usable(value):
+                units.agrees(value, units.of(name.text), f"`{name.text}`", name.span)
+            case ast.FunctionStatement(parameters=parameters, value=value) if self._usable(value):
+                units.expression(value, {p.text: units.solution.fresh() for p in parameters})
+            case ast.ProcessStatement(name=name, rate=rate) if self._usable(rate):
+                units.agrees(rate, units.of(name.text), f"the rate of `{name.text}`", name.span)
+            case _:
+                pass
+
+    def statement(self, statement: ast.Statement) -> None:
+        """Everything else."""
+        units = self._units
+        match statement:
+            case ast.BalanceStatement(target=ast.Name() as target, value=value) if self._usable(value):
+                units.agrees(value, units.rate_of(target.text), f"the rate of change of `{target.text}`", target.span)
+            case ast.InitialStatement(target=ast.Name() as target, value=value) if value and self._usable(value):
+                units.carries(value, units.of(target.text), f"`{target.text}`", target.span)
+            case ast.ProcessStatement(name=name):
+                self._process(name)
+            case ast.UnknownStatement():
+                self._unknown(statement)
+            case ast.ObserveStatement(target=target, value=value, unit=unit):
+                self._channel(target_name(target), value, unit)
+            case ast.DoseStatement(fraction=fraction, lag=lag):
+                self._dose(fraction, lag)
+            case ast.ConserveStatement(value=value, rate=rate) if self._usable(value):
+                whole = units.expression(value)
+                if rate is not None and self._usable(rate):
+                    per_time = whole.times(self._time(), Fraction(-1))
+                    units.agrees(rate, per_time, "the rate of change of this quantity", value.span)
+            case _:
+                self._numbers(statement)
+
+    def _time(self) -> Unit:
+        return self._units.of(next(d.name for d in self._units.table.values() if d.kind is Kind.TIME))
+
+    def _process(self, name: ast.Name) -> None:
+        """Each coefficient times the rate is a rate of change of its state."""
+        units = self._units
+        for _, term in self._terms.get(name.text, ()):
+            unit = units.of(name.text)
+            for inverted, factor in term.factors:
+                unit = unit.times(units.expression(factor), Fraction(-1 if inverted else 1))
+            if not units.solution.equal(units.rate_of(term.state), unit, term.span):
+                units.term_disagrees(name, term.state, term.span, unit)
+
+    def _unknown(self, statement: ast.UnknownStatement) -> None:
+        units = self._units
+        formals = dict(
+            zip((a.name.text for a in statement.arguments), units.arguments[statement.names[0].text], strict=True)
+        )
+        for i, name in enumerate(statement.names):
+            posts = statement.postulates
+            post = posts[i] if len(posts) == len(statement.names) else (posts[0] if posts else None)
+            if post is not None and self._usable(post):
+                network = units.solution.fresh()
+                self.networks.append((network, post.span))
+                inside = {**formals, "nn": network}
+                units.agrees(post, units.of(name.text), f"`{name.text}`", name.span, inside)
+        for argument, unit in zip(statement.arguments, formals.values(), strict=True):
+            self._interval(argument.range, unit, argument.name)
+        for contract in statement.contracts:
+            self._contract(contract, statement, formals)
+
+    def _contract(self, contract: ast.Contract, statement: ast.UnknownStatement, formals: Mapping[str, Unit]) -> None:
+        units = self._units
+        names = [contract.name] if contract.name is not None else statement.names
+        for name in names:
+            match contract:
+                case ast.Bound(value=value) if self._usable(value):
+                    units.carries(value, units.of(name.text), f"`{name.text}`", name.span, formals)
+                case ast.RangeContract(interval=interval):
+                    for end in (interval.low, interval.high):
+                        if self._usable(end):
+                            units.carries(end, units.of(name.text), f"`{name.text}`", name.span, formals)
+                case ast.ZeroAt(argument=argument, value=value) if self._usable(value) and argument.text in formals:
+                    units.carries(value, formals[argument.text], f"`{argument.text}`", argument.span, formals)
+                case _:
+                    pass
+
+    def _channel(self, name: ast.Name, value: ast.Expression | None, unit: ast.UnitExpression | None) -> None:
+        units = self._units
+        wanted = units.read(unit, f"channel {name.text}")
+        if value is not None and self._usable(value):
+            units.agrees(value, wanted, f"the channel `{name.text}`", name.span)
+        elif value is None and not units.solution.equal(wanted, units.of(name.text), name.span):
+            units.channel_disagrees(name, wanted)
+
+    def _dose(self, fraction: ast.Expression | None, lag: ast.Expression | None) -> None:
+        if fraction is not None and self._usable(fraction):
+            self._units.agrees(fraction, ONE, "the fraction of a dose", fraction.span)
+        if lag is not None and self._usable(lag):
+            self._units.carries(lag, self._time(), "a lag", lag.span)
+
+    def _numbers(self, statement: ast.Statement) -> None:
+        """Ranges, starts, bounds and defaults: pure numbers there carry the declared unit."""
+        units = self._units
+        match statement:
+            case ast.StateStatement(declarator=declarator, range=interval, start=start):
+                self._interval(interval, units.of(declarator.name.text), declarator.name)
+                self._number(start, declarator.name)
+            case (
+                ast.ConditionStatement(name=name, range=interval, default=value)
+                | ast.InputStatement(name=name, range=interval, default=value)
+            ):
+                self._interval(interval, units.of(name.text), name)
+                self._number(value, name)
+            case ast.LearnStatement(name=name, range=interval, bounds=bounds, start=value):
+                self._interval(interval, units.of(name.text), name)
+                for part in (value, *(bound.value for bound in bounds)):
+                    self._number(part, name)
+            case ast.TimeStatement(name=name, start=value):
+                self._number(value, name)
+            case _:
+                pass
+
+    def _number(self, value: ast.Expression | None, name: ast.Name) -> None:
+        if value is not None and self._usable(value):
+            self._units.carries(value, self._units.of(name.text), f"`{name.text}`", name.span)
+
+    def _interval(self, interval: ast.Interval | None, unit: Unit, name: ast.Name) -> None:
+        for end in (interval.low, interval.high) if interval is not None else ():
+            if self._usable(end):
+                self._units.carries(end, unit, f"`{name.text}`", name.span)
+
+
+def _undetermined(units: Units, sites: Sequence[Site], findings: Findings) -> None:
+    used = {name for site in sites for name in site.references.names}
+    used.update(d.name for d in units.table.values() if d.kind is Kind.STATE)
+    if any(d.kind is Kind.STATE for d in units.table.values()):
+        used.update(d.name for d in units.table.values() if d.kind is Kind.TIME)
+    for declaration in units.table.values():
+        name = declaration.name
+        if declaration.kind not in NEEDS_UNIT or name not in used:
+            continue
+        unit = units.solution.resolved(units.of(name))
+        if not unit.unknowns:
+            continue
+        for other, _ in unit.unknowns:  # told here; what follows from it is not told again
+            units.solution.solved.setdefault(other, ONE)
+        findings.warning(
+            "GB550",
+            f"`{name}` has no unit, and the rest of the model does not tell which",
+            declaration.span if declaration.span is not None else _first_place(units),
+            help=_how(name, declaration.kind),
+            subject=name,
+        )
+
+
+def _first_place(units: Units) -> Any:
+    """Where to speak of a time that no statement declares: at the first state."""
+    return next((d.span for d in units.table.values() if d.kind is Kind.STATE), None)
+
+
+def _how(name: str, kind: Kind) -> str:
+    word = {Kind.TIME: "time", Kind.STATE: "state", Kind.CONDITION: "condition", Kind.INPUT: "input"}.get(kind)
+    word = word or {Kind.CONST: "const", Kind.LEARN: "learn", Kind.UNKNOWN: "unknown"}[kind]
+    arguments = "(…)" if kind is Kind.UNKNOWN else ""
+    return f"declare it: `{word} {name}{arguments} : UNIT` (a pure number has the unit `1`)"

@@ -1,0 +1,186 @@
+"""The algebra of units: products of powers of named units, compared through pint; a namespace of its own.
+
+Two units agree if they are equal, prefix included: `mg/L` is not `g/L`. Names that a model declares with `unit` are
+base units of their own, and so are units with an offset (`degC` is not `K`). pint is imported when a unit occurs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cache
+from typing import TYPE_CHECKING
+
+from gbspec.diagnostics import Findings
+from gbspec.semantics.vocabulary import suggestion
+from gbspec.syntax import ast
+
+if TYPE_CHECKING:
+    import pint
+
+Powers = tuple[tuple[str, Fraction], ...]
+"""Names with their exponents, sorted, none of them 0."""
+
+EQUAL = 1e-9
+"""Relative difference up to which two factors are the same."""
+
+
+def powers(table: Mapping[str, Fraction]) -> Powers:
+    """The canonical form of a product."""
+    return tuple(sorted((name, exponent) for name, exponent in table.items() if exponent))
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A product of powers of named units (numbers are names too: `1000`), times powers of units not known yet."""
+
+    names: Powers = ()
+    unknowns: Powers = ()
+
+    def times(self, other: Unit, exponent: Fraction = Fraction(1)) -> Unit:
+        """`self * other^exponent`."""
+        return Unit(_combined(self.names, other.names, exponent), _combined(self.unknowns, other.unknowns, exponent))
+
+    def power(self, exponent: Fraction) -> Unit:
+        """`self^exponent`."""
+        return ONE.times(self, exponent)
+
+    def __str__(self) -> str:
+        return _text(self.names) or "1"
+
+
+def _combined(first: Powers, second: Powers, exponent: Fraction) -> Powers:
+    if not second:
+        return first
+    table = dict(first)
+    for name, value in second:
+        table[name] = table.get(name, Fraction(0)) + exponent * value
+    return powers(table)
+
+
+ONE = Unit()
+
+
+def _text(names: Powers) -> str:
+    above = [_power(name, exponent) for name, exponent in names if exponent > 0]
+    below = [_power(name, -exponent) for name, exponent in names if exponent < 0]
+    text = "*".join(above) or ("1" if below else "")
+    return text + "".join(f"/{part}" for part in below)
+
+
+def _power(name: str, exponent: Fraction) -> str:
+    if exponent == 1:
+        return name
+    return f"{name}^{exponent}" if exponent.denominator == 1 else f"{name}^({exponent})"
+
+
+# ----------------------------------------------------------------------------------------------------- what units mean
+
+
+@cache
+def _registry() -> pint.UnitRegistry[float]:
+    import pint
+
+    return pint.UnitRegistry(cache_folder=None)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A unit in terms of base dimensions: what it is and how large."""
+
+    factor: float
+    dimensions: Powers
+
+
+@dataclass
+class Namespace:
+    """Units of a model: those it declares, then pint's."""
+
+    own: frozenset[str]
+    _measures: dict[str, Measure | None] = field(default_factory=dict)
+
+    def atom(self, name: str) -> Measure | None:
+        """The measure of one named unit; None where there is no such unit."""
+        if name not in self._measures:
+            self._measures[name] = self._find(name)
+        return self._measures[name]
+
+    def _find(self, name: str) -> Measure | None:
+        if name in self.own:
+            return Measure(1.0, ((f"unit {name}", Fraction(1)),))
+        if name[0].isdigit() or name[0] == ".":
+            return Measure(float(name), ())
+        registry = _registry()
+        if name not in registry:
+            return None
+        unit = registry.Unit(name)
+        quantity = registry.Quantity(1.0, unit)
+        if not quantity._is_multiplicative:
+            return Measure(1.0, ((f"unit {unit}", Fraction(1)),))
+        base = quantity.to_base_units()
+        exponents = {str(k): float(str(v)) for k, v in quantity.dimensionality.items()}
+        dimensions = {name: Fraction(value).limit_denominator(1000) for name, value in exponents.items()}
+        return Measure(float(base.magnitude), powers(dimensions))
+
+    def measure(self, unit: Unit) -> Measure:
+        """The measure of a unit whose parts are all known."""
+        factor = 1.0
+        dimensions: dict[str, Fraction] = {}
+        for name, exponent in unit.names:
+            atom = self.atom(name)
+            if atom is not None:
+                factor *= atom.factor ** float(exponent)
+                for dimension, power in atom.dimensions:
+                    dimensions[dimension] = dimensions.get(dimension, Fraction(0)) + exponent * power
+        return Measure(factor, powers(dimensions))
+
+    def is_one(self, unit: Unit) -> bool:
+        """Whether a known unit is 1, prefixes and all."""
+        if not unit.names:
+            return True
+        measure = self.measure(unit)
+        return not measure.dimensions and math.isclose(measure.factor, 1.0, rel_tol=EQUAL)
+
+    def known(self) -> Iterable[str]:
+        """Names that a misspelt unit may mean."""
+        return [*self.own, *(name for name in dir(_registry()) if name.isidentifier() and not name.startswith("_"))]
+
+
+def read(unit: ast.UnitExpression, namespace: Namespace, findings: Findings) -> Unit | None:
+    """The unit that a text says; None, with a finding (GB501), where a name in it is no unit."""
+    result, sound = ONE, True
+    stack: list[tuple[ast.UnitExpression, Fraction]] = [(unit, Fraction(1))]
+    while stack:
+        node, exponent = stack.pop()
+        match node:
+            case ast.UnitBinary(operator="^", left=left, right=right):
+                stack.append((left, exponent * _exponent(right)))
+            case ast.UnitBinary(operator=operator, left=left, right=right):
+                stack.append((left, exponent))
+                stack.append((right, -exponent if operator == "/" else exponent))
+            case ast.UnitNumber(text=text):
+                if float(text) != 1:
+                    result = result.times(Unit(((text, Fraction(1)),)), exponent)
+            case ast.UnitName(text=text):
+                if namespace.atom(text) is None:
+                    sound = False
+                    _unknown(node, namespace, findings)
+                else:
+                    result = result.times(Unit(((text, Fraction(1)),)), exponent)
+    return result if sound else None
+
+
+def _exponent(node: ast.UnitExpression) -> Fraction:
+    return Fraction(node.text).limit_denominator(1000) if isinstance(node, ast.UnitNumber) else Fraction(1)
+
+
+def _unknown(node: ast.UnitName, namespace: Namespace, findings: Findings) -> None:
+    findings.error(
+        "GB501",
+        f"there is no unit `{node.text}`",
+        node.span,
+        help=suggestion(node.text, namespace.known()) or f"declare it as a base unit of its own: `unit {node.text}`",
+        subject=node.text,
+    )
