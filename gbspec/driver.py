@@ -165,8 +165,10 @@ def eigen(
     """Eigenvalues of a subject; of a run beside those of its model's truth, where it has one."""
     from gbspec.analysis.eigen import eigen as run
 
+    from gbspec.analysis.truth_errors import has_reference
+
     truth = None
-    if source.run is not None and source.model.has_truth:
+    if source.run is not None and has_reference(source.model):
         truth = system(reference(source.model))
     predicted: list[Prediction] = []
     if along is not None:

@@ -1,1 +1,1 @@
-"""TODO"""
+"""What a model says: simulation, validation, steady states, eigenvalues, bifurcations and limit cycles."""

@@ -91,6 +91,17 @@ def truth_errors(
     )
 
 
+def has_reference(model: Model) -> bool:
+    """Whether there is a truth to compare with: every unknown has one, and something learned does."""
+    return model.has_truth and bool(model.truth_functions or model.truth_constants)
+
+
+def without_truth(model: Model) -> tuple[str, ...]:
+    """The learnables without a truth of their own: in the truth they stand at their start."""
+    known = {item.name for item in model.truth_constants}
+    return tuple(item.name for item in model.learnables if item.name not in known)
+
+
 def truth_model(model: Model) -> Model:
     """The model with its truth in place of what is learned."""
     from gbspec.passes.truth import with_truth

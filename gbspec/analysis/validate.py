@@ -13,7 +13,7 @@ from gbspec.analysis.estimate import predictions
 from gbspec.analysis.metrics import ChannelErrors, channel_errors, finite, spread
 from gbspec.analysis.predict import Prediction, mean_prediction
 from gbspec.analysis.step_check import StepCheck, step_check
-from gbspec.analysis.truth_errors import TruthErrors, truth_errors
+from gbspec.analysis.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.diagnostics import UserError
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def validate(
     if check.warning:
         warnings.append(check.warning)
     compared = None
-    if truth and run.model.has_truth:
+    if truth and has_reference(run.model):
         compared = _against_truth(run.model, evaluators, sampling, metrics, warnings)
     return Validation(member, channels, errors, check, compared, tuple(warnings), predicted)
 
@@ -186,6 +186,12 @@ def _against_truth(
     from gbspec.data.cases import MetricsOptions as Metrics
     from gbspec.data.sampling import SimulateOptions as Sampling
 
+    lacking = without_truth(model)
+    if lacking:
+        names = ", ".join(f"`{name}`" for name in lacking)
+        warnings.append(
+            f"{names} has no `truth`, so the truth that the model is compared with stands at its start there"
+        )
     case = shipped_case(model)
     if sampling is None:
         sampling = case.sampling if case is not None else Sampling()

@@ -15,7 +15,7 @@ from gbspec.analysis.estimate import Estimator
 from gbspec.analysis.predict import learned_positions, learned_start, predict
 from gbspec.analysis.simulate import simulate
 from gbspec.analysis.step_check import StepCheck, step_check
-from gbspec.analysis.truth_errors import truth_errors, truth_model
+from gbspec.analysis.truth_errors import has_reference, truth_errors, truth_model, without_truth
 from gbspec.analysis.validate import shipped_case, validate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
@@ -278,3 +278,10 @@ def test_a_fixed_step_that_blows_up_is_told() -> None:
     check = StepCheck(math.inf, math.inf, 5.0, 3)
     assert "blow up" in str(check.warning)
     assert check.to_json()["half_step"] is None
+
+
+def test_a_model_without_a_truth_is_not_compared_with_its_starts() -> None:
+    assert not has_reference(model_of("gas_oil"))
+    assert has_reference(model_of("urp_gb2"))
+    model = model_of("urp_gb2")
+    assert without_truth(replace(model, truth_constants=model.truth_constants[:1])) == ("beta",)
