@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
+from gbspec.backends.latex import document
 from gbspec.backends.module import generate
+from gbspec.diagnostics import Defect
 from gbspec.ir.dump import dump
 from gbspec.ir.model import Model
 
 
 class Backend(Protocol):
-    """What can be asked of a backend: its name after `--emit`, the suffix of its files, the text for a model."""
+    """What can be asked of a backend."""
 
     @property
     def name(self) -> str:
-        """Its name on the command line."""
+        """Its name after `--emit`."""
         ...
 
     @property
@@ -25,23 +27,56 @@ class Backend(Protocol):
         ...
 
     @property
-    def emit(self) -> Callable[[Model], str]:
-        """The text for a verified model; raises `Defect` alone."""
+    def numbers(self) -> bool:
+        """Whether it writes down what was learned, or the truth: whether `emit` needs an instance."""
+        ...
+
+    def emit(self, model: Model, instance: Any = None) -> str:
+        """The text for a verified model, or for an instance of its generated module with weights."""
         ...
 
 
 @dataclass(frozen=True)
-class TextBackend:
-    """A backend that is a function from a model to a text."""
+class ModelText:
+    """A backend that needs the model alone."""
 
     name: str
     suffix: str
-    emit: Callable[[Model], str]
+    text: Callable[[Model], str]
+    numbers: bool = False
+
+    def emit(self, model: Model, instance: Any = None) -> str:
+        """The text for the model; an instance changes nothing."""
+        return self.text(model)
+
+
+@dataclass(frozen=True)
+class InstanceText:
+    """A backend that writes numbers: weights and constants."""
+
+    name: str
+    suffix: str
+    text: Callable[[Any], str]
+    numbers: bool = True
+
+    def emit(self, model: Model, instance: Any = None) -> str:
+        """The text for an instance of the model's module; a Defect without one."""
+        if instance is None:
+            raise Defect(f"the backend `{self.name}` was asked for the model `{model.name}` without its numbers")
+        return self.text(instance)
+
+
+def _c_code(instance: Any) -> str:
+    from gbspec.backends.casadi.c_code import c_code  # casadi takes a while to load
+
+    return c_code(instance)
 
 
 _ALL: tuple[Backend, ...] = (
-    TextBackend("module", ".py", generate),
-    TextBackend("ir", ".ir.txt", dump),
+    ModelText("module", ".py", generate),
+    ModelText("ir", ".ir.txt", dump),
+    ModelText("latex", ".tex", document),
+    InstanceText("c", ".c", _c_code),
 )
 
 BACKENDS: Mapping[str, Backend] = {backend.name: backend for backend in _ALL}

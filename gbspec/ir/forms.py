@@ -24,6 +24,9 @@ class softplus(sympy.Function):  # type: ignore[misc]  # noqa: N801 - sympy is u
         """The logistic function."""
         return logistic(self.args[0])
 
+    def _eval_evalf(self, prec: int) -> Expr:
+        return sympy.log(1 + sympy.exp(self.args[0]))._eval_evalf(prec)
+
 
 class logistic(sympy.Function):  # type: ignore[misc]  # noqa: N801 - sympy is untyped; its functions are named so
     """`1/(1 + exp(-x))`, computed without overflow."""
@@ -34,6 +37,9 @@ class logistic(sympy.Function):  # type: ignore[misc]  # noqa: N801 - sympy is u
     def fdiff(self, argindex: int = 1) -> Expr:
         """`p (1 - p)`."""
         return logistic(self.args[0]) * (1 - logistic(self.args[0]))
+
+    def _eval_evalf(self, prec: int) -> Expr:
+        return (1 / (1 + sympy.exp(-self.args[0])))._eval_evalf(prec)
 
 
 def raw(evaluation: int, output: int) -> sympy.Symbol:

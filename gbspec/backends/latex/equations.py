@@ -1,0 +1,113 @@
+"""Names and expressions of a model in LaTeX's mathematics."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from typing import Any
+
+import sympy
+from sympy.printing.latex import LatexPrinter
+
+from gbspec.ir.model import NN, Expr, Model, Unknown
+
+GREEK = frozenset(
+    (
+        *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu"),
+        *("xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta"),
+        *("Lambda", "Xi", "Pi", "Sigma", "Upsilon", "Phi", "Psi", "Omega"),
+    )
+)
+"""Greek letters that LaTeX has commands for; the others look like Latin ones."""
+
+
+def name(text: str) -> str:
+    """A declared name: `x1` becomes x with index 1, `mu_max` a Greek letter with an upright index, `Da` upright.
+
+    A name of several words, such as `host_growth`, is one upright word.
+    """
+    parts = [part for part in text.split("_") if part]
+    if not parts or (len(parts) > 1 and len(parts[0]) > 2 and parts[0].isalpha() and parts[0] not in GREEK):
+        return f"\\mathrm{{{text.replace('_', chr(92) + '_')}}}"
+    split = re.fullmatch(r"(.*\D)(\d+)", parts[0])
+    if split:
+        parts[:1] = [split[1], split[2]]
+    indices = ",".join(map(_word, parts[1:]))
+    return f"{_word(parts[0])}_{{{indices}}}" if indices else _word(parts[0])
+
+
+def _word(part: str) -> str:
+    """A Greek letter, a single letter or a number as they are; a longer word upright."""
+    if len(part) == 1 and "GREEK" in unicodedata.name(part, ""):
+        kind, _, letter = unicodedata.name(part).removeprefix("GREEK ").partition(" LETTER ")
+        part = letter.capitalize() if kind == "CAPITAL" else letter.lower()
+        part = "lambda" if part == "lamda" else "Lambda" if part == "Lamda" else part
+    if part in GREEK:
+        return f"\\{part}"
+    return part if len(part) == 1 or part.isdecimal() else f"\\mathrm{{{part}}}"
+
+
+class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
+    """sympy's printer with this project's names, unknown functions, and floats in full."""
+
+    # ruff's rule on names of functions does not hold here: sympy finds these methods by the names of its classes
+    def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:  # noqa: N802
+        return r"\mathcal{N}" if expr == NN else name(expr.name)
+
+    _print_Dummy = _print_Symbol  # noqa: N815
+
+    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802
+        digits, _, exponent = repr(float(expr)).partition("e")
+        return f"{digits.removesuffix('.0')} \\cdot 10^{{{int(exponent)}}}" if exponent else digits.removesuffix(".0")
+
+    def _print_Function(self, expr: Any, exp: str | None = None) -> str:  # noqa: N802
+        if not isinstance(expr, sympy.core.function.AppliedUndef):
+            return str(super()._print_Function(expr, exp))
+        arguments = ", ".join(map(self._print, expr.args))
+        power = f"^{{{exp}}}" if exp is not None else ""
+        return f"{name(expr.func.__name__)}{power}\\left({arguments}\\right)"
+
+
+_PRINTER = _Printer({"mul_symbol": r" \, ", "fold_short_frac": False, "ln_notation": True})
+
+
+def expression(value: Expr | sympy.Basic) -> str:
+    """An expression or a condition."""
+    return str(_PRINTER.doprint(value))
+
+
+def balances(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each balance."""
+    time = name(model.time.name)
+    return [
+        (f"\\frac{{\\mathrm{{d}} {name(state.name)}}}{{\\mathrm{{d}} {time}}}", expression(balance))
+        for state, balance in zip(model.states, model.balances, strict=True)
+    ]
+
+
+def intermediates(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each named expression."""
+    return [(name(item.name), expression(item.value)) for item in model.intermediates]
+
+
+def observations(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each channel that is not a state as it is."""
+    return [(name(c.name), expression(c.value)) for c in model.channels if c.value != c.symbol]
+
+
+def starts(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each start that the model expresses."""
+    at = "0" if model.time.start is None else expression(sympy.Float(model.time.start, 17))
+    return [
+        (f"{name(state.name)}({'t_{0}' if model.time.start is None else at})", expression(state.initial.value))
+        for state in model.states
+        if state.initial.value is not None
+    ]
+
+
+def postulate(model: Model, unknown: Unknown) -> tuple[str, str]:
+    """Left and right side of an unknown in terms of its network, written as a calligraphic N with the output's name."""
+    formals = ", ".join(name(argument.name) for argument in model.networks[unknown.network].arguments)
+    network = f"\\mathcal{{N}}_{{{name(unknown.name)}}}\\left({formals}\\right)"
+    right = expression(unknown.postulate).replace(r"\mathcal{N}", network)
+    return f"{name(unknown.name)}\\left({formals}\\right)", right
