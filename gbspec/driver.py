@@ -164,7 +164,6 @@ def eigen(
 ) -> Eigen:
     """Eigenvalues of a subject; of a run beside those of its model's truth, where it has one."""
     from gbspec.analysis.eigen import eigen as run
-
     from gbspec.analysis.truth_errors import has_reference
 
     truth = None
