@@ -26,6 +26,8 @@ from gbspec.syntax.names import STATEMENTS, normalise
 from gbspec.syntax.statements import Chunk
 
 _WORD = re.compile(r"[^\W\d]\w*")
+_LAST = re.compile(r'("[^"\n]*"|\w+(?:\.\w+)*|[^\w\s])\s*\Z')
+_WINDOW = 500  # how many characters before the offending token, and at the statement's beginning, patterns look at
 _OPERAND = frozenset({"NAME", "NUMBER", "PLUS", "MINUS", "LPAR"})
 _BRACKETS = {"(": ")", "[": "]", "{": "}"}
 
@@ -96,7 +98,7 @@ class Slip:
     @cached_property
     def last(self) -> tuple[int, int]:
         """Where the token before the offending one stands."""
-        found = re.search(r'("[^"\n]*"|\w+(?:\.\w+)*|[^\w\s])\s*$', self.before)
+        found = _LAST.search(self.text, max(0, self.start - _WINDOW), self.start)
         return (found.start(1), found.end(1)) if found else (0, 0)
 
     @cached_property
@@ -228,12 +230,15 @@ def _fits(mistake: Mistake, slip: Slip) -> bool:
         return False
     if mistake.word and not _word_is(mistake.word, slip):
         return False
-    patterns = ((mistake.statement, slip.text, 0), (mistake.found, slip.text, slip.start))
-    for pattern, text, start in patterns:
-        if pattern and not _keep(_pattern(pattern).match(text, start), slip):
-            return False
-    if mistake.before and not _keep(_pattern(f"(?:{mistake.before})\\s*\\Z").search(slip.before), slip):
+    text, start = slip.text, slip.start
+    if mistake.statement and not _keep(_pattern(mistake.statement).match(text, 0, start + _WINDOW), slip):
         return False
+    if mistake.found and not _keep(_pattern(mistake.found).match(text, start, start + _WINDOW), slip):
+        return False
+    if mistake.before:
+        before = _pattern(f"(?:{mistake.before})\\s*\\Z")
+        if not _keep(before.search(text, max(0, start - _WINDOW), start), slip):
+            return False
     return not mistake.state or slip.kinds.get(slip.groups[mistake.state]) == "state"
 
 

@@ -6,7 +6,7 @@ import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from itertools import islice
 from typing import Any, cast
 
 from lark import Token
@@ -27,14 +27,18 @@ __all__ = ["Parsed", "parse", "parse_expression", "parse_statements", "read_sour
 _WORD = re.compile(r"[^\W\d]\w*")
 _HEAD = re.compile(rf"\s*({'|'.join(STATEMENTS)})\s+([^\W\d]\w*)")
 _BEGINS_STATEMENT = re.compile(rf"({'|'.join(STATEMENTS)})[ \t]+[^\W\d]|[^\W\d]\w*[ \t]*(\[[^\]\n]*\][ \t]*)?'[ \t]*=")
-_MAX_JOINED = 20
+_BRACKET = re.compile(r'"[^"\n]*"|[()\[\]]')
+_DECLARING = frozenset(STATEMENTS) - {"model", "unit", "initial", "observe", "dose", "truth", "allow", "without"}
+_MAX_JOINED = 20  # lines that are joined one by one; lines inside open brackets are joined at once
+_MAX_INSIDE = 500
 
 
 @dataclass(frozen=True)
 class Parsed:
-    """What came of one statement's text: the tree and its clauses in the order of the text, or what is wrong with it.
+    """What came of one statement's text: the tree and its clauses in the order of the text, and what is wrong.
 
-    `broken` with a tree: the tree means what the user meant, though the text is wrong (a typographic sign).
+    A tree with problems means what the user meant, though the text is wrong (a typographic sign, a line that should be
+    indented). `ended_early`: more had to follow; `stopped_at`: the offset at which the parser stopped, else -1.
     """
 
     chunk: Chunk
@@ -92,12 +96,13 @@ def parse_statements(source: Source, findings: Findings) -> list[Parsed]:
                 continue
         if chunk.indented:
             findings.add(_stray_indentation([chunk], True))
-        if parsed.problems and done:
-            joined = reader.join(done[-1], parsed)
-            if joined is not None:
-                done[-1] = joined
-                continue
-        done.append(parsed)
+        if parsed.ended_early:
+            parsed = reader.close_brackets(parsed, waiting)
+        joined = reader.join(done[-1], parsed) if parsed.problems and done else None
+        if joined is not None:
+            done[-1] = joined
+        else:
+            done.append(parsed)
     for parsed in done:
         findings.extend(parsed.problems)
     return done
@@ -108,16 +113,7 @@ def _declared(chunks: tuple[Chunk, ...]) -> Mapping[str, str]:
     found = {}
     for chunk in chunks:
         head = _HEAD.match(chunk.source.text, chunk.start, chunk.end)
-        if head is not None and head[1] not in (
-            "model",
-            "unit",
-            "initial",
-            "observe",
-            "dose",
-            "truth",
-            "allow",
-            "without",
-        ):
+        if head is not None and head[1] in _DECLARING:
             found[normalise(head[2])] = head[1]
     return found
 
@@ -139,11 +135,12 @@ def _unindented(chunk: Chunk) -> list[Chunk]:
 
 
 def _without_comments(text: str, start: int, end: int, comments: tuple[Comment, ...]) -> str:
-    part = text[start:end]
+    """A stretch of the text with its comments blanked."""
+    parts = []
     for comment in comments:
-        cut = slice(comment.start - start, min(comment.end, end) - start)
-        part = part[: cut.start] + " " * len(part[cut]) + part[cut.stop :]
-    return part
+        parts += [text[start : comment.start], " " * (min(comment.end, end) - comment.start)]
+        start = min(comment.end, end)
+    return "".join([*parts, text[start:end]])
 
 
 def _stray_indentation(pieces: list[Chunk], first_too: bool) -> Diagnostic:
@@ -173,11 +170,7 @@ class _Reader:
 
     def __init__(self, source: Source, kinds: Mapping[str, str]) -> None:
         self.source, self.kinds = source, kinds
-
-    @cached_property
-    def _joined(self) -> dict[int, int]:
-        """How many statements were joined to the one that starts at an offset."""
-        return {}
+        self._joined: dict[int, list[Chunk]] = {}  # by a statement's start: what was joined to it
 
     def read(self, chunk: Chunk, start: str = "statement") -> Parsed:
         """Parses one statement."""
@@ -207,31 +200,75 @@ class _Reader:
             problems = (explain_slip(lark, slip),)
         return Parsed(chunk, None, (), problems, slip.at_end, chunk.start + slip.start)
 
+    def close_brackets(self, parsed: Parsed, waiting: deque[Chunk]) -> Parsed:
+        """A statement that ends inside brackets, together with the following ones up to where these are closed.
+
+        Takes those from `waiting` if all together read as one statement; else changes nothing.
+        """
+        count = _lines_to_close(parsed.chunk, waiting)
+        if not count:
+            return parsed
+        following = [waiting[index] for index in range(count)]
+        joined = self.read(_united([parsed.chunk, *following]))
+        if joined.problems:
+            return parsed
+        for _ in following:
+            waiting.popleft()
+        return replace(joined, problems=(_not_indented(parsed.chunk, following[0]),))
+
     def join(self, before: Parsed, after: Parsed) -> Parsed | None:
         """Two statements that read as one: the second's lines should have been indented. None where they do not."""
         first, second = before.chunk, after.chunk
-        count = self._joined.get(first.start, 0)
-        unfinished = before.statement is not None or before.ended_early or count
-        if not unfinished or count >= _MAX_JOINED or second.indented:
+        joined = self._joined.get(first.start, [])
+        unfinished = before.statement is not None or before.ended_early or joined
+        if not unfinished or len(joined) >= _MAX_JOINED or second.indented:
             return None
-        comments = first.comments + second.comments
-        chunk = Chunk(self.source, first.start, second.end, first.lines + second.lines, comments)
-        parsed = self.read(chunk)
+        parsed = self.read(_united([first, second]))
         if parsed.problems and not (parsed.ended_early and before.ended_early and after.stopped_at >= 0):
             return None
-        self._joined[first.start] = count + 1
+        joined = self._joined[first.start] = [*joined, second]
         if parsed.problems:
-            return replace(parsed, problems=parsed.problems if not count else before.problems)
-        label = Label(Span(self.source, first.start, first.end), "the statement that it continues")
-        finding = Diagnostic(
-            "GB111",
-            "a line that continues a statement is indented",
-            Span(self.source, second.start, second.end),
-            "not indented",
-            (label,),
-            help="put spaces before it",
-        )
-        return replace(parsed, problems=(finding,))
+            return replace(parsed, problems=before.problems)
+        start = Chunk(self.source, first.start, joined[0].start, first.lines, ()) if len(joined) > 1 else first
+        return replace(parsed, problems=(_not_indented(start, joined[0]),))
+
+
+def _united(chunks: list[Chunk]) -> Chunk:
+    """Several statements as one."""
+    lines = tuple(line for chunk in chunks for line in chunk.lines)
+    comments = tuple(comment for chunk in chunks for comment in chunk.comments)
+    return Chunk(chunks[0].source, chunks[0].start, chunks[-1].end, lines, comments)
+
+
+def _not_indented(first: Chunk, second: Chunk) -> Diagnostic:
+    """The finding for a line that continues a statement and starts in the first column."""
+    return Diagnostic(
+        "GB111",
+        "a line that continues a statement is indented",
+        second.span,
+        "not indented",
+        (Label(Span(first.source, first.start, first.end), "the statement that it continues"),),
+        help="put spaces before it",
+    )
+
+
+def _lines_to_close(chunk: Chunk, waiting: deque[Chunk]) -> int:
+    """How many of the following statements it takes to close a statement's brackets; 0 where they stay open."""
+    depth = _balance(chunk)
+    for count, following in enumerate(islice(waiting, _MAX_INSIDE), start=1):
+        if depth <= 0 or _BEGINS_STATEMENT.match(following.source.text, following.start, following.end):
+            return 0
+        depth += _balance(following)
+        if depth <= 0:
+            return count
+    return 0
+
+
+def _balance(chunk: Chunk) -> int:
+    """How many more brackets are opened than closed."""
+    text = _without_comments(chunk.source.text, chunk.start, chunk.end, chunk.comments)
+    signs = [found[0] for found in _BRACKET.finditer(text)]
+    return sum(sign in "([" for sign in signs) - sum(sign in ")]" for sign in signs)
 
 
 def _too_deep(chunk: Chunk, text: str) -> Diagnostic | None:
@@ -239,7 +276,7 @@ def _too_deep(chunk: Chunk, text: str) -> Diagnostic | None:
     if sum(map(text.count, "([")) <= ast.MAX_DEPTH:
         return None
     depth = 0
-    for found in re.finditer(r'"[^"\n]*"|[()\[\]]', text):
+    for found in _BRACKET.finditer(text):
         if found[0] in "([":
             depth += 1
         elif found[0] in ")]":

@@ -177,7 +177,7 @@ class ClauseRules(ExpressionRules):
         return {kind: c.content for kind, c in seen.items()} | {"bounds": tuple(bounds), "contracts": tuple(contracts)}
 
     def _twice(self, clause: Clause, first: Clause, kind: str, of: str) -> None:
-        self.problems.append(
+        self.report(
             Diagnostic(
                 "GB126",
                 f"{of} has only one {CLAUSE_WORDS[kind]}, and here is a second",

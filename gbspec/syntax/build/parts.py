@@ -55,6 +55,10 @@ CLAUSE_WORDS = {
 """What each kind of clause is called in messages."""
 
 
+MAX_PROBLEMS = 20
+"""How many findings one statement gets; more would only come from a damaged file."""
+
+
 class Parts:
     """Places, names and checks that the rules share; the state of one statement being built."""
 
@@ -81,7 +85,12 @@ class Parts:
 
     def problem(self, code: str, message: str, place: Span, *, label: str = "", help: str = "") -> None:
         """Records a finding about the statement."""
-        self.problems.append(Diagnostic(code, message, place, label, help=help))
+        self.report(Diagnostic(code, message, place, label, help=help))
+
+    def report(self, finding: Diagnostic) -> None:
+        """Records a finding, unless the statement has had its share of them."""
+        if len(self.problems) < MAX_PROBLEMS:
+            self.problems.append(finding)
 
     def name_at(self, token: Token) -> ast.Name:
         """A name, used or declared."""
