@@ -25,7 +25,7 @@ needs_a_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C co
 
 def compiled(text: str, directory: Path) -> Path:
     (directory / "model.c").write_text(text, encoding="utf-8")
-    command = [str(COMPILER), "-std=c99", "-O1", "-shared", "-fPIC", "-Wall", "-Werror", "-Wno-unused-variable"]
+    command = [str(COMPILER), "-std=c99", "-O0", "-shared", "-fPIC", "-Wall", "-Werror", "-Wno-unused-variable"]
     command += ["-Wno-unused-but-set-variable", "-Wno-unused-function", "-o", "model.so", "model.c", "-lm"]
     done = subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -296,6 +296,7 @@ def test_gradients_ignore_the_branch_that_is_not_taken(expression: Any, at: floa
     value = torch.tensor([at], dtype=torch.float64, requires_grad=True)
     (gradient,) = torch.autograd.grad(instance.rhs(0.0, value).sum(), value)
     assert gradient.tolist() == [derivative]
+    assert float(instance.casadi_jacobian()(0.0, at, [], [])) == derivative
 
 
 # ---------------------------------------------------------------------- text

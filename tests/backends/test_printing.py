@@ -194,6 +194,12 @@ def test_intermediates_keep_their_names_and_the_unused_are_left_out() -> None:
     assert program(symbol("q") ** 2, intermediates=lets) == ["p = a*b", "q = c + p", "d0 = q**2"]
 
 
+def test_a_circle_of_intermediates_is_a_defect() -> None:
+    lets = (Intermediate("p", value=symbol("q") + 1), Intermediate("q", value=symbol("p") ** 2))
+    with pytest.raises(Defect, match="circle"):
+        program(symbol("q"), symbol("p"), intermediates=lets)
+
+
 def test_networks_are_called_once_for_each_tuple_of_arguments() -> None:
     network = Network(("f", "g"), (Argument("a"), Argument("b")))
     f, g = unknown_function("f"), unknown_function("g")

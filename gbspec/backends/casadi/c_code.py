@@ -17,7 +17,9 @@ _USE = """\
    and matrices column by column; iw and w are work arrays of the sizes that f_work tells. What it returns is 0 unless
    it failed.
 
-   All functions that begin with `casadi_` are parts of these. Compile with, for instance: cc -O2 -shared -fPIC FILE.c -lm
+   All functions that begin with `casadi_` are parts of these. Compile with, for instance:
+
+     cc -O2 -shared -fPIC FILE.c -lm
 """
 
 

@@ -23,7 +23,7 @@ URP at the ignited cycle, 1e-2 keeps the global error at 10 time units below the
 FINEST = 1e-14
 """No local tolerance below this: rounding would make the error control stall."""
 
-STEPS = 20_000
+STEPS = {"adams": 20_000, "bdf": 50_000}
 """Steps between two outputs after which Adams' methods give way to BDF (the problem is stiff), and BDF gives up."""
 
 KEPT = 512
@@ -114,11 +114,12 @@ class Integrator:
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
-        options = {
+        method = "bdf" if stiff else "adams"
+        options: dict[str, Any] = {
             "reltol": max(problem.rtol * LOCAL, FINEST),
             "abstol": max(problem.atol * LOCAL, FINEST),
-            "linear_multistep_method": "bdf" if stiff else "adams",
-            "max_num_steps": STEPS if not stiff else 10 * STEPS,
+            "linear_multistep_method": method,
+            "max_num_steps": STEPS[method],
             "show_eval_warnings": False,
             "disable_internal_warnings": True,
         }

@@ -17,6 +17,10 @@ from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
 Array = NDArray[np.float64]
 
 
+MAPS = 64
+"""Functions over a number of points that an evaluator keeps for the next call with as many."""
+
+
 class Evaluator:
     """Functions of an instance of a generated module: with weights, or of a model without unknown functions.
 
@@ -120,6 +124,8 @@ class Evaluator:
         tables = [np.atleast_2d(column) for column in columns]
         count = max(len(table) for table in tables)
         if (key, count) not in self._maps:
+            if len(self._maps) >= MAPS:
+                self._maps.clear()
             self._maps[key, count] = function.map(count)
         blocks = [np.ascontiguousarray(np.broadcast_to(table, (count, table.shape[1])).T) for table in tables]
         return np.ascontiguousarray(np.array(self._maps[key, count](*blocks)).T)

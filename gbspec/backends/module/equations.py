@@ -130,9 +130,8 @@ def observe_method(model: Model) -> str:
 def _whole(model: Model, name: str, outputs: Sequence[Assignment], document: str) -> str:
     """A method of the whole state: unpack what is used, compute, pack."""
     names = scope(model)
-    proper = [output for output in outputs if not output.value.is_Symbol or name == "_rhs"]
     program = Program(model, outputs).statements
-    bare = {output.symbol: output.value for output in outputs if output not in proper}
+    bare = {output.symbol: output.value for output in outputs if output.value.is_Symbol and name != "_rhs"}
     program = [s for s in program if not (isinstance(s, Assignment) and s.symbol in bare)]
     read = _used(program) | set(bare.values())
     body = _unpacked(model, names, read)

@@ -204,7 +204,7 @@ class Program:
     # -------------------------------------------------------------- order
     def _emit(self, symbol: sympy.Symbol) -> None:
         """Appends the statement of a symbol after those that it depends on."""
-        stack = [symbol]
+        stack, opened = [symbol], set[sympy.Symbol]()
         while stack:
             top = stack[-1]
             statement = self._pending.get(top)
@@ -212,14 +212,15 @@ class Program:
                 stack.pop()
                 continue
             missing = [s for s in _reads(statement) if s in self._pending and s not in self._done]
-            if missing:
-                if len(stack) > len(self._pending):
-                    raise Defect(f"the statements of the model `{self._model.name}` depend on each other in a circle")
-                stack.append(missing[0])
-                continue
-            self.statements.append(statement)
-            self._done |= set(_writes(statement))
-            stack.pop()
+            if not missing:
+                self.statements.append(statement)
+                self._done |= set(_writes(statement))
+                stack.pop()
+            elif top in opened:
+                raise Defect(f"the statements of the model `{self._model.name}` depend on each other in a circle")
+            else:
+                opened.add(top)
+                stack.extend(reversed(missing))
 
 
 def _reads(statement: Statement) -> list[sympy.Symbol]:
