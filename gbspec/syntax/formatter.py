@@ -107,7 +107,7 @@ def statement_lines(part: Parsed) -> list[str]:
         groups = _ordered(groups, part.clauses, part.statement)
     ordered = [piece for group in groups for piece in group]
     ordered[0].space = False
-    broken = any(piece.first and piece.new_line for piece in found)
+    broken = any(piece.new_line and _starts_line(piece, part.clauses) for piece in found)
     if not broken and not commented:
         line = _joined(ordered)
         if len(line) <= WIDTH:
@@ -177,10 +177,7 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
 
     begins_clause = False
     for piece in ordered:
-        starts_line = (
-            clause_lines and piece.first and clauses[piece.clause or 0].kind not in ("unit", "consumed", "produced")
-        )
-        if starts_line or piece.above:
+        if piece.above or (clause_lines and _starts_line(piece, clauses)):
             flush()
         if not waiting:
             begins_clause = piece.first
@@ -190,6 +187,11 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
             flush(piece.after)
     flush()
     return lines
+
+
+def _starts_line(piece: Piece, clauses: Sequence[Clause]) -> bool:
+    """Whether a token begins a clause that stands on a line of its own where the statement is broken into clauses."""
+    return piece.first and clauses[piece.clause or 0].kind not in ("unit", "consumed", "produced")
 
 
 def _filled(line: Sequence[Piece], indent: int, hanging: int) -> list[str]:

@@ -29,6 +29,27 @@ _WORD = re.compile(r"[^\W\d]\w*")
 _LAST = re.compile(r'("[^"\n]*"|\w+(?:\.\w+)*|[^\w\s])\s*\Z')
 _WINDOW = 500  # how many characters before the offending token, and at the statement's beginning, patterns look at
 _OPERAND = frozenset({"NAME", "NUMBER", "PLUS", "MINUS", "LPAR"})
+_KEYWORDS = frozenset(
+    {
+        *STATEMENTS,
+        *(
+            "extends",
+            "from",
+            "in",
+            "as",
+            "held",
+            "linear",
+            "prior",
+            "noise",
+            "per",
+            "trajectory",
+            "rate",
+            "times",
+            "lag",
+        ),
+        *("by", "zero", "at", "increasing", "decreasing", "if", "and", "or", "not"),
+    }
+)
 _BRACKETS = {"(": ")", "[": "]", "{": "}"}
 
 
@@ -57,6 +78,7 @@ class Mistake:
     state: str = ""
     open: bool = False
     closed: bool = False
+    lone: bool = False
     at: str = "found"
     label: str = ""
 
@@ -71,6 +93,7 @@ class Slip:
     token: Token
     expected: frozenset[str]
     kinds: Mapping[str, str]
+    lone: bool = False
     groups: dict[str, str] = field(default_factory=dict)
     group_spans: dict[str, tuple[int, int]] = field(default_factory=dict)
 
@@ -112,7 +135,7 @@ class Slip:
         """The expected keyword that the offending word resembles."""
         if not _WORD.fullmatch(self.token):
             return ""
-        keywords = [name.lower() for name in self.expected if len(name) > 1 and name.lower() in keyword_texts()]
+        keywords = [name.lower() for name in self.expected if len(name) > 1 and name.lower() in _KEYWORDS]
         return next(iter(get_close_matches(self.token.lower(), keywords, n=1, cutoff=0.65)), "")
 
     @cached_property
@@ -124,14 +147,6 @@ class Slip:
     def span(self, start: int, end: int) -> Span:
         """A span in the source."""
         return Span(self.chunk.source, self.chunk.start + start, self.chunk.start + end)
-
-
-def keyword_texts() -> frozenset[str]:
-    """Every word that the grammar gives a meaning to somewhere."""
-    clauses = (
-        "extends from in as held linear prior noise per trajectory rate times lag by zero at increasing decreasing"
-    )
-    return frozenset({*STATEMENTS, *clauses.split(), "if", "and", "or", "not"})
 
 
 def brackets(text: str) -> tuple[list[int], int | None]:
@@ -224,6 +239,8 @@ def where(error: UnexpectedInput) -> tuple[int, str]:
 def _fits(mistake: Mistake, slip: Slip) -> bool:
     """Whether an entry's conditions hold; the groups of its patterns are kept in the slip."""
     slip.groups, slip.group_spans = {}, {}
+    if mistake.lone != slip.lone and (mistake.lone or mistake.statement or mistake.word):
+        return False
     if (mistake.open and slip.opener is None) or (mistake.closed and slip.opener is not None):
         return False
     if mistake.meant and not slip.meant:
@@ -365,9 +382,9 @@ def _wants_operand(slip: Slip) -> bool:
 def _expected(slip: Slip) -> Diagnostic:
     """What is said where no entry of the table fits."""
     words = _data()["terminals"]
-    wanted = listed(_wanted(slip.expected, words), "or")
+    wanted = listed(_wanted(slip.expected - ({"$END"} if slip.lone else set()), words), "or")
     if slip.at_end:
-        message = "this statement ends too early"
+        message = f"this {'expression' if slip.lone else 'statement'} ends too early"
         return Diagnostic("GB101", message, slip.span(slip.start, slip.start), label=f"expected {wanted}")
     message = f"`{slip.token}` cannot stand here"
     labels: tuple[Label, ...] = ()

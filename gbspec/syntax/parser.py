@@ -185,17 +185,19 @@ class _Reader:
         try:
             statement: Any = lark.parse(text, start=start)
         except UnexpectedInput as error:
-            return self._failed(chunk, text, error, tuple(problems))
+            return self._failed(chunk, text, error, tuple(problems), lone=start == "expression")
         clauses, found = builder.clauses, tuple(builder.problems)
         return Parsed(chunk, None if found else statement, clauses, (*problems, *found))
 
-    def _failed(self, chunk: Chunk, text: str, error: UnexpectedInput, problems: tuple[Diagnostic, ...]) -> Parsed:
+    def _failed(
+        self, chunk: Chunk, text: str, error: UnexpectedInput, problems: tuple[Diagnostic, ...], lone: bool
+    ) -> Parsed:
         lark, _ = engine()
         state, _ = where(error)
         token, expected = Token("?", text[error.pos_in_stream or 0 :][:1], error.pos_in_stream), frozenset[str]()
         if isinstance(error, UnexpectedToken):
             token, expected = error.token, frozenset(error.accepts or error.expected)
-        slip = Slip(chunk, text, state, token, expected, self.kinds)
+        slip = Slip(chunk, text, state, token, expected, self.kinds, lone)
         if not problems:
             problems = (explain_slip(lark, slip),)
         return Parsed(chunk, None, (), problems, slip.at_end, chunk.start + slip.start)

@@ -9,10 +9,11 @@ import pytest
 from gbspec.diagnostics import Findings, Source, Span
 from gbspec.syntax import mistakes
 from gbspec.syntax.grammar import engine
-from gbspec.syntax.parser import parse
+from gbspec.syntax.parser import parse, parse_expression
 
 ROOT = Path(__file__).parents[2]
 SLIPS = [line.split("\t") for line in (Path(__file__).parent / "slips.tsv").read_text("utf-8").splitlines()[1:]]
+LONE = [("GB117", "x = 3"), ("GB121", "0 < x < 1"), ("GB141", "x > 1, y > 2"), ("GB118", "x => 3"), ("GB119", "x && y")]
 BEFORE, AFTER = "state X\nstate x\n", "let after = 3\n"
 
 
@@ -32,7 +33,15 @@ def test_a_slip_is_one_finding_at_its_place(code: str, marked: str, slip: str) -
     assert finding.help or finding.label
 
 
-def test_no_message_shows_the_grammar_s_own_words(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("code", "slip"), LONE)
+def test_a_slip_in_a_lone_expression(code: str, slip: str) -> None:
+    findings = Findings()
+    assert parse_expression(Source("--reject", slip), findings) is None
+    assert [finding.code for finding in findings] == [code]
+    assert "statement" not in "".join(finding.message + finding.label for finding in findings)
+
+
+def test_no_message_shows_the_grammar_s_own_words() -> None:
     terminals = {terminal.name for terminal in engine()[0].terminals}
     shouting = {name for name in terminals if len(name) > 2 and name not in {"AND", "NOT"}}
     for _, _, slip in SLIPS:
@@ -48,6 +57,8 @@ def test_every_entry_of_the_table_speaks_for_some_slip(monkeypatch: pytest.Monke
     monkeypatch.setattr(mistakes, "_say", lambda mistake, slip: (spoken.append(mistake), say(mistake, slip))[1])
     for _, _, slip in SLIPS:
         findings_of(f"{BEFORE}{slip}\n{AFTER}")
+    for _, slip in LONE:
+        parse_expression(Source("test", slip), Findings())
     for path in ROOT.glob("tests/bad/syntax/*.gb"):
         findings_of(path.read_text(encoding="utf-8"))
     assert [entry.message for entry in mistakes.table(engine()[0]).entries if entry not in spoken] == []
