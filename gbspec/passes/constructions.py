@@ -5,7 +5,7 @@ monotone by the signs of its weights (`directions_of_units`). On it stand, in th
 
 - *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: it starts at c, rises with
   slope 0.63 s there, and never saturates at the start. Two bounds: `L + W logistic(...)`, slope s at the start.
-- *zeros*: a difference `x(v) - x(v at the zero)`; or a factor that vanishes there: `d/sqrt(d^2 + l^2)`, its size, or its
+- *zeros*: a difference `x(v) - x(zero)` of a function of one argument; or a factor that vanishes there: `d/sqrt(d^2 + l^2)`, its size, or its
   square, d the distance and l the argument's scale; or, where directions would not survive these, a generalised Monod
   factor `d/(d + K)` whose half-saturation `K = l exp(-4 tanh(g/4))`, with g an extra output of the same directions,
   falls where the value rises.
@@ -151,7 +151,7 @@ class Builder:
                 [zero.contract for zero in gated],
                 "add `>= 0` or `<= 0`, or give the arguments ranges that end at the zeros",
             )
-        elif len(demands.directions) == 1:
+        elif len(self.formals) == 1:
             value = factor * self._difference(gated[0])
         else:
             value = factor * self._two_sided(gated[0], demands)
@@ -272,7 +272,7 @@ class Builder:
         return known and self.ranges.nonnegative(-side * self._distance(zero))
 
     def _difference(self, zero: Zero) -> Expr:
-        """x - x(at the zero): monotone like x where nothing else is to be monotone."""
+        """x - x(at the zero), for a single argument: there the second evaluation is of one point, not of a batch."""
         there = tuple(zero.value if i == zero.argument else f for i, f in enumerate(self.formals))
         if there not in self.evaluations:
             self.evaluations.append(there)
@@ -333,5 +333,5 @@ class Builder:
 
 
 def _algebraic(x: Expr) -> Expr:
-    """`(x + sqrt(x^2 + 4))/2`: positive, increasing, 1 with slope 1/2 at 0; exact there, unlike softplus."""
-    return (x + sympy.sqrt(x**2 + 4)) / 2
+    """`(x + sqrt(x^2 + 4))/2`, without cancellation: positive, increasing, exactly 1 at 0 with slope 1/2."""
+    return sympy.Max(x, 0) + 2 / (sympy.Abs(x) + sympy.sqrt(x**2 + 4))

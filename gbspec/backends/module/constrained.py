@@ -142,12 +142,13 @@ class Constrained:
         return f"{WORDS[word]}[{place}]"
 
     def _arguments(self, arguments: Sequence[Expr]) -> Iterable[str]:
-        """An evaluation's arguments; one that is constant takes the shape of the formal in its place."""
+        """An evaluation's arguments; a constant beside others takes the shape of the formal in its place."""
         printer = PythonPrinter(lambda symbol: self.names[symbol])
+        formals = set(self.formals)
+        single = not any(argument.free_symbols & formals for argument in arguments)
         for formal, argument in zip(self.formals, arguments, strict=True):
-            text = printer.print(argument)
-            shaped = argument.free_symbols & set(self.formals)
-            yield text if shaped else f"0*{self.names[formal]} + {text}" if argument != 0 else f"0*{self.names[formal]}"
+            shaped = single or argument.free_symbols & formals
+            yield printer.print(argument) if shaped else printer.print(argument) + f" + 0*{self.names[formal]}"
 
 
 def _is_number(symbol: sympy.Symbol) -> bool:

@@ -90,12 +90,20 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
 
     m = _torch_arithmetic()
     own = _torch_activation(network["activation"])
-    activations = _activations(network, own, m, lambda z, sizes: z.split(sizes, -1), lambda parts: torch.cat(parts, -1))
+    activations = _activations(network, own, m, _torch_split, lambda parts: torch.cat(parts, -1))
     layers, (center, scale, output_center, output_scale) = _layers(network, weights, m, _torch_like)
-    raw = network["raw"]
+    raw, shape = network["raw"], [()]
+
+    def together(arguments: Any) -> Any:
+        if not any(isinstance(a, torch.Tensor) for a in arguments):  # one point, such as the place of a zero
+            point = torch.stack([center.new_tensor(float(a)) for a in arguments])
+            return point if tape is None else point.expand(*shape[0], len(arguments))
+        stacked = _stack(m.pack, arguments)
+        shape[0] = stacked.shape[:-1]
+        return stacked
 
     def taped(*arguments: Any) -> Any:
-        z = (_stack(m.pack, arguments) - center) / scale
+        z = (together(arguments) - center) / scale
         for i, (weight, bias) in enumerate(layers):
             a = activations[i - 1](z) if i else z
             z = linear(a, weight, bias)
@@ -114,12 +122,17 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
     *hidden, (last_weight, last_bias) = folded
 
     def plain(*arguments: Any) -> Any:
-        a = _stack(m.pack, arguments)
+        a = together(arguments)
         for (weight, bias), activation in zip(hidden, activations, strict=True):
             a = activation(linear(a, weight, bias))
         return linear(a, last_weight, last_bias).unbind(-1)
 
     return _Raw(plain, output_center, output_scale, scale) if raw else plain
+
+
+def _torch_split(z: Any, sizes: list[int]) -> list[Any]:
+    """Parts along the last axis, each with its numbers side by side: activations of strided parts take twice as long."""
+    return [part.contiguous() for part in z.split(sizes, -1)]
 
 
 def _torch_like(value: Any, like: Any) -> Any:

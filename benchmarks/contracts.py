@@ -1,0 +1,150 @@
+"""What contracts cost: a training step with them against one of the plain network, in interleaved runs.
+
+    python benchmarks/contracts.py [--repeats 15]
+
+Workload: URP (two states, network 3-64-64-1), 200 trajectories of one in [0, 10], measured about every 0.5, RK4 with
+step 0.1, one thread, float64, processor time. "Adam" is forward and backward through the unrolled solver; "Levenberg-Marquardt" is the
+exact Jacobian of all residuals on a tenth of the trajectories. Prints the median of the ratios of neighbouring runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.diagnostics import Findings, Source
+from gbspec.ir.model import Model
+from gbspec.lower import lower
+from gbspec.passes.contracts import with_contracts
+from gbspec.semantics import check
+from gbspec.syntax.parser import parse
+from gbspec.training.context import build_context
+from gbspec.training.jacobian import linearise
+from gbspec.training.options import TrainOptions
+from gbspec.training.unroll import measured_residuals, unroll
+
+TEXT = """model urp
+state x1 in [0, 1]
+state x2 in [0, 8]
+condition Da in [0.2, 0.5]
+learn B = 5 in [0, 50]
+learn beta = 1 in [0, 10]
+unknown phi({arguments}){contracts} by mlp(64, 64)
+x1' = -x1 + phi
+x2' = -x2 + B*phi - beta*x2
+observe x1
+observe x2
+"""
+
+CONTRACTS = {
+    "plain": "",
+    ">= 0": " >= 0",
+    "in [0, 3]": " in [0, 3]",
+    "zero at Da = 0": " zero at Da = 0",
+    "decreasing in x1": " decreasing in x1",
+    ">= 0, monotone in all": " >= 0, decreasing in x1, increasing in x2, increasing in Da",
+    ">= 0, zero at Da = 0, monotone in all": " >= 0, zero at Da = 0, decreasing in x1, increasing in x2, increasing in Da",
+    "= Da*(1 - x1)*nn, the same": " >= 0, zero at x1 = 1, decreasing in x1, increasing in x2 = Da*(1 - x1)*nn",
+    "zero at Da = 0.35, increasing in Da": " zero at Da = 0.35, increasing in Da",
+    "of x2 alone": "",
+    "of x2 alone, zero at 2, increasing": " zero at x2 = 2, increasing in x2",
+}
+
+ALONE = "of x2 alone"
+
+
+def model_of(contracts: str, arguments: str) -> Model:
+    findings = Findings()
+    file = parse(Source("urp.gb", TEXT.format(contracts=contracts, arguments=arguments)), findings)
+    findings.raise_if_failed()
+    assert file is not None
+    checked = check(file, findings, lambda path: Source(str(path), Path(path).read_text()))
+    findings.raise_if_failed()
+    assert checked is not None
+    model = with_contracts(lower(checked, findings), findings)
+    findings.raise_if_failed()
+    return model
+
+
+def data(count: int) -> Trajectories:
+    """Values that keep the solver in a usual region; what is measured does not matter for the cost."""
+    rng = np.random.default_rng(0)
+    items = []
+    for i in range(count):
+        times = np.cumsum(rng.gamma(4, 0.125, 20))
+        values = np.stack([rng.uniform(0.1, 0.9, 20), rng.uniform(0.5, 3.5, 20)], 1)
+        blank = np.full_like(values, np.nan)
+        values[np.arange(20), rng.integers(0, 2, 20)] = np.nan
+        items.append(
+            Trajectory(
+                str(i),
+                0.0,
+                times,
+                values,
+                np.isfinite(values).astype(float),
+                blank,
+                np.array([rng.uniform(0.2, 0.5)]),
+                (),
+            )
+        )
+    return Trajectories(tuple(items), ("x1", "x2"))
+
+
+def steps(model: Model, trajectories: Trajectories) -> tuple[Callable[[], object], Callable[[], object]]:
+    """One training step of Adam (without the update), and one Jacobian."""
+    options = TrainOptions(max_step=0.1)
+    context = build_context(model, load_module(model), trajectories, options, 0)
+    fixed = {k: v for k, v in context.module.weights.items() if "center" in k or "scale" in k}
+    parameters = context.parameters(fixed)
+    problem = context.problem()
+    theta = parameters.vector(context.module.weights)
+    few = np.arange(max(1, len(trajectories) // 10))
+    small, part = problem.take(few), parameters.take(few)
+
+    def adam() -> object:
+        vector = torch.from_numpy(theta).requires_grad_()
+        residuals = measured_residuals(problem, unroll(problem, parameters, vector).residuals)
+        (residuals**2).mean().backward()
+        return vector.grad
+
+    return adam, lambda: linearise(small, part, parameters.take_vector(theta, few))
+
+
+def seconds(step: Callable[[], object]) -> float:
+    begin = time.process_time()
+    step()
+    return time.process_time() - begin
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=15)
+    repeats = parser.parse_args().repeats
+    torch.set_num_threads(1)
+    trajectories = data(200)
+    candidates = {
+        name: steps(model_of(text, "x2" if name.startswith(ALONE) else "x1, x2, Da"), trajectories)
+        for name, text in CONTRACTS.items()
+    }
+    print(f"{'contracts on phi':<42} {'Adam':>10} {'x plain':>8} {'Jacobian':>10} {'x plain':>8}")
+    for name, pair in candidates.items():
+        texts = []
+        base = candidates[ALONE if name.startswith(ALONE) else "plain"]
+        for plain, step in zip(base, pair, strict=True):
+            seconds(plain), seconds(step)
+            both = [(seconds(plain), seconds(step)) for _ in range(repeats)]
+            ratio = statistics.median(b / a for a, b in both)
+            texts.append(f"{1e3 * statistics.median(b for _, b in both):>7.1f} ms {ratio:>8.2f}")
+        print(f"{name:<42} {' '.join(texts)}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

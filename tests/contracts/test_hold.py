@@ -1,0 +1,177 @@
+"""Contracts hold for every weight: values and derivatives by AD, in torch, casadi and numpy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+import torch
+
+from gbspec.backends.module import load_module
+from gbspec.ir.model import Model
+from tests.contracts.helpers import bound, model_of, points, weights
+
+PLAIN = [
+    ">= 0",
+    "in [0, 5]",
+    "<= 2",
+    "in [-K, K]",
+    "in [v, v + 1], increasing in v",
+    ">= v^2",
+    "increasing in u",
+    "decreasing in u, increasing in v",
+    "zero at u = 0",
+    "zero at u = 0, zero at v = 1",
+    ">= 0, zero at u = 0",
+    ">= 0, zero at u = 0, zero at v = 1",
+    "zero at u = 0, increasing in u",
+    "zero at u = 1, decreasing in u",
+    "zero at u = K, increasing in u, decreasing in v",
+    "zero at u = 1 + v^2, increasing in u",
+    "zero at u = 0, decreasing in v",
+    ">= 0, zero at u = 0, increasing in u, decreasing in v",
+    "in [0, 3], zero at u = 0, increasing in u, decreasing in v",
+    "in [-2, 3], zero at u = 0, increasing in u, decreasing in v",
+    "in [-2, 3], zero at u = 0, increasing in u",
+    "<= 3, zero at u = 0, increasing in u",
+    ">= -3, zero at u = 0, increasing in u",
+    "<= 0, zero at u = 0, increasing in u",
+    ">= 0, zero at u = 0, zero at v = 1, increasing in u, increasing in v",
+    ">= 0, zero at w = 0, increasing in u, decreasing in v",
+    ">= -k, zero at u = 0, decreasing in v",
+]
+
+POSTULATED = [
+    ">= 0 = u/(K + u) + nn",
+    ">= 0, increasing in u = u/(K + u) + nn",
+    ">= 0, increasing in u = u/(K + u) - 2*nn",
+    "<= 0, decreasing in u = -u/(K + u) + nn",
+    ">= -1, increasing in u, decreasing in v = (u/(K + u) - 1)*nn",
+    "in [0, 1], increasing in u, zero at u = 0 = u/(K + u)*nn",
+    "in [0, 1], increasing in u = u/(K + u) + nn",
+    ">= 0, zero at u = 0, increasing in u, decreasing in v = u/(K + u)*nn",
+    "<= 0, decreasing in u = -u/(K + u)*nn",
+    ">= 0, zero at u = 0, increasing in u = u/(K + u)*exp(2*tanh(nn))",
+    "zero at u = 0, increasing in u = k*u + nn",
+    ">= 0, decreasing in v = k*exp(-tanh(u))*nn",
+    ">= 0, zero at u = 0 = u/(K + u + u^2/k)*nn",
+    "increasing in u = log(1 + u)*(2 + tanh(nn))",
+]
+
+
+def cases() -> list[str]:
+    free = [f"unknown f(u, v, w) {text} by mlp(12, 12)" for text in PLAIN]
+    ranged = [f"unknown f(u in [0, 10], v) {text} by mlp(12, 12)" for text in POSTULATED]
+    one = [f"unknown f(u) {text} by mlp(8, 8)" for text in PLAIN if "v" not in text and "w" not in text]
+    return [
+        *free,
+        *ranged,
+        *one,
+        "unknown f(u in [-5, 5], v) >= 0, zero at u = 0, decreasing in v by mlp(9)",
+        "unknown f(u in [0, 5], v) zero at u = 0, increasing in u by mlp(9, 5)",
+        "unknown f(u in [0, 5], v) zero at u = 5, increasing in u by mlp(9, 5)",
+        "unknown f, g(u, v) f >= 0, f increasing in u, g decreasing in u, g in [0, 1] by mlp(12, 12)",
+        "unknown f, g(u, v) >= 0, zero at u = 0, f increasing in u, g increasing in v by mlp(12, 12)",
+        "unknown f, g(u, v) f zero at u = 0, f increasing in u by mlp(12, 12)",
+    ]
+
+
+def check_values(model: Model, instance: Any, x: torch.Tensor) -> None:
+    """Every contract of every output at the points, by torch; values and gradients are finite."""
+    for unknown in model.unknowns:
+        names = [a.name for a in model.networks[unknown.network].arguments]
+        function = instance.functions[unknown.name]
+        x = x.detach().clone().requires_grad_()
+        y = function(x if len(names) > 1 else x[:, 0])
+        (slope,) = torch.autograd.grad(y.sum(), x)
+        assert torch.isfinite(y).all()
+        assert torch.isfinite(slope).all()
+        value, constants = y.detach().numpy(), instance.weights["constants"]
+        size = 1e-13 * (1 + np.abs(value).max())
+        for contract in unknown.contracts:
+            at = None
+            if contract.value is not None:
+                at = bound(contract.value, model, unknown.network, x, constants)
+                size = 1e-13 * (1 + np.abs(value).max() + np.abs(at).max())
+            match contract.kind:
+                case "lower":
+                    assert (value - at).min() >= -size
+                case "upper":
+                    assert (at - value).min() >= -size
+                case "increasing" | "decreasing":
+                    sign = 1 if contract.kind == "increasing" else -1
+                    derivative = sign * slope[:, names.index(str(contract.argument))].numpy()
+                    assert derivative.min() >= -1e-13 * (1 + np.abs(derivative).max())
+                case "zero":
+                    there = x.detach().clone()
+                    there[:, names.index(str(contract.argument))] = torch.tensor(at)
+                    left = function(there if len(names) > 1 else there[:, 0]).detach().abs()
+                    # The place of the zero is rounded, here and in the module.
+                    assert left.max() <= size + 1e-13 * (slope.abs().max() * np.abs(at).max())
+
+
+def check_agreement(model: Model, instance: Any, x: torch.Tensor) -> None:
+    """Torch, casadi and numpy agree on values, torch and casadi on derivatives, to 1e-12 of the largest."""
+    for unknown in model.unknowns:
+        x = x.detach().clone().requires_grad_()
+        y = instance.functions[unknown.name](x if x.shape[1] > 1 else x[:, 0])
+        (slope,) = torch.autograd.grad(y.sum(), x)
+        function = instance.casadi_function(unknown.name)
+        argument = casadi.MX.sym("a", x.shape[1])
+        both = casadi.Function("both", [argument], [function(argument), casadi.jacobian(function(argument), argument)])
+        value, jacobian = both.map(len(x))(x.detach().numpy().T)
+        jacobian = np.asarray(jacobian).reshape(len(x), -1)
+        arithmetic = instance.arithmetic("numpy")
+        _, output, method = instance._unknowns[unknown.name]
+        by_numpy = method(
+            arithmetic, tuple(instance.weights["constants"]), instance.numpy_networks(), *x.detach().numpy().T
+        )[output]
+        for found, expected in (
+            (np.asarray(value).ravel(), y.detach().numpy()),
+            (by_numpy, y.detach().numpy()),
+            (jacobian, slope.numpy()),
+        ):
+            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12 * (1 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("text", cases())
+def test_contracts_hold_for_every_weight(text: str) -> None:
+    model = model_of(text)
+    cls = load_module(model)
+    for seed in range(6):
+        check_values(model, cls(weights(cls, seed)), points(model, 0, 200, seed))
+    for kind in ("zero", "huge", "tiny"):
+        check_values(model, cls(weights(cls, 0, kind)), points(model, 0, 50, 1))
+
+
+@pytest.mark.parametrize("text", cases())
+def test_libraries_agree(text: str) -> None:
+    model = model_of(text)
+    cls = load_module(model)
+    for seed in range(2):
+        instance = cls.random(seed)
+        x = points(model, 0, 20, seed)
+        check_agreement(model, instance, x.clamp(-20, 20))
+
+
+def test_steps_between_points_follow_the_direction() -> None:
+    """Not only derivatives: values at ordered arguments are ordered, through kinks and saturation."""
+    model = model_of("unknown f(u, v) >= 0, zero at u = 0, increasing in u, decreasing in v by mlp(12, 12)")
+    cls = load_module(model)
+    grid = torch.cat([-torch.logspace(3, -3, 200), torch.zeros(1), torch.logspace(-3, 3, 200)]).double()
+    for seed in range(5):
+        function = cls(weights(cls, seed)).functions["f"]
+        for other in (-10.0, 0.0, 3.0):
+            y = function(torch.stack([grid, torch.full_like(grid, other)], 1))
+            assert (y.diff() >= -1e-13 * (1 + y.abs().max())).all()
+            y = function(torch.stack([torch.full_like(grid, abs(other)), grid], 1))
+            assert (y.diff() <= 1e-13 * (1 + y.abs().max())).all()
+
+
+def test_the_weakest_claim_is_made_where_a_pole_asks_for_ranges() -> None:
+    everywhere = model_of("unknown f(u in [0, 10]) >= 0 by mlp(8)").unknowns[0].form
+    ranged = model_of("unknown f(u in [0, 10]) >= 0 = u/(K + u)*nn by mlp(8)").unknowns[0].form
+    assert everywhere is not None and everywhere.scope == "everywhere"
+    assert ranged is not None and ranged.scope == "ranges" and ranged.within == ("u",)

@@ -1,0 +1,145 @@
+"""The prover: what it proves is true, and it proves what models need."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import sympy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gbspec.ir.model import symbol
+from gbspec.passes.intervals import REAL, Interval, enclosure
+from gbspec.passes.signs import Prover
+
+u, g, K, n = map(symbol, ("u", "g", "K", "n"))
+POSITIVE = Interval(0.0, math.inf, True, True)
+BOX = {u: Interval(0.0, 10.0), g: Interval(0.0, math.inf, False, True), K: POSITIVE}
+
+PROVED = [
+    (sympy.diff(u / (K + u), u), True),
+    (sympy.diff(u / (K * (1 + g / K) + u), u), False),
+    (-sympy.diff(u / (K * (1 + g / K) + u), g), False),
+    (sympy.diff(u**2 / (K**2 + u**2), u), False),
+    (1 - sympy.exp(-u / K), False),
+    (u * (10 - u), False),
+    (10 * u - u**2, False),
+    (100 - u**2, False),
+    (u**2 - 2 * u + sympy.Rational(11, 10), True),
+    (sympy.log(1 + u), False),
+    (sympy.Max(u - 5, 0), False),
+    (sympy.Abs(g - 3) + K, True),
+    (sympy.tanh(u) - sympy.tanh(u) ** 3, False),
+    (sympy.Piecewise((u, u > 5), (K, True)), False),
+]
+
+NOT_PROVED = [
+    (u - 1, False),
+    (sympy.diff(u / (K + u + u**2), u), False),
+    (u, True),
+    (1 / (u - 5), False),
+    (sympy.sin(u), False),
+    (sympy.log(u), False),
+    (g - K, False),
+    (sympy.sqrt(u - 1), False),
+]
+
+
+@pytest.mark.parametrize(("expression", "strict"), PROVED, ids=str)
+def test_true_signs_are_proved(expression: sympy.Expr, strict: bool) -> None:
+    prover = Prover(BOX)
+    assert prover.positive(expression) if strict else prover.nonnegative(expression)
+
+
+@pytest.mark.parametrize(("expression", "strict"), NOT_PROVED, ids=str)
+def test_false_signs_are_not_proved(expression: sympy.Expr, strict: bool) -> None:
+    prover = Prover(BOX)
+    assert not (prover.positive(expression) if strict else prover.nonnegative(expression))
+
+
+def expressions() -> st.SearchStrategy[sympy.Expr]:
+    leaves = st.sampled_from([u, g, K, *map(sympy.Integer, range(-3, 4)), sympy.Rational(1, 2)])
+    unary = [
+        sympy.exp,
+        sympy.tanh,
+        sympy.Abs,
+        sympy.log,
+        sympy.sqrt,
+        sympy.atan,
+        sympy.cosh,
+        sympy.sin,
+        sympy.acos,
+        sympy.asinh,
+        lambda a: a**2,
+        lambda a: a**3,
+        lambda a: 1 / a,
+    ]
+    binary = [
+        sympy.Add,
+        sympy.Mul,
+        lambda a, b: a - b,
+        lambda a, b: a / b,
+        sympy.Max,
+        sympy.Min,
+        lambda a, b: sympy.Abs(a) ** b,
+    ]
+    return st.recursive(
+        leaves,
+        lambda inner: st.one_of(
+            st.tuples(st.sampled_from(unary), inner).map(lambda p: p[0](p[1])),
+            st.tuples(st.sampled_from(binary), inner, inner).map(lambda p: p[0](p[1], p[2])),
+        ),
+        max_leaves=8,
+    )
+
+
+def sample(count: int) -> list[dict[sympy.Symbol, float]]:
+    rng = np.random.default_rng(0)
+    rows = [{u: rng.uniform(0, 10), g: rng.exponential(5), K: rng.exponential(1) + 1e-9} for _ in range(count)]
+    corners = [{u: a, g: b, K: c} for a in (0.0, 10.0) for b in (0.0, 1e3) for c in (1e-6, 1e3)]
+    return rows + corners
+
+
+ROWS = sample(30)
+
+
+@settings(max_examples=150, deadline=None)
+@given(expressions())
+def test_what_is_said_of_random_expressions_is_true(expression: sympy.Expr) -> None:
+    """Where an enclosure is given, or a sign proved, every finite value agrees."""
+    if expression.has(sympy.zoo, sympy.nan, sympy.oo, sympy.I):
+        return
+    prover = Prover(BOX)
+    found, nonnegative, positive = (
+        enclosure(expression, BOX),
+        prover.nonnegative(expression),
+        prover.positive(expression),
+    )
+    assert nonnegative or not positive
+    function = sympy.lambdify([u, g, K], expression, "math")
+    for row in ROWS:
+        try:
+            value = float(function(row[u], row[g], row[K]))
+        except (ZeroDivisionError, ValueError, OverflowError, TypeError):
+            continue
+        if not math.isfinite(value):
+            continue
+        tolerance = 1e-9 * (1 + abs(value))
+        if found is not None:
+            assert found.low - tolerance <= value <= found.high + tolerance
+        if nonnegative:
+            assert value >= -tolerance
+
+
+def test_an_expression_may_be_any_number_where_nothing_is_known() -> None:
+    assert enclosure(n, BOX) == REAL
+    assert enclosure(1 / (u - 3), BOX) is None
+
+
+def test_questions_end() -> None:
+    """A claim that no step can settle costs a bounded number of steps."""
+    hard = sum((sympy.sin(k * u + K) ** 2 / (1 + g**k) for k in range(1, 30)), sympy.Float(-1e-3))
+    prover = Prover(BOX)
+    assert not prover.nonnegative(hard - sympy.Rational(1, 10))
