@@ -15,6 +15,7 @@ from gbspec.diagnostics import Findings, Source, UserError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.predict import Prediction
     from gbspec.analysis.system import System
@@ -44,11 +45,12 @@ def read_source(path: str | Path) -> Source:
     return read(resolve(path))
 
 
-def load_model(path: str | Path, findings: Findings) -> Model:
+def load_model(path: str | Path, findings: Findings, read: Callable[[str | Path], Source] = read_source) -> Model:
     """Reads, parses, checks, lowers and verifies a model.
 
     Everything found is recorded in `findings` (warnings remain there). Raises `UserError` with all of them if one is an
-    error, `Defect` if the Model that comes out is not well formed.
+    error, `Defect` if the Model that comes out is not well formed. `read` gives the text of the file and of those that
+    it extends: an editor has newer ones than the disk.
     """
     from gbspec.ir.verify import verify
     from gbspec.lower import lower
@@ -57,8 +59,8 @@ def load_model(path: str | Path, findings: Findings) -> Model:
     from gbspec.semantics import check
     from gbspec.syntax.parser import parse
 
-    file = parse(read_source(path), findings)
-    checked = check(file, findings, read_source) if file is not None else None
+    file = parse(read(path), findings)
+    checked = check(file, findings, read) if file is not None else None
     findings.raise_if_failed()
     if checked is None:
         raise UserError(findings)
@@ -176,6 +178,37 @@ def eigen(
         data = {} if source.run is None else source.run.fit.get("data", {})
         predicted = predictions(source.evaluator, source.model, along, data)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
+
+
+def bifurcate(source: Subject, over: str, low: float, high: float, *, cycles: bool = True) -> Diagram:
+    """The bifurcation diagram of a subject over one of its parameters."""
+    from gbspec.analysis.bifurcate import BifurcationOptions
+    from gbspec.analysis.bifurcate import bifurcate as run
+
+    return run(system(source), over, low, high, BifurcationOptions(cycles=cycles))
+
+
+def true_diagram(source: Subject, over: str, low: float, high: float, *, cycles: bool = True) -> Diagram | None:
+    """The same of the truth of a run's model, None where there is none."""
+    from gbspec.analysis.truth_errors import has_reference
+
+    if source.run is None or not has_reference(source.run.model):
+        return None
+    return bifurcate(reference(source.run.model, source.values), over, low, high, cycles=cycles)
+
+
+def joined(diagrams: Sequence[Diagram]) -> Diagram:
+    """The diagram of the first of several members, its special points with intervals over all of them."""
+    from gbspec.analysis.bifurcate import with_intervals
+
+    return with_intervals(diagrams) if len(diagrams) > 1 else diagrams[0]
+
+
+def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
+    """The figure of one or several members' diagrams, beside the truth's."""
+    from gbspec.report.diagram import diagram
+
+    return diagram(joined(diagrams), diagrams[1:], truth)
 
 
 def training_data(run: Run, findings: Findings) -> Trajectories | None:

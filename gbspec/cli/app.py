@@ -21,6 +21,7 @@ COMMANDS = {
     "train": "gbspec.cli.commands.train",
     "validate": "gbspec.cli.commands.validate",
     "eigen": "gbspec.cli.commands.eigen",
+    "bifurcate": "gbspec.cli.commands.bifurcate",
     "plot": "gbspec.cli.commands.plot",
     "demo": "gbspec.cli.commands.demo",
 }
