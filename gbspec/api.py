@@ -24,6 +24,7 @@ from gbspec.ir.model import Model
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.validate import Validation
     from gbspec.data.trajectories import Trajectories
@@ -50,11 +51,18 @@ class Specification:
         return self.warnings
 
     def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str:
-        """The model in another form (`module`, `ir`), written to `path` where one is given."""
+        """The model in a form of `gbspec compile --emit`, written to `path` where one is given.
+
+        Raises `ValueError` where there is no such form.
+        """
         from gbspec.backends.registry import BACKENDS
         from gbspec.files import write_text
 
-        text = BACKENDS[emit].emit(self.model)
+        if emit not in BACKENDS:
+            raise ValueError(f"there is no form `{emit}`; there are {', '.join(BACKENDS)}")
+        backend = BACKENDS[emit]
+        instance = driver.reference(self.model).evaluator.instance if backend.numbers else None
+        text = backend.emit(self.model, instance)
         if path is not None:
             write_text(path, text)
         return text
@@ -98,6 +106,12 @@ class Specification:
         """Eigenvalues of the truth's Jacobian at points, along data, or at steady states."""
         data = None if along is None else _table(along, self.model)
         return driver.eigen(driver.reference(self.model, values), at=at, along=data, steady=steady)
+
+    def bifurcate(
+        self, over: str, low: float, high: float, *, cycles: bool = True, values: Mapping[str, float] | None = None
+    ) -> Diagram:
+        """The bifurcation diagram of the truth over a condition, input or constant."""
+        return driver.bifurcate(driver.reference(self.model, values), over, low, high, cycles=cycles)
 
 
 @dataclass(frozen=True)
@@ -149,6 +163,19 @@ class FittedRun:
         """Eigenvalues of the learned Jacobian, beside the truth's where there is one."""
         data = None if along is None else _table(along, self.run.model)
         return driver.eigen(driver.learned(self.run, values, member), at=at, along=data, steady=steady)
+
+    def bifurcate(
+        self,
+        over: str,
+        low: float,
+        high: float,
+        *,
+        cycles: bool = True,
+        values: Mapping[str, float] | None = None,
+        member: int | None = None,
+    ) -> Diagram:
+        """The bifurcation diagram of what was learned over a condition, input or constant."""
+        return driver.bifurcate(driver.learned(self.run, values, member), over, low, high, cycles=cycles)
 
     def plot(
         self,

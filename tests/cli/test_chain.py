@@ -246,3 +246,42 @@ def test_the_same_from_python(place: Path, here: Path) -> None:
     assert len(gbspec.simulate("run", trajectories=2)) == 2
     assert model.compile("known.py").startswith('"""')
     assert gbspec.check(place / "known.gb") == ()
+
+
+# ------------------------------------------------------------------------------------------------------ bifurcate
+FOLD = """\
+model saddle "A saddle-node"
+condition p in [-1, 1]
+state x in [-2, 2] = 1
+x' = p + x - x^3
+observe x
+"""
+
+
+def test_bifurcate_finds_the_folds_and_draws_them(here: Path, gbspec: Run) -> None:
+    (here / "saddle.gb").write_text(FOLD)
+    result = gbspec("bifurcate", "saddle.gb", "--over", "p", "--range", -1, 1, "-o", "d.png", "--json")
+    assert result.exit_code == 0, result.stderr
+    made = json.loads(result.stdout)
+    assert list(made)[:5] == ["parameter", "range", "branches", "special", "cycles"]
+    folds = sorted(point["value"] for point in made["special"] if point["type"] == "fold")
+    exact = 2 / (3 * 3**0.5)  # p = x^3 - x at x = ±1/sqrt(3)
+    assert folds == pytest.approx([-exact, exact], abs=1e-8)
+    assert Path("d.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "code"),
+    [
+        (("--over", "q", "--range", "0", "1"), 1, "GB872"),
+        (("--over", "k", "--range", "1", "0"), 1, "GB875"),
+        (("--over", "k"), 2, "range"),
+        (("--over", "k", "--range", "0", "1", "-o", "d.txt"), 1, "GB812"),
+    ],
+)
+def test_wrong_parameters_of_bifurcate(
+    known: Path, gbspec: Run, arguments: tuple[str, ...], status: int, code: str
+) -> None:
+    result = gbspec("bifurcate", known, *arguments)
+    assert result.exit_code == status, result.output
+    assert code in result.stderr

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import resource
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
+
+from gbspec.backends.registry import BACKENDS
+from gbspec.cli.commands.compile import Form
 
 Run = Callable[..., Any]
 
@@ -31,13 +34,19 @@ def test_check_imports_nothing_heavy(here: Path) -> None:
 
 
 def test_check_of_a_shipped_model_answers_within_a_second(here: Path) -> None:
-    def seconds() -> float:
-        begin = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "gbspec", "check", "urp_gb2"], check=True, cwd=here, capture_output=True)
-        return time.perf_counter() - begin
+    check = [sys.executable, "-m", "gbspec", "check", "urp_gb2"]
 
-    # the best of several, since other work may share the machine
-    assert min(seconds() for _ in range(4)) < 1.0
+    def seconds(command: list[str]) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(command, check=True, cwd=here, capture_output=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    # A second on a machine of today; on a slower or a busy one, in proportion to what importing sympy takes there
+    # (0.4 s on the former). The best of several: other work shares the caches.
+    best = min(seconds(check) for _ in range(4))
+    sympy = min(seconds([sys.executable, "-c", "import sympy"]) for _ in range(3))
+    assert best < max(1.0, 2.5 * sympy)
 
 
 def test_check_prints_states_starts_unknowns_and_learnables(gbspec: Run) -> None:
@@ -178,6 +187,10 @@ def test_compile_to_a_folder_that_is_not_there(gbspec: Run, decay: Path) -> None
     result = gbspec("compile", decay, "-o", "no/such/decay.py")
     assert result.exit_code == 1
     assert "GB805" in result.stderr
+
+
+def test_the_forms_of_the_command_line_are_those_of_the_registry() -> None:
+    assert get_args(Form) == tuple(BACKENDS)
 
 
 def test_an_unknown_form_is_usage(gbspec: Run, decay: Path) -> None:
