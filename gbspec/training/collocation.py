@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ class Points:
 
     `equations`: indices of the balances that can be compared: their states have curves, and so has all that they
     contain. `rough`: balances whose own state has a curve, hidden states in them standing at a guess: enough for an
-    order of magnitude. `scale` [n_states]: size of the slopes.
+    order of magnitude. `scale` [n_states]: size of the slopes; `measurements`: how many values the curves rest on.
     """
 
     t: Array
@@ -38,9 +38,15 @@ class Points:
     equations: tuple[int, ...]
     rough: tuple[int, ...]
     scale: Array
+    measurements: int
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def some(self, index: Integers) -> Points:
+        """Some of the points."""
+        columns = ("t", "x", "slope", "condition", "inputs", "trajectory")
+        return replace(self, **{name: getattr(self, name)[index] for name in columns})
 
 
 def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
@@ -96,6 +102,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
         equations if len(slope) else (),
         tuple(covered) if len(slope) else (),
         np.where(scale > 0, scale, 1.0),
+        max(trajectories.measurements, 1),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from gbspec.data.trajectories import Array
+from gbspec.training.moments import Moments, one_cycle
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
@@ -15,9 +16,6 @@ from gbspec.training.problem import Problem
 from gbspec.training.stages import Outcome, State, mean_loss, require_finite, scalar
 from gbspec.training.unroll import measured_residuals, solve, unroll
 
-BETAS, EPSILON, CLIP = (0.9, 0.999), 1e-8, 1.0
-WARMUP = 0.1
-"""The part of all steps in which the learning rate rises."""
 MEMORY = 20
 """Pairs of steps and gradient differences that L-BFGS keeps."""
 
@@ -81,38 +79,30 @@ class Adam:
     def step(self, state: State, iteration: int) -> Outcome:
         """One pass over all trajectories."""
         problem, parameters = self.problem_at(iteration), self.parameters
-        theta, first, second = state["theta"].copy(), state["first"].copy(), state["second"].copy()
-        updates = int(scalar(state, "updates"))
+        theta = state["theta"]
+        moments = Moments(state["first"], state["second"], int(scalar(state, "updates")))
         order = np.random.default_rng([self.seed, 61, iteration]).permutation(parameters.trajectories)
         batch = self.options.batch_size
-        per_epoch = -(-len(order) // batch)
+        total = -(-len(order) // batch) * self.total
         for begin in range(0, len(order), batch):
             index = np.sort(order[begin : begin + batch]).astype(np.int64)
             part = problem.take(index)
-            count = max(int((part.packed.weights > 0).sum()), 1)
             value, gradient = _part(part, parameters, theta, index)
             if not np.isfinite(value) or not np.isfinite(gradient).all():
-                residuals = solve(problem, parameters, theta)
-                require_finite(problem, parameters, theta, residuals, self.name)
-                continue
-            gradient /= count
-            gradient *= min(1.0, CLIP / max(float(np.linalg.norm(gradient)), 1e-300))
-            updates += 1
-            first = BETAS[0] * first + (1 - BETAS[0]) * gradient
-            second = BETAS[1] * second + (1 - BETAS[1]) * gradient**2
-            rate = self._rate(updates, per_epoch * self.total)
-            corrected = second / (1 - BETAS[1] ** updates)
-            theta -= rate * first / (1 - BETAS[0] ** updates) / (np.sqrt(corrected) + EPSILON)
+                require_finite(problem, parameters, theta, np.array([np.nan]), self.name)
+            gradient /= max(int((part.packed.weights > 0).sum()), 1)
+            rate = one_cycle(moments.updates + 1, total, self.options.learning_rate)
+            moments, step = moments.advance(gradient, rate)
+            theta = theta + step
         residuals = solve(problem, parameters, theta)
         require_finite(problem, parameters, theta, residuals, self.name)
-        after: State = {"theta": theta, "first": first, "second": second, "updates": np.array(float(updates))}
+        after: State = {
+            "theta": theta,
+            "first": moments.first,
+            "second": moments.second,
+            "updates": np.array(float(moments.updates)),
+        }
         return Outcome(after, mean_loss(residuals), False)
-
-    def _rate(self, update: int, total: int) -> float:
-        peak, rise = self.options.learning_rate, max(WARMUP * total, 1.0)
-        if update <= rise:
-            return peak * update / rise
-        return peak * (0.01 + 0.99 * 0.5 * (1 + float(np.cos(np.pi * (update - rise) / max(total - rise, 1.0)))))
 
 
 class LimitedMemory:

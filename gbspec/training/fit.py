@@ -187,6 +187,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these do not count as fitted"
             )
+        out += [f"member {member}: {note}" for note in result.notes]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)

@@ -114,6 +114,10 @@ class NormalEquations:
         """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
         rng = np.random.default_rng([seed, 53])
         probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
+        if self.dual:
+            # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
+            solved = linalg.cho_solve(self._dual_factor(damping), probes.T, check_finite=False)
+            return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES
         return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
 
     def _diagonal(self, damping: float) -> Array:

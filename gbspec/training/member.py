@@ -33,7 +33,8 @@ SAVE_EVERY = 5.0
 class Position:
     """Where a member stands: the stage it is in, how many of its steps are done, its state, and what lies behind.
 
-    `entry` is the vector with which the present stage began, from which it is built again on resume;
+    `entry` is the vector with which the present stage began, from which it is built again on resume; `marks` holds the
+    vectors at the ends of the stages so far, `notes` what the user should be told;
     `best` and `best_score` are of the vector that predicts held-out data best (without held-out data: the last one).
     """
 
@@ -44,6 +45,8 @@ class Position:
     theta: Array = field(default_factory=lambda: np.zeros(0))
     best: Array = field(default_factory=lambda: np.zeros(0))
     best_score: float = float("inf")
+    marks: dict[str, Array] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
     loss: float = float("inf")
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
@@ -105,7 +108,7 @@ class _Runner:
         self.context, self.parameters, self.member = context, parameters, member
         self.directory, self.progress = directory, progress
         self.position = position
-        self.plan = plan(context, parameters)
+        self.plan = plan(context, parameters, position.marks)
         self._began = time.monotonic() - self.position.seconds
         self._saved = time.monotonic()
 
@@ -163,11 +166,14 @@ class _Runner:
                 raise KeyboardInterrupt
             if time.monotonic() - self._saved > SAVE_EVERY:
                 self._save()
+        position.marks[planned.name] = position.theta
 
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
         position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
         position.iteration += 1
+        if outcome.note:
+            position.notes.append(outcome.note)
         position.seconds = time.monotonic() - self._began
         constants = self._constants(position.theta)
         position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
@@ -233,7 +239,7 @@ class _Runner:
         instance.save(temporary)
         temporary.replace(path)
         result.history = list(position.history)
-        result.finished = position.finished
+        result.finished, result.notes = position.finished, list(position.notes)
         return result
 
     def _save(self) -> None:
@@ -241,6 +247,7 @@ class _Runner:
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
         arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
+        arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = {
             "stage": position.stage,
@@ -249,6 +256,7 @@ class _Runner:
             "finished": position.finished,
             "smooth": self.context.smooth,
             "stages": position.stages,
+            "notes": position.notes,
             "exact": {"loss": position.loss.hex(), "best_score": position.best_score.hex()},
             "history": [
                 [name, i, seconds, loss.hex(), [x.hex() for x in constants]]
@@ -290,6 +298,8 @@ def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
             for name, i, seconds, loss, constants in remarks["history"]
         ],
         stages=remarks["stages"],
+        notes=remarks["notes"],
+        marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
         finished=remarks["finished"],
     )
 

@@ -14,7 +14,7 @@ from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 from gbspec.training.search import Search
-from gbspec.training.stages import InitialStates, Stage, imputed_forcing, typical
+from gbspec.training.stages import Choice, InitialStates, Stage, imputed_forcing, typical
 from gbspec.training.unroll import solve
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {
@@ -60,13 +60,14 @@ class Planned:
     wanted: Wanted
 
 
-def plan(context: Context, parameters: Parameters) -> list[Planned]:
-    """The stages for these data and options, in order."""
-    return [stage for stage in _Planner(context, parameters).stages() if stage.total > 0]
+def plan(context: Context, parameters: Parameters, marks: Mapping[str, Array]) -> list[Planned]:
+    """The stages for these data and options, in order. `marks` will hold the vectors at the ends of earlier stages."""
+    return [stage for stage in _Planner(context, parameters, marks).stages() if stage.total > 0]
 
 
 class _Planner:
-    def __init__(self, context: Context, parameters: Parameters) -> None:
+    def __init__(self, context: Context, parameters: Parameters, marks: Mapping[str, Array]) -> None:
+        self.marks = marks
         self.context, self.parameters, self.options = context, parameters, context.options
         self.limits = ITERATIONS[context.options.effort]
         self.blend = context.options.blend
@@ -124,9 +125,10 @@ class _Planner:
             self._starts("initial states", 1.0),
             self._newton("teacher forcing", limits["teacher"], self._at(1.0), lambda theta: True, self._prior),
             self._starts("initial states again", 1.0),
-            self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, LevenbergOptions(damping=0.1)),
+            self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._prior),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
             self._newton("autoregressive", limits["autoregressive"], self._at(0.0), self._noisy, self._regular),
+            Planned("choice", 1, self._choice, lambda theta: "autoregressive" in self.marks),
         ]
 
     # ---------------------------------------------------------------- problems
@@ -153,14 +155,14 @@ class _Planner:
         return typical(solve(self.context.problem(), self.parameters, theta))
 
     def _noisy(self, theta: Array) -> bool:
-        return self.values < FEW or self._noise(theta) > NOISE
+        return self._noise(theta) > NOISE
 
     def _clean(self, theta: Array) -> bool:
         return self.options.half_step and not self._noisy(theta)
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Regularised where there are few data, else plain."""
-        return self._regular(theta) if self.values < FEW else LevenbergOptions()
+        return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02)
 
     def _regular(self, theta: Array) -> LevenbergOptions:
         """With a ridge on the weights, from the noise, or as asked for."""
@@ -175,6 +177,10 @@ class _Planner:
         return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
 
     # ---------------------------------------------------------------- stages
+    def _choice(self, theta: Array) -> Stage:
+        earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
+        return Choice(self.context.problem(1.0), self.context.problem(0.0), self.parameters, earlier)
+
     def _starts(self, name: str, blend: float) -> Planned:
         def make(theta: Array) -> Stage:
             return InitialStates(name, self.context.problem(blend), self.parameters, self.context.seed)

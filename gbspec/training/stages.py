@@ -24,11 +24,15 @@ State = dict[str, Array]
 
 @dataclass(frozen=True)
 class Outcome:
-    """The state after a step, the loss there (mean of half squared residuals), and whether the stage is at its end."""
+    """The state after a step, the loss there (mean of half squared residuals), and whether the stage is at its end.
+
+    `note` is a remark for the user that belongs to the fit.
+    """
 
     state: State
     loss: float
     done: bool
+    note: str = ""
 
 
 class Stage(Protocol):
@@ -87,6 +91,37 @@ class InitialStates:
         """Refits all starts at once."""
         theta = refit_starts(self.problem, self.parameters, state["theta"], self.seed)
         return Outcome({"theta": theta}, mean_loss(solve(self.problem, self.parameters, theta)), True)
+
+
+class Choice:
+    """Keeps the autoregressive fit only if it follows the data at least as well as the fit of single intervals did.
+
+    Noise of measurement alone makes the errors of prediction over an interval larger than those of the whole solution,
+    since the interval starts from a noisy value. Where the whole solution fits worse, the system itself is disturbed,
+    or the model lacks something: the earlier fit is then the better account of the dynamics. One step.
+    """
+
+    name = "choice"
+    total = 1
+
+    def __init__(self, teacher: Problem, free: Problem, parameters: Parameters, earlier: Array) -> None:
+        self.teacher, self.free, self.parameters, self.earlier = teacher, free, parameters, earlier
+
+    def begin(self, theta: Array) -> State:
+        """Nothing but the vector."""
+        return {"theta": theta}
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """Compares the two."""
+        interval = mean_loss(solve(self.teacher, self.parameters, self.earlier))
+        whole = mean_loss(solve(self.free, self.parameters, state["theta"]))
+        if whole <= interval:
+            return Outcome(state, whole, True)
+        note = (
+            "solutions from the initial states follow the data less well than predictions from one row to the next, "
+            "which were fitted instead: the system may be disturbed, or the model may lack something"
+        )
+        return Outcome({"theta": self.earlier}, interval, True, note)
 
 
 def require_finite(problem: Problem, parameters: Parameters, theta: Array, residuals: Array, stage: str) -> None:

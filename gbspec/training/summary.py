@@ -36,6 +36,7 @@ class MemberResult:
     failed: list[str] = field(default_factory=list)
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
     finished: bool = True
+    notes: list[str] = field(default_factory=list)
 
 
 def summarise(
