@@ -169,7 +169,7 @@ class Units:
     def _written_out(self, function: ast.FunctionStatement, units: Sequence[Unit], place: Span) -> Unit:
         key = (function.name.text, tuple(self.solution.resolved(u) for u in units))
         if key not in self._calls:
-            formals = dict(zip((p.text for p in function.parameters), units, strict=False))
+            formals = dict(zip((p.text for p in function.parameters), units, strict=True))
             self._within.append(place)
             self._calls[key] = self.expression(function.value, formals)
             self._within.pop()
@@ -177,8 +177,7 @@ class Units:
 
     def _apply(self, unknown: ast.UnknownStatement, nodes: Sequence[ast.Expression], units: Sequence[Unit]) -> None:
         formals = self.arguments[unknown.names[0].text]
-        # not strict: an unknown declared twice with different arguments is reported where it is declared
-        for argument, formal, node, unit in zip(unknown.arguments, formals, nodes, units, strict=False):
+        for argument, formal, node, unit in zip(unknown.arguments, formals, nodes, units, strict=True):
             if not self.solution.equal(formal, unit, node.span) and self._once(node.span, argument.span):
                 self._mismatch(
                     f"the argument `{argument.name.text}` of `{unknown.names[0].text}`",

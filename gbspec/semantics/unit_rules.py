@@ -57,9 +57,10 @@ def check(
     own = frozenset(i.statement.name.text for i in items if isinstance(i.statement, ast.UnitStatement))
     units = Units(table, findings, evaluate, Solution(Namespace(own)))
     rules = _Rules(units, terms, usable)
+    by_name = {name: declaration.statement for name, declaration in table.items()}
+    items = [item for item in items if not _declared_again(item.statement, by_name)]
     for item in items:
         rules.read(item.statement)
-    by_name = {name: declaration.statement for name, declaration in table.items()}
     for name in order:
         rules.named(by_name[name])
     for item in items:
@@ -69,6 +70,11 @@ def check(
             units.solution.equal(network, ONE, place)
     if not units.broken:
         _undetermined(units, sites, findings)
+
+
+def _declared_again(statement: ast.Statement, by_name: Mapping[str, ast.Statement | None]) -> bool:
+    """Whether an unknown repeats the name of an earlier one: reported already, and its arguments may be others."""
+    return isinstance(statement, ast.UnknownStatement) and by_name.get(statement.names[0].text) is not statement
 
 
 class _Rules:
