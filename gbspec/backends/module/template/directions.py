@@ -13,8 +13,8 @@ import numpy as np
 # Contracts that need a network monotone in an argument are kept by the signs of weights. A unit has a kind, one
 # character an argument: it does not decrease (+) or increase (-) in it, depends on it freely (*) or not at all (0). A
 # weight whose sign is given is sign*gain*softplus(sharpness*w), w the number that is trained; one that would break a
-# kind is left out. Units that bend downwards, -softplus(-z), are computed as softplus(z) with the signs of their weights
-# turned round.
+# kind is left out. Units that bend downwards, -softplus(-z), are computed as softplus(z) with the signs of their
+# weights turned round.
 
 _TURNED = str.maketrans("+-", "-+")
 

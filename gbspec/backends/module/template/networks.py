@@ -131,7 +131,7 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
 
 
 def _torch_split(z: Any, sizes: list[int]) -> list[Any]:
-    """Parts along the last axis, each with its numbers side by side: activations of strided parts take twice as long."""
+    """Parts along the last axis, each contiguous: activations of strided parts take twice as long."""
     return [part.contiguous() for part in z.split(sizes, -1)]
 
 
