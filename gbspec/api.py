@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
+    from gbspec.analysis.forecast import Forecast
     from gbspec.analysis.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
@@ -163,6 +164,15 @@ class FittedRun:
         """Eigenvalues of the learned Jacobian, beside the truth's where there is one."""
         data = None if along is None else _table(along, self.run.model)
         return driver.eigen(driver.learned(self.run, values, member), at=at, along=data, steady=steady)
+
+    def predict(
+        self, data: str | Path | Trajectories, path: str | Path | None = None, *, window: int | None = None
+    ) -> Forecast:
+        """Predictions for new trajectories from their first `window` measured rows (1: from the start alone)."""
+        table = data
+        if isinstance(table, str | Path):
+            table = driver.read_data(table, self.run.model, Findings(), require_channels=False)
+        return driver.predict(self.run, table, window=window, path=path)
 
     def bifurcate(
         self,

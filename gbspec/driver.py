@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
+    from gbspec.analysis.forecast import Forecast
     from gbspec.analysis.predict import Prediction
     from gbspec.analysis.system import System
     from gbspec.analysis.validate import Validation
@@ -222,6 +223,17 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
     from gbspec.analysis.validate import validate as check
 
     return check(run, data, member=member)
+
+
+def predict(run: Run, data: Trajectories, *, window: int | None = None, path: str | Path | None = None) -> Forecast:
+    """Predictions of a run for a table, from the first `window` measured rows; also written to `path`, if given."""
+    from gbspec.analysis.forecast import forecast
+    from gbspec.report.predictions import write
+
+    found = forecast(run, data, window=window)
+    if path is not None:
+        write(path, found, run.model.time.name)
+    return found
 
 
 def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:

@@ -20,6 +20,7 @@ COMMANDS = {
     "simulate": "gbspec.cli.commands.simulate",
     "train": "gbspec.cli.commands.train",
     "validate": "gbspec.cli.commands.validate",
+    "predict": "gbspec.cli.commands.predict",
     "eigen": "gbspec.cli.commands.eigen",
     "bifurcate": "gbspec.cli.commands.bifurcate",
     "plot": "gbspec.cli.commands.plot",

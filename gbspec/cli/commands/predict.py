@@ -1,0 +1,65 @@
+"""`gbspec predict RUN DATA -o PREDICTIONS`: what becomes of trajectories that training did not see."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.diagnostics import Diagnostic, UserError
+
+
+@command(
+    "predict",
+    "gbspec predict my_run new.csv -o predictions.csv",
+    "gbspec predict my_run new.csv -o predictions.csv --window 5",
+    "gbspec predict my_run new.csv -o predictions.csv --from-start",
+)
+def run(
+    output: Output,
+    directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
+    data: Annotated[str, typer.Argument(help="A table; rows may be without measurements.", metavar="DATA")],
+    to: Annotated[
+        str, typer.Option("--output", "-o", help="The table: .csv, .tsv or .parquet.", metavar="PREDICTIONS")
+    ],
+    from_start: Annotated[
+        bool, typer.Option("--from-start", help="Use nothing but the first measured row of each trajectory.")
+    ] = False,
+    window: Annotated[
+        int | None,
+        typer.Option(
+            "--window",
+            help="Measured rows that a new trajectory's start is estimated from; a third of them, at least three.",
+            metavar="ROWS",
+        ),
+    ] = None,
+) -> None:
+    """Predict trajectories from their first rows: mean, 90 % interval, and what each row was used for."""
+    from gbspec import driver
+    from gbspec.diagnostics import Findings
+    from gbspec.report.predictions import target
+
+    rows = window_of(from_start, window)
+    path = target(to)
+    findings = Findings()
+    opened = driver.open_run(directory)
+    table = driver.read_data(data, opened.model, findings, require_channels=False)
+    output.findings(findings)
+    with output.console().status("predicting"):
+        found = driver.predict(opened, table, window=rows, path=path)
+    output.say(f"wrote {to}")
+    output.document({"path": to, **found.to_json()})
+    output.summary(str(found))
+
+
+def window_of(from_start: bool, window: int | None) -> int | None:
+    """The rows of the window, None for the default. Raises `UserError` (GB814)."""
+    if from_start and window is not None:
+        message = "`--from-start` and `--window` exclude each other"
+        raise UserError([Diagnostic("GB814", message, None, help="`--from-start` is the same as `--window 1`")])
+    if window is not None and window < 1:
+        message = f"`--window {window}` is not a number of rows"
+        raise UserError([Diagnostic("GB814", message, None, help="give a whole number of at least 1")])
+    return 1 if from_start else window

@@ -1,0 +1,53 @@
+"""Predictions as a table: one row a row of the data, with intervals and what the row was used for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from gbspec.analysis.forecast import Forecast
+from gbspec.data.columns import TRAJECTORY
+from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
+from gbspec.diagnostics import Cell, Diagnostic, UserError
+from gbspec.files import writable, write_text
+
+
+def target(path: str | Path) -> Path:
+    """The path, if a table can be written there. Raises `UserError` (GB702 for the suffix, GB802, GB805)."""
+    found = Path(path)
+    if found.suffix.lower() not in (*SEPARATORS, *PARQUET):
+        message = f"cannot write a table to `{path}`"
+        raise UserError([Diagnostic("GB702", message, Cell(str(path)), help=f"name it as {FORMATS}")])
+    return writable(found)
+
+
+def frame(forecast: Forecast, time: str) -> pl.DataFrame:
+    """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
+
+    `used` is `training`, `window` (the start was estimated from this row) or `predicted`; `outside` names the states
+    and conditions that lie beyond the range in which the model was trained.
+    """
+    items = forecast.items
+    columns: dict[str, pl.Series] = {
+        TRAJECTORY: pl.Series([item.label for item in items for _ in item.times], dtype=pl.String),
+        time: pl.Series(np.concatenate([np.zeros(0), *(item.times for item in items)]), dtype=pl.Float64),
+    }
+    for j, name in enumerate(forecast.variables):
+        for suffix, which in (("", "mean"), ("_low", "low"), ("_high", "high")):
+            values = np.concatenate([np.zeros(0), *(getattr(item, which)[:, j] for item in items)])
+            columns[name + suffix] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
+    columns["used"] = pl.Series([use for item in items for use in item.used], dtype=pl.String)
+    columns["outside"] = pl.Series([" ".join(names) for item in items for names in item.outside], dtype=pl.String)
+    return pl.DataFrame(columns)
+
+
+def write(path: str | Path, forecast: Forecast, time: str) -> None:
+    """Writes the table in the form that the path's suffix says."""
+    to = target(path)
+    made = frame(forecast, time)
+    if to.suffix.lower() in PARQUET:
+        made.write_parquet(to)
+    else:
+        write_text(to, made.write_csv(separator=SEPARATORS[to.suffix.lower()]))

@@ -1,0 +1,133 @@
+"""predict: new trajectories from their first rows, with everything that is shared frozen."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+from typer.testing import CliRunner
+
+from gbspec.cli.app import build, needed
+
+Run = Callable[..., Any]
+
+HIDDEN = """\
+model hidden "A chain of which the first state is never measured"
+state A in [0, 2] = 1
+state B in [0, 2] = 0
+learn k = 0.3 in [0, 5]
+initial A learn
+A' = -k*A
+B' = k*A - 0.2*B
+observe B
+truth k = 0.8
+"""
+
+
+def call(*arguments: object) -> Any:
+    texts = [str(argument) for argument in arguments]
+    return CliRunner().invoke(build(needed(texts)), texts)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A run of a model with a hidden state, its training table, and a table of new trajectories."""
+    folder = tmp_path_factory.mktemp("predict")
+    (folder / "hidden.gb").write_text(HIDDEN)
+    for name, seed, count in (("old", 1, 4), ("new", 2, 3)):
+        made = call("simulate", folder / "hidden.gb", "-o", folder / f"{name}.csv", "--trajectories", count,
+                    "--span", 6, "--dt", 0.5, "--seed", seed, "--noise", 0.02, "--keep-start")  # fmt: skip
+        assert made.exit_code == 0, made.stderr
+    made = call("train", folder / "hidden.gb", folder / "old.csv", "-o", folder / "run", "--effort", "low", "--quiet",
+                "--members", 2)  # fmt: skip
+    assert made.exit_code == 0, made.stderr
+    yield folder
+
+
+def test_the_start_is_estimated_from_the_window_and_the_rest_predicted(place: Path, here: Path) -> None:
+    result = call("predict", place / "run", place / "new.csv", "-o", "p.csv", "--window", 5, "--json")
+    assert result.exit_code == 0, result.stderr
+    made = json.loads(result.stdout)
+    assert [one["start"] for one in made["trajectories"]] == ["estimated"] * 3
+    assert made["trajectories"][0]["estimated"] == ["A(t0)"]
+    assert made["trajectories"][0]["rows"] == {"training": 0, "window": 5, "predicted": 8}
+    assert made["channels"]["B"]["n"] == 24
+    assert made["channels"]["B"]["nrmse"] < 0.3
+    table = pl.read_csv("p.csv")
+    assert table.columns == ["trajectory", "t", "B", "B_low", "B_high", "A", "A_low", "A_high", "used", "outside"]
+    assert table["used"].to_list()[:7] == ["window"] * 5 + ["predicted"] * 2
+    assert ((table["B_low"] < table["B"]) & (table["B"] < table["B_high"])).all()
+
+
+def test_what_comes_after_the_window_has_no_influence(place: Path, here: Path) -> None:
+    whole = pl.read_csv(place / "new.csv")
+    late = pl.col("t") > whole["t"].unique().sort()[5]
+    whole.with_columns(pl.when(late).then(pl.col("B") * 3 + 1).otherwise(pl.col("B")).alias("B")).write_csv("bent.csv")
+    for name, data in (("a", place / "new.csv"), ("b", Path("bent.csv"))):
+        assert call("predict", place / "run", data, "-o", f"{name}.csv", "--window", 4).exit_code == 0
+    a, b = (pl.read_csv(f"{name}.csv") for name in "ab")
+    # The channel's spread over the table weighs residuals against the weak prior, so not the last digits
+    assert (a["A"] - b["A"]).abs().max() < 1e-3
+
+
+def test_a_longer_window_narrows_the_interval_of_the_hidden_state(place: Path, here: Path) -> None:
+    widths = []
+    for rows in (1, 8):
+        assert call("predict", place / "run", place / "new.csv", "-o", "w.csv", "--window", rows).exit_code == 0
+        first = pl.read_csv("w.csv").group_by("trajectory").first()
+        widths.append((first["A_high"] - first["A_low"]).mean())
+    assert widths[1] < 0.5 * widths[0]
+
+
+def test_trajectories_of_the_training_are_known_by_content(place: Path, here: Path) -> None:
+    table = pl.read_csv(place / "old.csv").with_columns(
+        ("renamed" + pl.col("trajectory").cast(str)).alias("trajectory")
+    )
+    table.write_csv("renamed.csv")
+    made = json.loads(call("predict", place / "run", "renamed.csv", "-o", "p.csv", "--json").stdout)
+    assert {one["start"] for one in made["trajectories"]} == {"learned"}
+    assert set(pl.read_csv("p.csv")["used"]) == {"training"}
+
+
+def test_rows_without_measurements_are_predicted(place: Path, here: Path) -> None:
+    Path("plan.csv").write_text("trajectory,t,B\n1,0,0.2\n1,0.5,0.5\n1,1,0.62\n1,50,\n1,100,\n")
+    assert call("predict", place / "run", "plan.csv", "-o", "p.csv").exit_code == 0
+    last = pl.read_csv("p.csv").row(-1, named=True)
+    assert last["t"] == 100
+    assert last["used"] == "predicted"
+    assert math.isclose(last["B"], 0, abs_tol=1e-5)
+
+
+def test_a_single_member_is_said_to_know_too_little(place: Path, here: Path) -> None:
+    made = call("train", place / "hidden.gb", place / "old.csv", "-o", "one", "--effort", "low", "--quiet")
+    assert made.exit_code == 0
+    assert "too narrow" in call("predict", "one", place / "new.csv", "-o", "p.csv").stdout
+
+
+def test_the_same_from_python(place: Path, here: Path) -> None:
+    import gbspec
+
+    found = gbspec.open_run(place / "run").predict(place / "new.csv", "p.csv", window=5)
+    assert found.errors()["B"].n == 24
+    assert Path("p.csv").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("-o", "p.csv", "--window", "0"), "GB814"),
+        (("-o", "p.csv", "--window", "3", "--from-start"), "GB814"),
+        (("-o", "p.xlsx"), "GB702"),
+        (("-o", "no/p.csv"), "GB805"),
+    ],
+)
+def test_wrong_options(place: Path, here: Path, arguments: tuple[str, ...], code: str) -> None:
+    result = call("predict", place / "run", place / "new.csv", *arguments)
+    assert result.exit_code == 1, result.output
+    assert code in result.stderr
+    assert not list(here.iterdir())
