@@ -17,6 +17,7 @@ COMMANDS = {
     "fmt": "gbspec.cli.commands.fmt",
     "compile": "gbspec.cli.commands.compile",
     "explain": "gbspec.cli.commands.explain",
+    "lsp": "gbspec.cli.commands.lsp",
     "simulate": "gbspec.cli.commands.simulate",
     "train": "gbspec.cli.commands.train",
     "validate": "gbspec.cli.commands.validate",

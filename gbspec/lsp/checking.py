@@ -1,0 +1,68 @@
+"""Everything `gbspec check` finds in a file as the editor has it, and where the editor shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gbspec.diagnostics import Diagnostic, Findings, Label, Source, Span, UserError
+from gbspec.lsp.workspace import Workspace, key
+from gbspec.syntax import ast
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The findings of a file, each with a place in that file, and the values of its constants where it is right."""
+
+    source: Source
+    findings: tuple[Diagnostic, ...]
+    values: dict[str, float]
+
+
+def check(workspace: Workspace, path: str | Path) -> Checked:
+    """Checks a file through the whole pipeline, with the newest texts of the files that it extends.
+
+    Raises `UserError` where the file itself cannot be read at all; a finding in an extended file is shown where this
+    one names it, with the place itself beside it.
+    """
+    from gbspec import driver
+
+    source = workspace.source(path)
+    findings = Findings()
+    values: dict[str, float] = {}
+    try:
+        model = driver.load_model(path, findings, workspace.source)
+        values = {constant.name: constant.value for constant in model.constants}
+    except UserError as error:
+        findings.extend(error.diagnostics)
+    return Checked(source, tuple(_here(d, source, workspace) for d in findings), values)
+
+
+def affected(workspace: Workspace, path: str | Path) -> tuple[Path, ...]:
+    """The open files whose findings depend on a file: itself and those that extend it."""
+    wanted = key(path)
+    return tuple(p for p in workspace.opened() if wanted in {key(c.source.path) for c in workspace.chain(p)})
+
+
+def _here(diagnostic: Diagnostic, source: Source, workspace: Workspace) -> Diagnostic:
+    """The finding with a place in this text."""
+    place = diagnostic.place
+    if isinstance(place, Span) and place.source is source:
+        return diagnostic
+    where = _extends(workspace, source) or Span(
+        source, 0, source.text.find("\n") if "\n" in source.text else len(source.text)
+    )
+    if not isinstance(place, Span):
+        return replace(diagnostic, place=where)
+    message = f"in `{Path(place.source.path).name}`: {diagnostic.message}"
+    return replace(diagnostic, message=message, place=where, labels=(Label(place, "here"), *diagnostic.labels))
+
+
+def _extends(workspace: Workspace, source: Source) -> Span | None:
+    parsed = workspace.parsed(source.path)
+    statements: Iterable[ast.Statement] = parsed.file.statements if parsed is not None else ()
+    for statement in statements:
+        if isinstance(statement, ast.ModelStatement) and statement.extends is not None:
+            return statement.extends.span
+    return None

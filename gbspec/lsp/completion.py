@@ -1,0 +1,200 @@
+"""What may be written next: statements, clauses, names in scope, functions, units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from gbspec.diagnostics import Source
+from gbspec.lsp import words
+from gbspec.lsp.hover import ROLES, name
+from gbspec.lsp.index import DEFAULT_TIME, names_declared
+from gbspec.lsp.workspace import Parsed, Workspace
+from gbspec.semantics.vocabulary import ACTIVATIONS
+from gbspec.syntax import ast
+from gbspec.syntax.expected import Expected, expected
+from gbspec.syntax.tokens import inert, statement_before
+
+Kind = Literal["keyword", "name", "function", "unit", "value", "file"]
+
+_WORD_BEFORE = re.compile(r"(?:[^\W\d]\w*)?\Z")
+_PARAMETERS = re.compile(r"\s*(?:function|truth|unknown)\s+[^(]*\(([^)]*)\)")
+_OUTPUTS = re.compile(r"\s*unknown\s+([^(]*)\(")
+_FORMAL = re.compile(r"(?:^|,)\s*([^\W\d]\w*)")
+_EXTENDS = re.compile(r'\bextends\s+"([^"\n]*)\Z')
+_UNITS = ("s", "min", "h", "day", "g", "kg", "mg", "L", "mL", "m", "cm", "mol", "mmol", "K", "degC", "Pa", "bar", "J")
+"""Units that are often written; every unit of pint is accepted."""
+
+_TARGETS = frozenset({"INITIAL", "DOSE", "OBSERVE"})
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One word that may be written; `start` is where the word before the cursor begins, which it replaces."""
+
+    text: str
+    kind: Kind
+    detail: str = ""
+    documentation: str = ""
+
+
+def completions(workspace: Workspace, path: str | Path, offset: int) -> tuple[int, list[Candidate]]:
+    """The offset at which the word being written begins, and what may stand there."""
+    parsed = workspace.parsed(path)
+    if parsed is None:
+        return offset, []
+    source = parsed.source
+    found = _WORD_BEFORE.search(source.text, 0, offset)
+    start = found.start() if found is not None else offset
+    if inert(source, offset):
+        return _extended_files(source, offset)
+    before = statement_before(source, start)
+    chain = workspace.chain(path)
+    if not before.strip():
+        return start, [*_statements(), *_names(chain, {ast.StateStatement})]
+    what = expected(before)
+    if what is None:
+        return start, list(_expression(chain, before))
+    return start, list(_next(chain, before, what))
+
+
+def _statements() -> list[Candidate]:
+    return [Candidate(word, "keyword", meaning) for word, meaning in words.STATEMENTS.items()]
+
+
+def _next(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Candidate]:
+    """What the grammar accepts after the beginning of a statement."""
+    last = what.read[-1][0] if what.read else ""
+    first = what.read[0][0] if what.read else ""
+    if "NAME" in what.terminals:
+        if "IF" in what.terminals:
+            yield from _value(chain, before, what)
+        elif last in ("PRIOR", "NOISE"):
+            yield from _words(words.DISTRIBUTIONS)
+        elif last == "BY":
+            yield from _words(words.NETWORKS)
+        elif _in_unit(what):
+            yield from _units(chain)
+        elif first in _TARGETS and len(what.read) == 1:
+            measured = {ast.LetStatement} if first == "OBSERVE" else set()
+            yield from _names(chain, {ast.StateStatement, *measured})
+        elif first == "TRUTH" and len(what.read) == 1:
+            yield from _names(chain, {ast.LearnStatement, ast.UnknownStatement})
+        elif first == "WITHOUT":
+            yield from (c for c in _statements() if len(what.read) == 1 and c.text not in ("model", "allow", "without"))
+            yield from _names(chain, set(ROLES))
+        elif first == "ALLOW":
+            yield from _warnings() if len(what.read) == 1 else _names(chain, set(ROLES))
+        elif last == "IN" or last == "AT":
+            yield from _formals(before)
+        elif "ZERO" in what.terminals and last == "COMMA":
+            yield from _outputs(before)
+    written = set() if first in ("", "UNKNOWN") else {text for _, text in what.read}
+    for keyword in what.keywords:
+        if keyword not in written or keyword in words.OPERATORS:
+            yield Candidate(keyword, "keyword", words.CLAUSES.get(keyword, "") or words.OPERATORS.get(keyword, ""))
+
+
+def _value(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Candidate]:
+    """What an expression may go on with; among a network's arguments its options."""
+    pair = tuple(kind for kind, _ in what.read[-2:])
+    if pair == ("NAME", "EQUAL") and what.read[-2][1] == "activation":
+        yield from (Candidate(word, "value", "an activation of a network") for word in ACTIVATIONS)
+        return
+    if any(kind == "BY" for kind, _ in what.read):
+        yield from _words(words.OPTIONS)
+    yield from _expression(chain, before)
+
+
+def _expression(chain: Sequence[Parsed], before: str) -> Iterator[Candidate]:
+    """Names with a value, functions, and the names of this statement alone."""
+    yield from _formals(before)
+    kinds = set(ROLES) - {ast.ObserveStatement, ast.ConserveStatement}
+    yield from _names(chain, kinds)
+    if not any(isinstance(s, ast.TimeStatement) for parsed in chain for s in parsed.file.statements):
+        yield Candidate(DEFAULT_TIME, "name", "the time")
+    for function, (usage, meaning) in words.FUNCTIONS.items():
+        yield Candidate(function, "function", usage, meaning)
+    yield Candidate("pi", "value", words.VALUES["pi"])
+    if before.lstrip().startswith("unknown"):
+        yield Candidate("nn", "value", words.VALUES["nn"])
+
+
+def _formals(before: str) -> Iterator[Candidate]:
+    """The arguments that a statement being written has declared so far."""
+    found = _PARAMETERS.match(before)
+    if found is not None:
+        for formal in dict.fromkeys(_FORMAL.findall(found[1])):
+            yield Candidate(formal, "name", "argument")
+
+
+def _outputs(before: str) -> Iterator[Candidate]:
+    """The names that an `unknown` being written declares: a contract may be about one of them."""
+    found = _OUTPUTS.match(before)
+    if found is not None:
+        yield from (Candidate(name.strip(), "function", "an output of this unknown") for name in found[1].split(","))
+
+
+def _names(chain: Sequence[Parsed], kinds: set[type[ast.Node]]) -> Iterator[Candidate]:
+    """The names that statements of those kinds declare, the nearest declaration of each."""
+    seen: set[str] = set()
+    for parsed in chain:
+        for statement in parsed.file.statements:
+            if type(statement) in kinds:
+                for declared in names_declared(statement):
+                    if declared.text not in seen:
+                        seen.add(declared.text)
+                        yield _name(declared.text, statement)
+
+
+def _name(text: str, statement: ast.Statement) -> Candidate:
+    description = getattr(statement, "description", None)
+    said = f": {description.value}" if isinstance(description, ast.Text) else ""
+    function = isinstance(statement, ast.FunctionStatement | ast.UnknownStatement)
+    return Candidate(text, "function" if function else "name", ROLES[type(statement)].split(",")[0] + said)
+
+
+def _units(chain: Sequence[Parsed]) -> Iterator[Candidate]:
+    for parsed in chain:
+        for statement in parsed.file.statements:
+            if isinstance(statement, ast.UnitStatement):
+                said = statement.description.value if statement.description is not None else "unit of this model"
+                yield Candidate(statement.name.text, "unit", said)
+    yield from (Candidate(unit, "unit") for unit in _UNITS)
+
+
+def _in_unit(what: Expected) -> bool:
+    """Whether a unit stands next: the grammar allows a number or a parenthesis there, and no `if`."""
+    return {"NAME", "NUMBER", "LPAR"} <= what.terminals and "IF" not in what.terminals
+
+
+def _words(table: Mapping[str, str]) -> Iterator[Candidate]:
+    return (Candidate(word, "value", meaning) for word, meaning in table.items())
+
+
+def _warnings() -> Iterator[Candidate]:
+    from gbspec.diagnostics.catalogue import entries
+
+    return (Candidate(entry.code, "value", entry.title) for entry in entries().values() if entry.code.startswith("GB4"))
+
+
+def _extended_files(source: Source, offset: int) -> tuple[int, list[Candidate]]:
+    """Inside the string after `extends`: the models beside this one."""
+    line_start = source.text.rfind("\n", 0, offset) + 1
+    found = _EXTENDS.search(source.text, line_start, offset)
+    if found is None:
+        return offset, []
+    own = Path(source.path)
+    try:
+        names = sorted(p.name for p in own.parent.glob("*.gb") if p.name != own.name)
+    except OSError:
+        return offset, []
+    return found.start(1), [Candidate(file, "file") for file in names]
+
+
+def documented(workspace: Workspace, path: str | Path, text: str) -> str:
+    """What hover would show of a name: asked for when a candidate is selected."""
+    return name(workspace.chain(path), text, {})

@@ -1,0 +1,281 @@
+"""What every name in a file refers to: one place for hover, definition, references and renaming.
+
+Names of a model are one namespace through all files that extend one another; units are another. The parameters of a
+`function`, the arguments of an `unknown` and the parameters of a `truth` are names of their statement alone and shadow
+those of the model, with one exception: an unknown that is somewhere named without parentheses is applied to the names
+it was declared with, so that those arguments *are* the model's names and are renamed with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from gbspec.diagnostics import Span
+from gbspec.semantics.merge import declared
+from gbspec.syntax import ast
+from gbspec.syntax.names import FUNCTIONS
+from gbspec.syntax.walk import children, walk
+
+DEFAULT_TIME = "t"
+"""What the time is called in a model without a `time` statement."""
+
+Space = Literal["name", "unit", "argument", "model", "word", "code"]
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """What a name refers to. `home` is the statement of an argument, or the kind of a word of the language."""
+
+    space: Space
+    name: str
+    home: str = ""
+
+
+@dataclass(frozen=True)
+class Occurrence:
+    """One place where a symbol is named.
+
+    `implied` where its name is not written: `phi` without parentheses takes the arguments of its declaration by name.
+    """
+
+    symbol: Symbol
+    span: Span
+    statement: ast.Statement
+    declares: bool = False
+    implied: bool = False
+
+
+@dataclass(frozen=True)
+class Names:
+    """What the files of a model declare, as far as it decides what a name refers to.
+
+    `declared` has the time's name also where no statement gives it one; `arguments` are those of each unknown with the
+    statement they belong to; `bare` the unknowns that are named somewhere without parentheses.
+    """
+
+    declared: frozenset[str]
+    units: frozenset[str]
+    arguments: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    bare: frozenset[str] = frozenset()
+
+
+Scope = Mapping[str, Symbol]
+
+
+def names_of(files: Sequence[ast.File]) -> Names:
+    """What a file and those that it extends declare; `files` has the nearest first."""
+    found: set[str] = set()
+    units: set[str] = set()
+    arguments: dict[str, tuple[str, tuple[str, ...]]] = {}
+    for file in files:
+        for statement in file.statements:
+            found.update(name.text for name in names_declared(statement))
+            match statement:
+                case ast.UnitStatement(name=name):
+                    units.add(name.text)
+                case ast.UnknownStatement(names=outputs, arguments=formals):
+                    for name in outputs:
+                        arguments.setdefault(name.text, (home(statement), tuple(a.name.text for a in formals)))
+                case _:
+                    pass
+    if not any(isinstance(s, ast.TimeStatement) for file in files for s in file.statements):
+        found.add(DEFAULT_TIME)
+    return Names(frozenset(found), frozenset(units), arguments, _bare(files, frozenset(arguments)))
+
+
+def names_declared(statement: ast.Statement) -> tuple[ast.Name, ...]:
+    """The names that a statement declares in the model: also the time's and a channel's own."""
+    match statement:
+        case ast.TimeStatement(name=name):
+            return (name,)
+        case ast.ObserveStatement(target=ast.Name() as name, value=value) if value is not None:
+            return (name,)
+        case _:
+            return declared(statement)
+
+
+def occurrences(file: ast.File, names: Names) -> tuple[Occurrence, ...]:
+    """Every name in a file with what it refers to, in the order of the text."""
+    found = [o for statement in file.statements for o in _Statement(statement, names).all()]
+    return tuple(sorted(found, key=lambda o: (o.span.start, o.implied)))
+
+
+def at(found: Sequence[Occurrence], offset: int) -> Occurrence | None:
+    """What is named at an offset: the name around it, else the one that ends there."""
+    written = [o for o in found if not o.implied and o.span.start <= offset <= o.span.end]
+    return max(written, key=lambda o: o.span.start, default=None)
+
+
+def home(statement: ast.Statement) -> str:
+    """What tells a statement apart from all others: the arguments of two statements are different things."""
+    return f"{statement.span.source.path}:{statement.span.start}"
+
+
+def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]:
+    """The unknowns that stand somewhere in an expression without parentheses."""
+    found: set[str] = set()
+    for statement in (s for file in files for s in file.statements):
+        if isinstance(statement, ast.AllowStatement | ast.WithoutStatement):
+            continue
+        skipped = {id(name) for name in names_declared(statement)}
+        if isinstance(statement, ast.TruthStatement):
+            skipped.add(id(statement.name))
+        for node in walk(statement):
+            match node:
+                case ast.Call(function=function):
+                    skipped.add(id(function))
+                case ast.Bound() | ast.RangeContract() | ast.ZeroAt() | ast.Monotone():
+                    skipped.add(id(node.name))
+                case ast.Name(text=text) if text in unknowns and id(node) not in skipped:
+                    found.add(text)
+                case _:
+                    pass
+    return frozenset(found)
+
+
+class _Statement:
+    """The occurrences in one statement."""
+
+    def __init__(self, statement: ast.Statement, names: Names) -> None:
+        self.statement, self.names = statement, names
+        self.found: list[Occurrence] = []
+
+    def all(self) -> list[Occurrence]:
+        """Every name of the statement."""
+        match self.statement:
+            case ast.ModelStatement(name=name):
+                self._add(Symbol("model", name.text), name.span, declares=True)
+            case ast.UnitStatement(name=name):
+                self._add(Symbol("unit", name.text), name.span, declares=True)
+            case ast.AllowStatement(code=code, name=subject):
+                self._add(Symbol("code", code.text.upper()), code.span)
+                if subject is not None:
+                    self._name(subject, {})
+            case ast.WithoutStatement(kind=kind, name=name):
+                is_unit = kind is not None and kind.text == "unit"
+                self._add(Symbol("unit" if is_unit else "name", name.text), name.span)
+            case _:
+                self._parts()
+        return self.found
+
+    def _parts(self) -> None:
+        """The declared names, the statement's own names, and its expressions."""
+        declaring = {id(name) for name in names_declared(self.statement)}
+        scope, formals = self._scope()
+        for part in children(self.statement):
+            if id(part) in formals and isinstance(part, ast.Name):
+                self._add(scope[part.text], part.span, declares=True)
+            else:
+                self._visit(part, scope if self._sees_arguments(part) else {}, scope, declaring)
+
+    def _scope(self) -> tuple[dict[str, Symbol], set[int]]:
+        """The names of the statement alone, and the nodes that declare them."""
+        match self.statement:
+            case ast.FunctionStatement(parameters=parameters):
+                return self._own(parameters), {id(p) for p in parameters}
+            case ast.UnknownStatement(names=outputs, arguments=arguments):
+                bare = any(name.text in self.names.bare for name in outputs)
+                return self._arguments(home(self.statement), [a.name.text for a in arguments], bare), set()
+            case ast.TruthStatement(parameters=parameters) if parameters is not None:
+                return self._own(parameters), {id(p) for p in parameters}
+            case ast.TruthStatement(name=name) if name.text in self.names.arguments:
+                return self._arguments(*self.names.arguments[name.text], name.text in self.names.bare), set()
+            case ast.BalanceStatement(target=ast.Index(index=index)):
+                counters = [n for n in walk(index) if isinstance(n, ast.Name) and n.text not in self.names.declared]
+                return self._own(counters), set()
+            case _:
+                return {}, set()
+
+    def _own(self, parameters: Sequence[ast.Name]) -> dict[str, Symbol]:
+        return {p.text: Symbol("argument", p.text, home(self.statement)) for p in parameters}
+
+    def _arguments(self, owner: str, arguments: Sequence[str], bare: bool) -> dict[str, Symbol]:
+        tied = self.names.declared if bare else frozenset()
+        return {a: Symbol("name", a) if a in tied else Symbol("argument", a, owner) for a in arguments}
+
+    def _sees_arguments(self, part: ast.Node) -> bool:
+        """Of an unknown its postulates and contracts name its arguments; of the other statements every expression."""
+        statement = self.statement
+        if isinstance(statement, ast.UnknownStatement):
+            return any(part is p for p in (*statement.postulates, *statement.contracts))
+        return not (isinstance(statement, ast.TruthStatement) and part is statement.name)
+
+    def _visit(self, root: ast.Node, scope: Scope, formals: Scope, declaring: set[int]) -> None:
+        stack: list[ast.Node] = [root]
+        while stack:
+            node = stack.pop()
+            match node:
+                case ast.Name() if id(node) in declaring:
+                    self._add(Symbol("name", node.text), node.span, declares=True)
+                case ast.Name():
+                    self._name(node, scope)
+                    self._implied(node, scope)
+                case ast.Call(function=function, arguments=arguments):
+                    self._called(function, scope)
+                    stack.extend(arguments)
+                case ast.Argument(name=name):
+                    symbol = formals[name.text]
+                    self._add(symbol, name.span, declares=symbol.space == "argument")
+                    stack.extend(part for part in (node.unit, node.range) if part is not None)
+                case ast.Bound() | ast.RangeContract() | ast.ZeroAt() | ast.Monotone():
+                    stack.extend(self._contract(node, scope))
+                case ast.Distribution(kind=kind, arguments=arguments):
+                    self._add(Symbol("word", kind.text, "distribution"), kind.span)
+                    stack.extend(arguments)
+                case ast.NetworkSpec():
+                    stack.extend(self._network(node))
+                case ast.UnitName(text=text):
+                    self._add(Symbol("unit", text), node.span)
+                case _:
+                    stack.extend(children(node))
+
+    def _contract(self, node: ast.Contract, scope: Scope) -> list[ast.Node]:
+        """Records the names of a contract and gives its expressions."""
+        if node.name is not None:
+            self._add(Symbol("name", node.name.text), node.name.span)
+        match node:
+            case ast.Bound(value=value):
+                return [value]
+            case ast.RangeContract(interval=interval):
+                return [interval]
+            case ast.ZeroAt(argument=argument, value=value):
+                self._name(argument, scope)
+                return [value]
+            case ast.Monotone(argument=argument):
+                self._name(argument, scope)
+                return []
+
+    def _network(self, network: ast.NetworkSpec) -> Iterator[ast.Node]:
+        self._add(Symbol("word", network.kind.text, "network"), network.kind.span)
+        yield from network.widths
+        for option in network.options:
+            self._add(Symbol("word", option.name.text, "option"), option.name.span)
+            if isinstance(option.value, ast.Name):
+                self._add(Symbol("word", option.value.text, "activation"), option.value.span)
+            else:
+                yield option.value
+
+    def _name(self, name: ast.Name, scope: Scope) -> None:
+        known = scope.get(name.text)
+        if known is None and name.text in ("pi", "nn") and name.text not in self.names.declared:
+            known = Symbol("word", name.text, "value")
+        self._add(known or Symbol("name", name.text), name.span)
+
+    def _called(self, function: ast.Name, scope: Scope) -> None:
+        word = function.text in FUNCTIONS or function.text in ("net", "sum")
+        if word and function.text not in self.names.declared:
+            self._add(Symbol("word", function.text, "function"), function.span)
+        else:
+            self._name(function, scope)
+
+    def _implied(self, name: ast.Name, scope: Scope) -> None:
+        """The arguments of this statement that an unknown without parentheses takes by their names."""
+        if name.text in self.names.arguments and name.text not in scope:
+            for argument in self.names.arguments[name.text][1]:
+                if argument in scope:
+                    self._add(scope[argument], name.span, implied=True)
+
+    def _add(self, symbol: Symbol, span: Span, *, declares: bool = False, implied: bool = False) -> None:
+        self.found.append(Occurrence(symbol, span, self.statement, declares, implied))

@@ -1,0 +1,155 @@
+"""From what gbspec knows to the protocol's messages, and from its positions to offsets."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from lsprotocol import types
+from pygls.uris import from_fs_path, to_fs_path
+
+from gbspec.diagnostics import Diagnostic, Severity, Source, Span
+from gbspec.lsp.completion import Candidate
+from gbspec.lsp.outline import Group
+from gbspec.lsp.positions import Encoding, to_offset, to_range
+from gbspec.syntax import ast
+
+_MEANT = re.compile(r"did you mean `(\w+)`\?")
+
+_COMPLETION = {
+    "keyword": types.CompletionItemKind.Keyword,
+    "name": types.CompletionItemKind.Variable,
+    "function": types.CompletionItemKind.Function,
+    "unit": types.CompletionItemKind.Unit,
+    "value": types.CompletionItemKind.Value,
+    "file": types.CompletionItemKind.File,
+}
+_SYMBOL: dict[type[ast.Node], types.SymbolKind] = {
+    ast.ModelStatement: types.SymbolKind.Module,
+    ast.UnitStatement: types.SymbolKind.EnumMember,
+    ast.ConstStatement: types.SymbolKind.Constant,
+    ast.LearnStatement: types.SymbolKind.Constant,
+    ast.ConditionStatement: types.SymbolKind.Constant,
+    ast.FunctionStatement: types.SymbolKind.Function,
+    ast.UnknownStatement: types.SymbolKind.Function,
+    ast.ProcessStatement: types.SymbolKind.Event,
+    ast.DoseStatement: types.SymbolKind.Event,
+    ast.ObserveStatement: types.SymbolKind.Field,
+    ast.BalanceStatement: types.SymbolKind.Operator,
+}
+
+
+def path_of(uri: str) -> str:
+    """The path of a file; a text that is in no file yet has its address for one."""
+    path = to_fs_path(uri) if uri.startswith("file:") else None
+    return path or uri
+
+
+def uri_of(path: str | Path) -> str:
+    """The address of a file."""
+    made = from_fs_path(str(path))
+    return made if made is not None else str(path)
+
+
+class Messages:
+    """Messages in the units of columns that the editor counts in."""
+
+    def __init__(self, encoding: Encoding) -> None:
+        self.encoding = encoding
+
+    def offset(self, source: Source, position: types.Position) -> int:
+        """The offset of an editor's position."""
+        return to_offset(source, (position.line, position.character), self.encoding)
+
+    def range(self, span: Span) -> types.Range:
+        """An editor's range of a span."""
+        (line, column), (end_line, end_column) = to_range(span, self.encoding)
+        return types.Range(types.Position(line, column), types.Position(end_line, end_column))
+
+    def location(self, span: Span, uri: str | None = None) -> types.Location:
+        """A span with its file."""
+        return types.Location(uri or uri_of(span.source.path), self.range(span))
+
+    def diagnostic(self, found: Diagnostic) -> types.Diagnostic:
+        """A finding whose place is a span; notes and help follow its message."""
+        assert isinstance(found.place, Span)
+        lines = [found.message, *(f"note: {note}" for note in found.notes)]
+        lines += [f"help: {found.help}"] if found.help else []
+        labels = [types.DiagnosticRelatedInformation(self.location(m.span), m.text) for m in found.labels]
+        warning = found.severity is Severity.WARNING
+        return types.Diagnostic(
+            range=self.range(found.place),
+            message="\n".join(lines),
+            severity=types.DiagnosticSeverity.Warning if warning else types.DiagnosticSeverity.Error,
+            code=found.code,
+            source="gbspec",
+            related_information=labels or None,
+            tags=[types.DiagnosticTag.Unnecessary] if found.code == UNUSED else None,
+        )
+
+    def completion(self, candidate: Candidate, place: Span) -> types.CompletionItem:
+        """A candidate that replaces the part of a word before the cursor."""
+        return types.CompletionItem(
+            label=candidate.text,
+            kind=_COMPLETION[candidate.kind],
+            detail=candidate.detail or None,
+            documentation=candidate.documentation or None,
+            text_edit=types.TextEdit(self.range(place), candidate.text),
+        )
+
+    def symbols(self, group: Group) -> types.DocumentSymbol:
+        """A group of names with the names in it."""
+        kind = _SYMBOL.get(group.statement, types.SymbolKind.Variable)
+        below = [
+            types.DocumentSymbol(
+                name=entry.name,
+                kind=kind,
+                range=self.range(entry.span),
+                selection_range=self.range(entry.name_span),
+                detail=entry.detail,
+            )
+            for entry in group.entries
+        ]
+        spans = [entry.span for entry in group.entries]
+        first = group.entries[0].name_span
+        whole = self.range(Span(first.source, min(s.start for s in spans), max(s.end for s in spans)))
+        return types.DocumentSymbol(
+            name=group.title,
+            kind=types.SymbolKind.Namespace,
+            range=whole,
+            selection_range=self.range(spans[0]),
+            children=below,
+        )
+
+    def actions(self, found: Diagnostic, uri: str) -> list[types.CodeAction]:
+        """What mends a finding: the name that was meant, or accepting the warning."""
+        actions: list[types.CodeAction] = []
+        if not isinstance(found.place, Span):
+            return actions
+        span = found.place
+        meant = _MEANT.search(found.help)
+        if meant is not None and span.text.isidentifier():
+            edit = types.TextEdit(self.range(span), meant[1])
+            actions.append(self._action(f"Replace `{span.text}` by `{meant[1]}`", found, uri, edit, preferred=True))
+        if found.severity is Severity.WARNING:
+            text = " ".join(part for part in ("allow", found.code, found.subject) if part)
+            end = Span(span.source, len(span.source.text), len(span.source.text))
+            newline = "" if span.source.text.endswith("\n") else "\n"
+            edit = types.TextEdit(self.range(end), f"{newline}{text}\n")
+            actions.append(self._action(f"Accept this warning: `{text}`", found, uri, edit))
+        return actions
+
+    def _action(
+        self, title: str, found: Diagnostic, uri: str, edit: types.TextEdit, *, preferred: bool = False
+    ) -> types.CodeAction:
+        return types.CodeAction(
+            title=title,
+            kind=types.CodeActionKind.QuickFix,
+            diagnostics=[self.diagnostic(found)],
+            edit=types.WorkspaceEdit(changes={uri: [edit]}),
+            is_preferred=preferred or None,
+        )
+
+
+UNUSED = "GB403"
+"""The code of a name that nothing uses, which editors show faded."""

@@ -1,0 +1,106 @@
+"""What the words of the language mean, in a line each: for hover and completion."""
+
+from __future__ import annotations
+
+STATEMENTS: dict[str, str] = {
+    "model": "the model's name, a title, and the file that it extends",
+    "time": "names the time, its unit, and when every trajectory starts",
+    "unit": "a base unit of its own, so that grams of different things do not add up by accident",
+    "state": "an unknown over time; unit, plausible range and a guess of its start are optional",
+    "condition": "known and constant within a trajectory, a column of the data",
+    "input": "a known signal of time, a column of the data, `held` or `linear` between its rows",
+    "const": "a known number: an expression of other constants",
+    "learn": "a constant to be learned, with a start, bounds, a prior, or a value of its own for each trajectory",
+    "let": "a named intermediate expression",
+    "function": "a known function",
+    "unknown": "a function to be learned, with contracts, a postulate, and the network that stands for it",
+    "process": "a conversion of states at a rate; its name in an expression is its rate",
+    "initial": "the start of a state: an expression, or `learn` for one learned in each trajectory",
+    "observe": "a measured channel, a column of the data",
+    "dose": "the data add to this state at given times (column `dose_NAME`)",
+    "conserve": "a claim that this quantity's rate vanishes (or is the given one), proved or refuted at compile time",
+    "truth": "the reference for a learnable or an unknown: simulation and validation use it, training never sees it",
+    "allow": "accepts a named warning",
+    "without": "removes a declaration or statement of the extended file",
+}
+"""The words that begin a statement."""
+
+CLAUSES: dict[str, str] = {
+    "extends": "the file whose declarations this one replaces or adds to; in or below the same folder",
+    "from": "when every trajectory starts",
+    "in": "a range `[low, high]`; after `increasing` and `decreasing` the argument",
+    "as": "the column of the data where it has another name",
+    "held": "from its row to the next filled cell the input keeps its value",
+    "linear": "between its rows the input changes linearly",
+    "prior": "what is known of the constant beforehand: `normal(mean, sd)` or `lognormal(median, cv)`",
+    "noise": "how uncertain a measurement is: `normal(sd)` or `lognormal(cv)`; it sets the channel's weight",
+    "per": "`per trajectory`: each trajectory has its own value",
+    "trajectory": "`per trajectory`: each trajectory has its own value",
+    "rate": "the rate of a process, or of a claim",
+    "times": "the fraction of a dose that arrives",
+    "lag": "how much later a dose arrives",
+    "by": "the network that stands for the unknown: `mlp(32, 32, activation=silu)`",
+    "zero": "`zero at v = e`: the function vanishes there, for every weight",
+    "at": "`zero at v = e`: the function vanishes there, for every weight",
+    "increasing": "`increasing in v`: the function never falls as v grows, for every weight",
+    "decreasing": "`decreasing in v`: the function never rises as v grows, for every weight",
+    "learn": "the start is learned in each trajectory",
+}
+"""The words within statements."""
+
+OPERATORS: dict[str, str] = {
+    "if": "`if(condition, a, b)`: a where the condition holds, else b",
+    "and": "both conditions hold",
+    "or": "one of the conditions holds, or both",
+    "not": "the condition does not hold",
+}
+"""The words within expressions."""
+
+FUNCTIONS: dict[str, tuple[str, str]] = {
+    "exp": ("exp(x)", "the exponential function"),
+    "log": ("log(x)", "the natural logarithm"),
+    "log10": ("log10(x)", "the logarithm to base 10"),
+    "sqrt": ("sqrt(x)", "the square root"),
+    "sin": ("sin(x)", "the sine, x in radians"),
+    "cos": ("cos(x)", "the cosine, x in radians"),
+    "tan": ("tan(x)", "the tangent, x in radians"),
+    "tanh": ("tanh(x)", "the hyperbolic tangent"),
+    "sinh": ("sinh(x)", "the hyperbolic sine"),
+    "cosh": ("cosh(x)", "the hyperbolic cosine"),
+    "asin": ("asin(x)", "the inverse of the sine, in radians"),
+    "acos": ("acos(x)", "the inverse of the cosine, in radians"),
+    "atan": ("atan(x)", "the inverse of the tangent, in radians"),
+    "atan2": ("atan2(y, x)", "the angle of the point (x, y), in radians"),
+    "asinh": ("asinh(x)", "the inverse of the hyperbolic sine"),
+    "acosh": ("acosh(x)", "the inverse of the hyperbolic cosine"),
+    "atanh": ("atanh(x)", "the inverse of the hyperbolic tangent"),
+    "abs": ("abs(x)", "the absolute value"),
+    "min": ("min(a, b, …)", "the smallest of its arguments"),
+    "max": ("max(a, b, …)", "the largest of its arguments"),
+    "sign": ("sign(x)", "-1, 0 or 1 as x is negative, zero or positive"),
+    "net": ("net(X)", "what all processes together add to the state X in a unit of time"),
+    "sum": ("sum(c)", "the sum of all elements of an array of states"),
+}
+"""The functions of the language: how each is written, and what it is."""
+
+VALUES: dict[str, str] = {
+    "pi": "the circle's circumference over its diameter, 3.14159…",
+    "nn": "the network, in the postulate of an unknown",
+}
+
+DISTRIBUTIONS: dict[str, str] = {
+    "normal": "a normal distribution: `prior normal(mean, sd)`, `noise normal(sd)`",
+    "lognormal": "a lognormal distribution: `prior lognormal(median, cv)`, `noise lognormal(cv)`",
+}
+
+NETWORKS: dict[str, str] = {"mlp": "a multilayer perceptron: the widths of its hidden layers, and `activation=`"}
+
+OPTIONS: dict[str, str] = {"activation": "the function between the layers of the network"}
+
+
+def meaning(word: str) -> str:
+    """The line on a word of the language, whichever table has it; empty where none does."""
+    if word in FUNCTIONS:
+        return FUNCTIONS[word][1]
+    tables = (STATEMENTS, CLAUSES, OPERATORS, VALUES, DISTRIBUTIONS, NETWORKS, OPTIONS)
+    return next((table[word] for table in tables if word in table), "")

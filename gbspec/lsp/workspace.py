@@ -1,0 +1,161 @@
+"""The texts that an editor has open before those on the disk, their trees, and how files extend one another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gbspec.diagnostics import Findings, Source, Span, UserError
+from gbspec.lsp.index import Names, Occurrence, names_of, occurrences
+from gbspec.syntax import ast
+from gbspec.syntax.parser import parse
+from gbspec.syntax.reading import decode, read_source
+
+_MAX_FILES = 2000
+_SKIPPED = frozenset({"node_modules", "__pycache__"})
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """A text and what could be read of it; `broken` where a statement could not."""
+
+    source: Source
+    file: ast.File
+    broken: bool
+
+
+@dataclass
+class Workspace:
+    """What is open, and what was read and parsed before (kept while it does not change)."""
+
+    roots: tuple[Path, ...] = ()
+    _open: dict[Path, Source] = field(default_factory=dict)
+    _disk: dict[Path, tuple[tuple[int, int], Source]] = field(default_factory=dict)
+    _parsed: dict[Path, Parsed] = field(default_factory=dict)
+    _indexed: dict[Path, tuple[tuple[Source, ...], Names, tuple[Occurrence, ...]]] = field(default_factory=dict)
+
+    # ------------------------------------------------------------------------------------------------------- texts
+
+    def put(self, path: str | Path, text: str) -> None:
+        """A file was opened or changed in the editor; `text` is all of it."""
+        self._open[key(path)] = decode(str(path), text.encode("utf-8", "replace"))
+
+    def drop(self, path: str | Path) -> None:
+        """A file was closed: what counts is on the disk again."""
+        self._open.pop(key(path), None)
+
+    def opened(self) -> tuple[Path, ...]:
+        """The files that are open in the editor."""
+        return tuple(self._open)
+
+    def source(self, path: str | Path) -> Source:
+        """The text of a file, as the editor has it or as it is on the disk; raises `UserError` where there is none."""
+        path = Path(path)
+        own = self._open.get(key(path))
+        if own is not None:
+            return own
+        try:
+            status = path.stat()
+        except (OSError, ValueError):
+            return read_source(path)
+        stamp = (status.st_mtime_ns, status.st_size)
+        known = self._disk.get(key(path))
+        if known is None or known[0] != stamp:
+            known = self._disk[key(path)] = (stamp, read_source(path))
+        return known[1]
+
+    def parsed(self, path: str | Path) -> Parsed | None:
+        """The tree of what can be read in a file, None where there is no such file or it is no text."""
+        try:
+            source = self.source(path)
+        except UserError:
+            return None
+        known = self._parsed.get(key(path))
+        if known is None or known.source is not source:
+            findings = Findings()
+            file = parse(source, findings) or ast.File(Span(source, 0, len(source.text)), ())
+            known = self._parsed[key(path)] = Parsed(source, file, findings.failed)
+        return known
+
+    # ----------------------------------------------------------------------------------------------------- families
+
+    def chain(self, path: str | Path) -> tuple[Parsed, ...]:
+        """The file, the one that it extends, and so on, as far as they can be read."""
+        found: list[Parsed] = []
+        seen: set[Path] = set()
+        current: Path | None = Path(path)
+        while current is not None and key(current) not in seen:
+            seen.add(key(current))
+            parsed = self.parsed(current)
+            if parsed is None:
+                break
+            found.append(parsed)
+            current = extended(parsed.file)
+        return tuple(found)
+
+    def descendants(self, path: str | Path) -> tuple[Parsed, ...]:
+        """The file and all known files that extend it, directly or through others."""
+        wanted = key(path)
+        found = {wanted: self.parsed(path)}
+        for other in self._known(Path(path)):
+            if key(other) not in found and wanted in {key(p.source.path) for p in self.chain(other)}:
+                found[key(other)] = self.parsed(other)
+        return tuple(p for p in found.values() if p is not None)
+
+    def _known(self, path: Path) -> Iterator[Path]:
+        """The open files and those in the project's folders (without any: beside the file)."""
+        yield from self._open
+        count = 0
+        folders = self.roots or (path.parent,)
+        for folder in folders:
+            pattern = "**/*.gb" if self.roots else "*.gb"
+            for other in folder.glob(pattern):
+                hidden = any(p.startswith(".") or p in _SKIPPED for p in other.relative_to(folder).parts)
+                if not hidden and key(other) not in self._open:
+                    yield other
+                    count += 1
+                if count >= _MAX_FILES:
+                    return
+
+    # --------------------------------------------------------------------------------------------------------- names
+
+    def names(self, path: str | Path) -> Names:
+        """What the file and those it extends declare."""
+        return self._index(path)[1]
+
+    def occurrences(self, path: str | Path) -> tuple[Occurrence, ...]:
+        """Every name in the file with what it refers to; none where it cannot be read."""
+        return self._index(path)[2]
+
+    def _index(self, path: str | Path) -> tuple[tuple[Source, ...], Names, tuple[Occurrence, ...]]:
+        chain = self.chain(path)
+        sources = tuple(p.source for p in chain)
+        known = self._indexed.get(key(path))
+        if known is None or known[0] != sources:
+            names = names_of([p.file for p in chain])
+            found = occurrences(chain[0].file, names) if chain else ()
+            known = self._indexed[key(path)] = (sources, names, found)
+        return known
+
+    def with_texts(self, texts: dict[Path, str]) -> Workspace:
+        """The same files with other texts, to see what an edit would make of them."""
+        other = Workspace(self.roots, dict(self._open), dict(self._disk), dict(self._parsed), dict(self._indexed))
+        for path, text in texts.items():
+            other.put(path, text)
+        return other
+
+
+def key(path: str | Path) -> Path:
+    """A file's identity, however its path was written."""
+    return Path(path).resolve()
+
+
+def extended(file: ast.File) -> Path | None:
+    """The path of the file that this one extends; whether it may do so, checking says."""
+    for statement in file.statements:
+        if isinstance(statement, ast.ModelStatement) and statement.extends is not None:
+            named = statement.extends.value
+            if named and "\0" not in named:
+                return Path(file.span.source.path).parent / named
+    return None
