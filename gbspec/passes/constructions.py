@@ -7,7 +7,7 @@ monotone by the signs of its weights (`directions_of_units`). On it stand, in th
   slope 0.63 s there, and never saturates at the start. Two bounds: `L + W logistic(...)`, slope s at the start.
 - *zeros*: a difference `x(v) - x(zero)` of a function of one argument; or a factor that vanishes there: `d/sqrt(d^2 + l^2)`, its size, or its
   square, d the distance and l the argument's scale; or, where directions would not survive these, a generalised Monod
-  factor `d/(d + K)` whose half-saturation `K = l exp(-4 tanh(g/4))`, with g an extra output of the same directions,
+  factor `d/(d + K)` whose half-saturation `K = l (2.02 - 2 logistic(g))`, g an extra output of the same directions,
   falls where the value rises.
 - *bounds around a zero*: an increasing map that leaves 0 where it is.
 
@@ -242,14 +242,11 @@ class Builder:
         return signs.pop() if len(signs) == 1 else None
 
     # ---------------------------------------------------------------- zeros with directions
-    def _gate(self, zero: Zero, side: int) -> Expr:
-        """A positive half-saturation that falls (side 1) or rises (side -1) as the value rises."""
+    def _half(self, zero: Zero, side: Expr) -> Expr:
+        """A positive half-saturation by an extra output; it falls (side 1) or rises (-1) as the value rises."""
         gate = raw(0, self.first_gate + self.gates)
         self.gates += 1
-        return self._half(gate, zero, side)
-
-    def _half(self, gate: Expr, zero: Zero, side: int) -> Expr:
-        return spread(zero.argument) * sympy.exp(-4 * side * sympy.tanh(gate / 4))
+        return spread(zero.argument) * (sympy.Float(2.02) - 2 * logistic(side * gate))
 
     def _one_sided(self, gated: Sequence[Zero], demands: Wanted, sign: int) -> Expr:
         """A value of one sign that rises in its size away from each zero, on the side where it does, and is 0 beyond."""
@@ -264,7 +261,7 @@ class Builder:
                     [zero.contract, *(c for c in self.unknown.contracts if c.argument == zero.contract.argument)],
                     "turn the direction round, or move the zero to the other end of the range",
                 )
-            value *= d / (d + self._gate(zero, sign))
+            value *= d / (d + self._half(zero, sympy.Integer(sign)))
         return value
 
     def _only_zero(self, zero: Zero, side: int) -> bool:
@@ -281,12 +278,8 @@ class Builder:
     def _two_sided(self, zero: Zero, demands: Wanted) -> Expr:
         """A positive rising part on one side of the zero, minus the mirror of it on the other."""
         d = demands.directions[zero.argument] * self._distance(zero)
-        gate = raw(0, self.first_gate + self.gates)
-        self.gates += 1
-        above, below = sympy.Max(d, 0), sympy.Max(-d, 0)
-        rising = softplus(self.x + START) * above / (above + self._half(gate, zero, 1))
-        falling = softplus(START - self.x) * below / (below + self._half(gate, zero, -1))
-        return self.s * (rising - falling)
+        side = sympy.sign(d)
+        return self.s * d * softplus(side * self.x + START) / (sympy.Abs(d) + self._half(zero, side))
 
     def _around_zero(self, value: Expr, demands: Wanted, sign: int | None) -> Expr:
         """The value pressed between bounds that leave 0 inside, by an increasing map with 0 -> 0 and slope 1 there."""
