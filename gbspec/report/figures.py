@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn
 
-from gbspec.data.trajectories import Trajectories
+import numpy as np
+
+from gbspec.analysis.metrics import spread
+from gbspec.data.trajectories import Array, Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report import collect, plots, unknowns
 from gbspec.runs.store import Run
@@ -50,7 +53,7 @@ def draw(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = (
             first, second = run.model.states[:2]
             return plots.phase(collect.orbits(fitted, indices, (0, 1)), first.name, second.name)
         case "summary":
-            return summary(fitted, indices[0])
+            return summary(fitted, indices[0] if show else liveliest(data))
         case _:
             return plots.fit(collect.trajectory_fits(fitted, indices), run.model.time.name)
 
@@ -61,6 +64,16 @@ def summary(fitted: collect.Fitted, index: int) -> Figure:
     functions = unknowns.learned_functions(fitted)
     time = fitted.model.time.name
     return plots.summary(shown, functions[0] if functions else None, collect.constants(fitted.run), time)
+
+
+def liveliest(data: Trajectories) -> int:
+    """The trajectory whose channels change most from row to row: the one from which most can be seen."""
+
+    def change(values: Array) -> float:
+        return float(sum(np.abs(np.diff(column[np.isfinite(column)])).sum() for column in values.T))
+
+    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in data.items]).T])
+    return int(np.argmax([change(item.values / np.where(spreads > 0, spreads, 1.0)) for item in data.items]))
 
 
 def _chosen(data: Trajectories, show: Sequence[str]) -> list[int]:
