@@ -193,37 +193,29 @@ class Outcome:
 
 
 def front_end(text: str) -> str:
-    """Parses, formats, checks, lowers and verifies a text, and renders what is found."""
-    from gbspec.ir.verify import verify
-    from gbspec.lower import lower
-    from gbspec.semantics import check
+    """Does all that `gbspec check` does up to the Model, formats the text, and renders what is found."""
+    from gbspec.driver import load_model, read_source
     from gbspec.syntax.formatter import format_text
-    from gbspec.syntax.parser import parse
-
-    def load(path: Path) -> Source:
-        return Source(str(path), (ROOT / "models" / "bf" / path.name).read_text(encoding="utf-8"))
 
     source = Source(str(ROOT / "models" / "bf" / "mutated.gb"), text)
     findings = Findings()
+    kind = "findings"
     try:
-        file = parse(source, findings)
-        if not findings.failed:
-            format_text(source)
-        checked = None if file is None else check(file, findings, load)
-        if checked is not None and not findings.failed:
-            model = lower(checked, findings)
-            findings.raise_if_failed()
-            verify(model)
+        load_model(source.path, findings, lambda path: source if str(path) == source.path else read_source(path))
+        kind = "model"
     except UserError as error:
         findings.extend(error.diagnostics)
-    except FileNotFoundError:
-        return "findings"  # `extends` names a file that this campaign does not have; reading is tested elsewhere
+        if not findings.failed:
+            raise AssertionError("neither a model nor an error") from error
+    try:
+        format_text(source)
+    except UserError as error:
+        if kind == "model":
+            raise AssertionError("a model that cannot be formatted") from error
     render_text(findings)
     for finding in findings:
         to_json(finding)
-    if not findings.failed and checked is None:
-        raise AssertionError("neither a model nor a finding")
-    return "findings" if findings.failed else "model"
+    return kind
 
 
 def outcome(text: str) -> Outcome:
