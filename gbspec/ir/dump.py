@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from sympy.core.numbers import Float
 from sympy.printing.str import StrPrinter
 
-from gbspec.ir.model import NN, Declared, Expr, Model, Network, Range
+from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
@@ -23,6 +23,30 @@ _PRINTER = _Printer()
 def written(expression: Expr) -> str:
     """An expression as text, its floats in full precision."""
     return str(_PRINTER.doprint(expression))
+
+
+def contract_text(contract: Contract) -> str:
+    """A contract as a `.gb` file writes it."""
+    value = "" if contract.value is None else written(contract.value).replace("**", "^")
+    match contract.kind:
+        case "lower":
+            return f">= {value}"
+        case "upper":
+            return f"<= {value}"
+        case "zero":
+            return f"zero at {contract.argument} = {value}"
+        case "increasing" | "decreasing":
+            return f"{contract.kind} in {contract.argument}"
+
+
+def guarantee(unknown: Unknown) -> str:
+    """What holds of an unknown for every weight, and for which arguments; empty where nothing does."""
+    if unknown.form is None or not unknown.contracts:
+        return ""
+    contracts = ", ".join(map(contract_text, unknown.contracts))
+    within = ", ".join(unknown.form.within)
+    scope = f"for {within} in range" if unknown.form.scope == "ranges" else "for all real arguments"
+    return f"{contracts}; {scope}" + "".join(f"; {note}" for note in unknown.form.notes)
 
 
 def dump(model: Model) -> str:
@@ -58,7 +82,9 @@ def dump(model: Model) -> str:
     lines += _section(
         "unknowns",
         (
-            f"{_head(u)} = {written(u.postulate)}" + ("" if u.postulate == NN else f"  (nn begins at {u.neutral!r})")
+            f"{_head(u)} = {written(u.postulate)}"
+            + ("" if u.postulate == NN else f"  (nn begins at {u.neutral!r})")
+            + (f"  ({guarantee(u)}; as {written(u.form.value)})" if u.form is not None and u.contracts else "")
             for u in model.unknowns
         ),
     )

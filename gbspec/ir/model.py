@@ -153,7 +153,7 @@ class Argument:
 
 @dataclass(frozen=True)
 class Contract:
-    """A guarantee on one output: `lower`, `upper` (by `value`), `zero` at argument = value, `increasing`, `decreasing`."""
+    """A guarantee on one output: `lower`, `upper` (by `value`), `zero` (at argument = value), or a direction."""
 
     kind: Literal["lower", "upper", "zero", "increasing", "decreasing"]
     value: Expr | None = None

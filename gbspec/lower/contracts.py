@@ -28,7 +28,7 @@ def contract_values(contract: ast.Contract) -> Iterator[ast.Expression]:
 def lower_contracts(
     statement: ast.UnknownStatement, values: Sequence[Expr], renamed: Mapping[str, str]
 ) -> dict[str, tuple[ir.Contract, ...]]:
-    """The contracts of each output; `values` are those of all contracts, `renamed` the arguments' names in the Model."""
+    """The contracts of each output, from the values of all contracts and the arguments' names in the Model."""
     rest = iter(values)
     found: dict[str, list[ir.Contract]] = {name.text: [] for name in statement.names}
     for contract in statement.contracts:

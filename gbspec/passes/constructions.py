@@ -1,14 +1,14 @@
 """Functions that meet demands whatever the weights are: expressions in a network's raw outputs.
 
 A raw output x is a multilayer perceptron without its last centre c and scale s; where directions are asked for, it is
-monotone by the signs of its weights (`directions_of_units`). On it stand, in this order:
+monotone by the signs of its weights (`gbspec.passes.layouts`). On it stand, in this order:
 
 - *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: it starts at c, rises with
   slope 0.63 s there, and never saturates at the start. Two bounds: `L + W logistic(...)`, slope s at the start.
-- *zeros*: a difference `x(v) - x(zero)` of a function of one argument; or a factor that vanishes there: `d/sqrt(d^2 + l^2)`, its size, or its
-  square, d the distance and l the argument's scale; or, where directions would not survive these, a generalised Monod
-  factor `d/(d + K)` whose half-saturation `K = l (2.02 - 2 logistic(g))`, g an extra output of the same directions,
-  falls where the value rises.
+- *zeros*: a difference `x(v) - x(zero)` of a function of one argument; or a factor that vanishes there:
+  `d/sqrt(d^2 + l^2)`, its size, or its square, d the distance and l the argument's scale; or, where directions would
+  not survive these, a generalised Monod factor `d/(d + K)` whose half-saturation `K = l (2.02 - 2 logistic(g))`, g an
+  extra output of the same directions, falls where the value rises.
 - *bounds around a zero*: an increasing map that leaves 0 where it is.
 
 `docs/contracts.md` has the proofs.
@@ -23,7 +23,7 @@ import sympy
 
 from gbspec.ir.forms import center, logistic, raw, scale, softplus, spread
 from gbspec.ir.model import Expr, Network, Unknown
-from gbspec.passes.requirements import Link, Refused, Wanted, Zero
+from gbspec.passes.requirements import Link, Refused, Wanted, Zero, shown
 from gbspec.passes.signs import Prover
 
 START = sympy.Float(0.541324854612918)
@@ -124,8 +124,8 @@ class Builder:
                     contracts = [c for c in self.unknown.contracts if c.kind in (kind, word)]
                     raise Refused(
                         "GB607",
-                        f"`{self.unknown.name}` is to be {word} in `{self.formals[i].name}`, but its bound `{bound}` is not"
-                        f" proved to be {word}",
+                        f"`{self.unknown.name}` is to be {word} in `{self.formals[i].name}`, but its bound"
+                        f" `{shown(bound)}` is not proved to be {word}",
                         contracts,
                         "let the bound be constant, or follow the same direction",
                     )
@@ -193,8 +193,8 @@ class Builder:
             if not self.prover.zero(bound) and not self.prover.positive(-side * bound):
                 raise Refused(
                     "GB607",
-                    f"the bound `{bound}` is not proved to be 0, or to leave 0 inside, where `{self.unknown.name}` has its"
-                    " zero",
+                    f"the bound `{shown(bound)}` is not proved to be 0, or to leave 0 inside, where"
+                    f" `{self.unknown.name}` has its zero",
                     [c for c in self.unknown.contracts if c.kind in ("lower", "upper")],
                     "let the bound be a number, or bound the constants in it: `learn k > 0`",
                 )
@@ -214,7 +214,7 @@ class Builder:
             if moving:
                 raise Refused(
                     "GB607",
-                    f"a zero at `{zero.value}`, which moves with `{min(s.name for s in moving)}`, in which"
+                    f"a zero at `{shown(zero.value)}`, which moves with `{min(s.name for s in moving)}`, in which"
                     f" `{self.unknown.name}` is to be monotone, has no construction",
                     [zero.contract],
                     "let the zero stand at a constant",
@@ -225,8 +225,8 @@ class Builder:
             if first is not zero:
                 raise Refused(
                     "GB603",
-                    f"`{self.unknown.name}` has two zeros in `{self.formals[zero.argument].name}`, in which it is monotone,"
-                    " so it would be 0 between them",
+                    f"`{self.unknown.name}` has two zeros in `{self.formals[zero.argument].name}`, in which it is"
+                    " monotone, so it would be 0 between them",
                     [zero.contract, first.contract],
                     "delete one of them",
                 )
@@ -249,7 +249,7 @@ class Builder:
         return spread(zero.argument) * (sympy.Float(2.02) - 2 * logistic(side * gate))
 
     def _one_sided(self, gated: Sequence[Zero], demands: Wanted, sign: int) -> Expr:
-        """A value of one sign that rises in its size away from each zero, on the side where it does, and is 0 beyond."""
+        """A value of one sign whose size rises away from each zero, on the side where it may, and is 0 beyond."""
         value = self._core(sign)
         for zero in gated:
             d = sympy.Max(sign * demands.directions[zero.argument] * self._distance(zero), 0)
@@ -291,8 +291,8 @@ class Builder:
                 contracts = [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
                 raise Refused(
                     "GB607",
-                    f"the bound `{moving[0]}` moves with an argument, which together with a zero and a direction has no"
-                    " construction",
+                    f"the bound `{shown(moving[0])}` moves with an argument, which together with a zero and a direction"
+                    " has no construction",
                     contracts,
                     "let the bound be constant",
                 )
@@ -308,7 +308,7 @@ class Builder:
 
     # ---------------------------------------------------------------- links
     def _softplus_link(self, start: Expr, x: Expr) -> Expr:
-        """`s softplus(softplus^-1(start) + x)`: `start` (in scales, at least 0.05) corrected on the scale of softplus."""
+        """`s softplus(softplus^-1(start) + x)`: `start` (in scales, at least 0.05) corrected where softplus maps from."""
         r = sympy.Max(start, sympy.Float(0.05))
         return self.s * softplus(r + sympy.log(1 - sympy.exp(-r)) + x)
 

@@ -13,7 +13,7 @@ from gbspec.ir.model import NN, Model, Network, Range, Unknown
 from gbspec.passes.constructions import Builder, Construction
 from gbspec.passes.intervals import REAL, Box, Interval, of_range
 from gbspec.passes.layouts import TooNarrow, layout
-from gbspec.passes.requirements import Refused, Requirements, Wanted, requirements, wanted
+from gbspec.passes.requirements import Refused, Requirements, Wanted, requirements, shown, wanted
 from gbspec.passes.signs import Prover
 
 
@@ -103,7 +103,7 @@ def _attempt(
     if demands.lower is not None and demands.upper is not None and not prover.positive(demands.upper - demands.lower):
         raise Refused(
             "GB607",
-            f"the upper bound `{demands.upper}` is not proved to lie above the lower bound `{demands.lower}`",
+            f"the upper bound `{shown(demands.upper)}` is not proved to lie above the lower bound `{shown(demands.lower)}`",
             [c for c in unknown.contracts if c.kind in ("lower", "upper")],
             "bound the constants in them: `learn k in [1, 2]`",
         )
@@ -111,7 +111,7 @@ def _attempt(
         if bound is not None and not prover.finite(bound):
             raise Refused(
                 "GB607",
-                f"the bound `{bound}` is not proved to be a finite number everywhere",
+                f"the bound `{shown(bound)}` is not proved to be a finite number everywhere",
                 [c for c in unknown.contracts if c.kind in ("lower", "upper")],
                 "give the names in it ranges",
             )
@@ -143,7 +143,7 @@ def _consistent(unknown: Unknown, demands: Wanted, prover: Prover) -> None:
     if prover.nonnegative(lower - upper):
         raise Refused(
             "GB603",
-            f"`{unknown.name}` cannot be at least `{lower}` and at most `{upper}`"
+            f"`{unknown.name}` cannot be at least `{shown(lower)}` and at most `{shown(upper)}`"
             + (" and still be learned" if prover.zero(lower - upper) else ""),
             [c for c in unknown.contracts if c.kind in ("lower", "upper")],
             "correct one of the bounds",

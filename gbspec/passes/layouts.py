@@ -2,9 +2,9 @@
 
 Every unit has a kind, one character an argument: `+` (not decreasing in it), `-`, `*` (freely), `0` (not at all).
 A weight from a unit of kind a to one of kind b may be positive if every direction of a is allowed by b, negative if
-every direction of a turned round is, of either sign if both, and is absent if neither: by induction over the layers each
-unit then depends on the arguments as its kind says, provided that the units on the way are monotone functions of their
-inputs. Units whose kind names a direction get monotone activations (a third bends upwards, a third downwards, a third
+every direction of a turned round is, of either sign if both, and is absent if neither: by induction over the layers
+each unit then depends on the arguments as its kind says, provided that the units on the way are monotone functions of
+their inputs. Units whose kind names a direction get monotone activations (a third bends upwards, a third downwards, a third
 levels off: Runje and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023); the others keep their own.
 """
 

@@ -8,15 +8,21 @@ into a scale without bounds, corrected there, and carried back, as in a generali
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import sympy
 
+from gbspec.ir.dump import written
 from gbspec.ir.model import NN, Contract, Expr, Network, Unknown
 from gbspec.passes.intervals import REAL, Interval
 from gbspec.passes.signs import Prover
 
 NONNEGATIVE = Interval(0.0, REAL.high, False, True)
+
+
+def shown(expression: Expr) -> str:
+    """An expression in a message: as a `.gb` file would write it."""
+    return written(expression).replace("**", "^")
 
 
 class Refused(Exception):  # noqa: N818 - not an error: the answer that a guarantee cannot be given
@@ -166,7 +172,7 @@ class _Translation:
                 raise Refused(
                     "GB605",
                     f"`{contract.kind} in {self.symbols[i].name}` cannot be kept: it is not clear in which direction"
-                    f" `{self.postulate}` moves with `nn`",
+                    f" `{shown(self.postulate)}` moves with `nn`",
                     (contract,),
                     self._ranges_help() or "let `nn` stand as `f + nn`, `f*nn` with f of one sign, or `exp(nn)`",
                 )
@@ -180,8 +186,8 @@ class _Translation:
             how = "is not proved to be" if derivative is not None else "jumps (`if` or `sign`), so it is not"
             raise Refused(
                 "GB605",
-                f"`{contract.kind} in {name}` cannot be kept: the postulate `{self.postulate}` {how} {contract.kind}"
-                f" in `{name}` by itself",
+                f"`{contract.kind} in {name}` cannot be kept: the postulate `{shown(self.postulate)}` {how}"
+                f" {contract.kind} in `{name}` by itself",
                 (contract,),
                 self._ranges_help(name) or "choose another postulate, or leave out the contract",
             )
@@ -212,10 +218,10 @@ class _Translation:
                 name = self.symbols[zero.argument].name
                 raise Refused(
                     "GB605",
-                    f"`zero at {name} = {zero.value}` cannot be kept: there the postulate is `{at}`, which `nn = 0` does"
-                    " not make 0",
+                    f"`zero at {name} = {shown(zero.value)}` cannot be kept: there the postulate is `{shown(at)}`,"
+                    " which `nn = 0` does not make 0",
                     (zero.contract,),
-                    f"choose a postulate that vanishes at `{name} = {zero.value}`",
+                    f"choose a postulate that vanishes at `{name} = {shown(zero.value)}`",
                 )
             needed.append(zero)
         return tuple(needed)
@@ -229,8 +235,8 @@ class _Translation:
         if factor.has(NN) or rest.has(sympy.nan, sympy.zoo) or self.postulate.has(sympy.Piecewise):
             raise Refused(
                 "GB605",
-                f"the bounds cannot be kept: `{self.postulate}` leaves them for some `nn`, and `nn` is neither a term nor"
-                " a factor of it",
+                f"the bounds cannot be kept: `{shown(self.postulate)}` leaves them for some `nn`, and `nn` is neither"
+                " a term nor a factor of it",
                 bounds,
                 "write the postulate as `f + nn` or `f*nn`, or leave the bound out",
             )
@@ -250,7 +256,7 @@ class _Translation:
         if not (self.prover.finite(base) and self.prover.finite(factor)):
             raise Refused(
                 "GB605",
-                f"the bounds cannot be kept: `{self.postulate}` is not proved to be a finite number everywhere",
+                f"the bounds cannot be kept: `{shown(self.postulate)}` is not proved to be a finite number everywhere",
                 bounds,
                 self._ranges_help() or "choose a postulate without poles",
             )
@@ -261,19 +267,19 @@ class _Translation:
             if any(self.symbols[i] in part.free_symbols for part in moving):
                 raise Refused(
                     "GB607",
-                    f"`{contract.kind} in {self.symbols[i].name}` together with a bound or a factor of `nn` that depends on"
-                    f" `{self.symbols[i].name}` has no construction",
+                    f"`{contract.kind} in {self.symbols[i].name}` together with a bound or a factor of `nn` that"
+                    f" depends on `{self.symbols[i].name}` has no construction",
                     (contract, *bounds),
                     "let the bounds be constant",
                 )
         if not product and self.prover.sign(factor) not in (1, -1):
-            raise Refused("GB605", f"the bounds cannot be kept: the sign of `{factor}` is not clear", bounds)
+            raise Refused("GB605", f"the bounds cannot be kept: the sign of `{shown(factor)}` is not clear", bounds)
         inside_lower = lower is None or self.prover.nonnegative(base - lower)
         inside_upper = upper is None or self.prover.nonnegative(upper - base)
         if product and not two_sided and not (inside_lower and inside_upper):
             raise Refused(
                 "GB605",
-                f"the bound cannot be kept: `{base}` is not proved to lie within it, so no factor `nn` near 1 does",
+                f"the bound cannot be kept: `{shown(base)}` is not proved to lie within it, so no factor `nn` near 1 does",
                 bounds,
                 self._ranges_help() or "choose a postulate that keeps the bound by itself",
             )
@@ -284,13 +290,8 @@ class _Translation:
             if not (kept and at_end):
                 raise Refused(
                     "GB607",
-                    f"`zero at {self.symbols[zero.argument].name} = {zero.value}` together with this bound has no"
-                    f" construction for the postulate `{self.postulate}`",
+                    f"`zero at {self.symbols[zero.argument].name} = {shown(zero.value)}` together with this bound has no"
+                    f" construction for the postulate `{shown(self.postulate)}`",
                     (zero.contract, *bounds),
                     "write the postulate as a product, `f*nn`, with an `f` that vanishes there and keeps the bounds",
                 )
-
-
-def without_bounds(demands: Wanted) -> Wanted:
-    """The same demands but for the bounds."""
-    return replace(demands, lower=None, upper=None)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import sympy
 
+from gbspec.ir.dump import guarantee
 from gbspec.ir.model import Initial, Learnable, Model, Range
 
 if TYPE_CHECKING:
@@ -48,6 +49,8 @@ def model_summary(model: Model) -> str:
         outputs = ", ".join(network.outputs)
         size = f"network {layers} {network.activation}, {network.parameters} parameters"
         lines.append(f"unknown {outputs}({arguments}): {size}")
+        kept = ((unknown.name, guarantee(unknown)) for unknown in model.unknowns if unknown.name in network.outputs)
+        lines += [f"  {name} {text}" for name, text in kept if text]
     lines += [f"learned {_learnable(learnable)}" for learnable in model.learnables]
     for word, names in (
         ("conditions", [c.name for c in model.conditions]),

@@ -18,7 +18,10 @@ REFUSED = {
     "unknown f(u) zero at w = 0": ("GB601", "no argument"),
     "unknown f(u) g >= 0": ("GB602", "no output"),
     "unknown f(u) zero at u = 2*u": ("GB604", "cannot depend on `u`"),
-    "unknown f(u in [0, 9]) increasing in u = u/(K + u^2)*nn": ("GB605", "not proved to be increasing in `u` by itself"),
+    "unknown f(u in [0, 9]) increasing in u = u/(K + u^2)*nn": (
+        "GB605",
+        "not proved to be increasing in `u` by itself",
+    ),
     "unknown f(u) >= 0 = u/(K + u)*nn": ("GB605", ""),
     "unknown f(u in [0, 9]) increasing in u = sin(nn)": ("GB605", "in which direction"),
     "unknown f(u in [0, 9]) zero at u = 0 = (1 + u)*exp(nn)": ("GB605", "does not make 0"),

@@ -140,7 +140,11 @@ MONOD = ("", lambda s, i: s / (0.5 + s) / (1 + i / 2), [(0, 5), (0, 5)])
         (HALDANE, "unknown f(a in [0, 10]) >= 0, zero at a = 0 = a/(K + a)*nn by mlp(16, 16)", 0.01),
         (MONOD, "unknown f(a, b) by mlp(16, 16)", 0.02),
         (MONOD, "unknown f(a, b) >= 0, zero at a = 0, increasing in a, decreasing in b by mlp(16, 16)", 0.02),
-        (MONOD, "unknown f(a in [0, 5], b) >= 0, increasing in a, decreasing in b = a/(0.3 + a)*nn by mlp(16, 16)", 0.02),
+        (
+            MONOD,
+            "unknown f(a in [0, 5], b) >= 0, increasing in a, decreasing in b = a/(0.3 + a)*nn by mlp(16, 16)",
+            0.02,
+        ),
     ],
 )
 def test_constrained_networks_fit(case: Any, unknown: str, worst: float) -> None:

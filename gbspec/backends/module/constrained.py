@@ -6,10 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import sympy
 
-from gbspec.backends.printing import Names, PythonPrinter, TextPrinter, temporary
+from gbspec.backends.printing import Names, PythonPrinter, temporary
 from gbspec.diagnostics import Defect
+from gbspec.ir.dump import guarantee
 from gbspec.ir.forms import Form, described
-from gbspec.ir.model import Contract, Expr, Network, Unknown
+from gbspec.ir.model import Expr, Network, Unknown
 
 WORDS = {"center": "network.center", "scale": "network.scale", "spread": "network.spread"}
 """Where the generated text finds the numbers kept with the weights, by the first word of their symbols."""
@@ -26,31 +27,7 @@ class _NumberPrinter(PythonPrinter):
 
 def document(unknowns: Sequence[Unknown]) -> str:
     """The contracts in words, for the method's docstring."""
-    parts = []
-    for unknown in unknowns:
-        texts = [contract_text(contract) for contract in unknown.contracts]
-        if texts:
-            within = unknown.form.within if unknown.form is not None else ()
-            parts.append(
-                f"{unknown.name}: {', '.join(texts)}"
-                + (f" (within the ranges of {', '.join(within)})" if within else "")
-            )
-    return "; ".join(parts)
-
-
-def contract_text(contract: Contract) -> str:
-    """A contract as a `.gb` file writes it."""
-    printer = TextPrinter()
-    value = "" if contract.value is None else printer.print(contract.value)
-    match contract.kind:
-        case "lower":
-            return f">= {value}"
-        case "upper":
-            return f"<= {value}"
-        case "zero":
-            return f"zero at {contract.argument} = {value}"
-        case "increasing" | "decreasing":
-            return f"{contract.kind} in {contract.argument}"
+    return ". ".join(f"{unknown.name} {guarantee(unknown)}" for unknown in unknowns if unknown.contracts)
 
 
 class Constrained:
