@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import shlex
 from collections.abc import Callable
 from typing import Any
 
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from gbspec import __version__
 from gbspec.cli.app import COMMANDS
-from gbspec.cli.frame import Command
 
-
-def load(name: str) -> Command:
-    made = importlib.import_module(COMMANDS[name]).run
-    assert isinstance(made, Command)
-    return made
-
+from .command_lines import accepted, load
 
 EXAMPLES = [(name, example) for name in COMMANDS for example in load(name).examples]
 
@@ -37,20 +28,8 @@ def test_every_command_has_help_with_an_example_and_the_common_flags(gbspec: Cal
 
 @pytest.mark.parametrize(("name", "example"), EXAMPLES)
 def test_every_example_parses(name: str, example: str) -> None:
-    program, command, *arguments = shlex.split(example, comments=True)
-    assert (program, command) == ("gbspec", name)
-    made, called = load(name), []
-
-    def record(**given: Any) -> None:
-        called.append(given)
-
-    record.__signature__ = made.call.__signature__  # type: ignore[attr-defined]
-    record.__annotations__ = made.call.__annotations__
-    app = typer.Typer(pretty_exceptions_enable=False)
-    app.command(name)(record)
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 0, result.output
-    assert len(called) == 1
+    assert shlex.split(example)[:2] == ["gbspec", name]
+    assert accepted(example)
 
 
 def test_the_group_lists_every_command(gbspec: Callable[..., Any]) -> None:
