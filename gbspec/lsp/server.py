@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import ParamSpec, TypeVar, cast
 
 from lsprotocol import types
 from pygls.exceptions import JsonRpcException
@@ -52,7 +52,8 @@ class Session:
     @property
     def messages(self) -> Messages:
         """Messages in the units that were agreed on with the editor."""
-        return Messages(cast(Encoding, str(getattr(self.server.workspace.position_encoding, "value", "utf-16"))))
+        agreed = self.server.workspace.position_encoding or types.PositionEncodingKind.Utf16
+        return Messages(cast(Encoding, types.PositionEncodingKind(agreed).value))
 
     # ------------------------------------------------------------------------------------------------------ checking
 
@@ -291,8 +292,3 @@ def _common(first: list[str], second: list[str]) -> int:
     """How many lines at the beginning are the same."""
     pairs = zip(first, second, strict=False)
     return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(first), len(second)))
-
-
-def handlers(server: LanguageServer) -> dict[str, Any]:
-    """What the server answers, by the protocol's names."""
-    return dict(server.protocol.fm.features)

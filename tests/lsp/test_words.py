@@ -1,0 +1,71 @@
+"""The words that the editor explains are those of the language, each with its meaning."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from gbspec.diagnostics.catalogue import explain
+from gbspec.lsp import words
+from gbspec.lsp.hover import ROLES
+from gbspec.lsp.messages import UNUSED
+from gbspec.lsp.outline import GROUPS
+from gbspec.syntax import ast, names
+from gbspec.syntax.expected import Expected, expected
+from gbspec.syntax.grammar import engine
+
+
+def keywords() -> set[str]:
+    lark, _ = engine()
+    found = Expected(frozenset(t.name for t in lark.terminals), ()).keywords
+    return set(found)
+
+
+def test_every_keyword_of_the_grammar_is_explained() -> None:
+    assert keywords() == {*words.STATEMENTS, *words.CLAUSES, *words.OPERATORS}
+    assert tuple(words.STATEMENTS) == names.STATEMENTS
+
+
+def test_every_function_is_explained_and_written_with_its_arguments() -> None:
+    assert set(words.FUNCTIONS) == {*names.FUNCTIONS, "net", "sum"}
+    for function, (usage, meaning) in words.FUNCTIONS.items():
+        assert meaning
+        inside = re.fullmatch(rf"{function}\((.*)\)", usage)
+        assert inside is not None
+        given = [a for a in inside[1].split(", ") if a != "…"]
+        assert len(given) == names.FUNCTIONS.get(function, 1)
+
+
+def test_every_statement_has_a_place_in_the_outline_or_declares_nothing() -> None:
+    without = {ast.AllowStatement, ast.WithoutStatement}
+    assert set(GROUPS) | without == set(ast.Statement.__args__)
+    assert set(ROLES) <= set(GROUPS)
+
+
+def test_the_code_that_is_shown_faded_is_that_of_unused_names() -> None:
+    assert "never used" in explain(UNUSED).title
+
+
+@pytest.mark.parametrize(
+    ("begun", "keyword", "not_keyword"),
+    [
+        ("model m ", "extends", "in"),
+        ("input F ", "held", "prior"),
+        ("initial X ", "learn", "in"),
+        ("process p: A -> B ", "rate", "in"),
+        ("unknown f(x) ", "by", "prior"),
+        ("unknown f(x) zero ", "at", "in"),
+        ("let a = if(b > 1 ", "and", "rate"),
+    ],
+)
+def test_the_grammar_says_which_word_may_follow(begun: str, keyword: str, not_keyword: str) -> None:
+    what = expected(begun)
+    assert what is not None
+    assert keyword in what.keywords
+    assert not_keyword not in what.keywords
+
+
+@pytest.mark.parametrize("begun", ["state state state", "let = ", "const a = 1 1", "§"])
+def test_after_what_is_wrong_nothing_is_expected(begun: str) -> None:
+    assert expected(begun) is None
