@@ -55,13 +55,19 @@ class LearnedFunction:
 
 @dataclass(frozen=True)
 class Slice:
-    """A function of one argument: `x` [G], `members` [M, G], `truth` [G] or None; `label` says what is held fixed."""
+    """A function of one argument: `x` [G], `members` [M, G], `truth` [G] or None; `label` says what is held fixed.
+
+    `postulate` [G] is what the user supposed, None where nothing was; `visited` [V] are values of the argument in the
+    data, within the range of `x`.
+    """
 
     argument: str
     x: Array
     members: Array
     truth: Array | None
     label: str
+    postulate: Array | None = None
+    visited: Array | None = None
 
 
 @dataclass(frozen=True)

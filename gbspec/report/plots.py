@@ -114,10 +114,16 @@ def _draw_function(block: SubFigure, panels: Sequence[Axes], function: LearnedFu
 
 
 def draw_slice(axes: Axes, name: str, piece: Slice, *, legend: bool = True) -> None:
-    """A learned function along one argument, beside the truth."""
+    """A learned function along one argument, beside the truth and the postulate; ticks show where data are."""
+    if piece.postulate is not None:
+        axes.plot(piece.x, piece.postulate, color=style.MUTED, linestyle="dotted", linewidth=1.5, label="postulate")
     style.band(axes, piece.x, piece.members)
     if piece.truth is not None:
         style.truth_line(axes, piece.x, piece.truth)
+    if piece.visited is not None:
+        at = np.zeros(len(piece.visited))
+        look: Any = {"color": style.MEASURED, "markersize": 7, "alpha": 0.35, "markeredgewidth": 0.7}
+        axes.plot(piece.visited, at, "|", transform=axes.get_xaxis_transform(), clip_on=False, zorder=5, **look)
     axes.set_xlabel(piece.argument)
     axes.set_ylabel(name)
     axes.set_title(f"{name}" + (f" at {piece.label}" if piece.label else ""), fontsize=8.5)

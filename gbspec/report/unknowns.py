@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
+import sympy
 from numpy.typing import NDArray
 
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Array
-from gbspec.ir.model import Channel, Condition, Model, State
+from gbspec.ir.model import NN, Channel, Condition, Constant, Expr, Model, State, Unknown
 from gbspec.passes import with_truth
 from gbspec.report.collect import Fitted, visited
 from gbspec.report.content import LearnedFunction, Plane, Slice
 
 CURVE, GRID = 160, 60
+TICKS = 120
+"""Marks that show where along a slice data are."""
 NEAR = 20
 """Points that a slice needs near it before they set its range."""
 FAR = 0.06
@@ -30,52 +33,67 @@ def learned_functions(fitted: Fitted) -> tuple[LearnedFunction, ...]:
     for unknown in fitted.model.unknowns:
         arguments = fitted.model.networks[unknown.network].arguments
         points = visited(fitted, unknown.network)
-        truth = _Truth.of(fitted.model, unknown.name) if fitted.truth is not None else None
-        found.append(_Drawn(fitted, unknown.name, tuple(a.name for a in arguments), points, truth).function())
+        truth = truth_of(fitted.model, unknown.name) if fitted.truth is not None else None
+        supposed = postulate_of(fitted, unknown)
+        names = tuple(argument.name for argument in arguments)
+        found.append(_Drawn(fitted, unknown.name, names, points, truth, supposed).function())
     return tuple(found)
 
 
-class _Truth:
-    """A truth function at given arguments, by the same printer as everything else.
+class Expression:
+    """An expression of some parameters at given points, by the same printer as everything else.
 
-    It is evaluated as the channel of a model that has the arguments as conditions.
+    It is evaluated as the channel of a model that has the parameters as conditions and `constants` as constants.
     """
 
-    def __init__(self, model: Model, name: str) -> None:
-        truth = next(t for t in model.truth_functions if t.name == name)
+    def __init__(self, value: Expr, parameters: tuple[str, ...], constants: Sequence[Constant]) -> None:
         clock = State("gbspec_clock")
-        stand_in = replace(
-            with_truth(model),
+        stand_in = Model(
+            "expression",
             states=(clock,),
             balances=(clock.symbol * 0,),
-            conditions=tuple(Condition(parameter) for parameter in truth.parameters),
-            inputs=(),
-            intermediates=(),
-            processes=(),
-            channels=(Channel("value", value=truth.value),),
-            doses=(),
-            claims=(),
-            constants=tuple(c for c in with_truth(model).constants if c.name not in truth.parameters),
+            conditions=tuple(Condition(parameter) for parameter in parameters),
+            channels=(Channel("value", value=value),),
+            constants=tuple(c for c in constants if c.name not in parameters),
         )
         self.evaluator = Evaluator(load_module(stand_in)())
 
-    @classmethod
-    def of(cls, model: Model, name: str) -> _Truth | None:
-        """The truth of an unknown, None where there is none."""
-        return cls(model, name) if any(t.name == name for t in model.truth_functions) else None
-
     def __call__(self, arguments: Array) -> Array:
-        """Values [P] at arguments [P, A]."""
+        """Values [P] at points [P, A]."""
         return self.evaluator.observe_many(0.0, np.zeros((len(arguments), 1)), arguments)[:, 0]
+
+
+def truth_of(model: Model, name: str) -> Expression | None:
+    """The truth of an unknown, None where there is none."""
+    found = next((t for t in model.truth_functions if t.name == name), None)
+    return None if found is None else Expression(found.value, found.parameters, with_truth(model).constants)
+
+
+def postulate_of(fitted: Fitted, unknown: Unknown) -> Expression | None:
+    """What the user supposed of an unknown, with the constants as learned; None where nothing was supposed."""
+    if unknown.postulate == NN:
+        return None
+    model, evaluator = fitted.model, fitted.evaluators[0]
+    learned = zip(model.constant_names, evaluator.constants, strict=True)
+    constants = [Constant(name, value=float(value)) for name, value in learned]
+    arguments = tuple(argument.name for argument in model.networks[unknown.network].arguments)
+    return Expression(unknown.postulate.xreplace({NN: sympy.Float(unknown.neutral)}), arguments, constants)
 
 
 class _Drawn:
     """One unknown over the points [P, A] that were visited."""
 
     def __init__(
-        self, fitted: Fitted, name: str, arguments: tuple[str, ...], points: Array, truth: _Truth | None
+        self,
+        fitted: Fitted,
+        name: str,
+        arguments: tuple[str, ...],
+        points: Array,
+        truth: Expression | None,
+        postulate: Expression | None,
     ) -> None:
-        self.fitted, self.name, self.arguments, self.points, self.truth = fitted, name, arguments, points, truth
+        self.fitted, self.name, self.arguments, self.points = fitted, name, arguments, points
+        self.truth, self.postulate = truth, postulate
         self.low = np.quantile(points, EDGE, axis=0)
         self.high = np.quantile(points, 1 - EDGE, axis=0)
         self.middle = np.median(points, axis=0)
@@ -103,12 +121,26 @@ class _Drawn:
         """Values [P] of the truth."""
         return None if self.truth is None else self.truth(points)
 
+    def supposed(self, points: Array) -> Array | None:
+        """Values [P] of the postulate."""
+        return None if self.postulate is None else self.postulate(points)
+
     def slice(self, i: int) -> Slice:
         """The function along argument `i`, the others at their medians, as far as the data go there."""
         x = np.linspace(*self.reach(i), CURVE)
         points = np.tile(self.middle, (CURVE, 1))
         points[:, i] = x
-        return Slice(self.arguments[i], x, self.members(points), self.true(points), self._label({i}))
+        column = self.points[:, i]
+        near = column[(column >= x[0]) & (column <= x[-1])]
+        return Slice(
+            self.arguments[i],
+            x,
+            self.members(points),
+            self.true(points),
+            self._label({i}),
+            self.supposed(points),
+            near[:: max(1, len(near) // TICKS)],
+        )
 
     def reach(self, i: int) -> tuple[float, float]:
         """The range of argument `i` among the points whose other arguments lie in their middle halves."""
