@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ParamSpec, TypeVar, cast
+from typing import ParamSpec, TypeVar
 
 from lsprotocol import types
 from pygls.exceptions import JsonRpcException
@@ -24,7 +24,6 @@ from gbspec.lsp.completion import completions
 from gbspec.lsp.hover import hover
 from gbspec.lsp.messages import Messages, path_of, uri_of
 from gbspec.lsp.outline import outline
-from gbspec.lsp.positions import Encoding
 from gbspec.lsp.workspace import Workspace, key
 from gbspec.syntax.formatter import format_text
 
@@ -53,7 +52,7 @@ class Session:
     def messages(self) -> Messages:
         """Messages in the units that were agreed on with the editor."""
         agreed = self.server.workspace.position_encoding or types.PositionEncodingKind.Utf16
-        return Messages(cast(Encoding, types.PositionEncodingKind(agreed).value))
+        return Messages(types.PositionEncodingKind(agreed).value)
 
     # ------------------------------------------------------------------------------------------------------ checking
 
