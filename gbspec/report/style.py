@@ -87,7 +87,8 @@ def save(made: Figure, path: str | Path) -> None:
     target = form_of(path)
     clocks: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     metadata = clocks.get(target.suffix.lower(), {})
-    made.savefig(target, metadata=metadata)
+    with styled():
+        made.savefig(target, metadata=metadata)
 
 
 def band(axes: Axes, x: Any, members: Any, label: str = "learned", color: str = LEARNED) -> None:

@@ -1,0 +1,150 @@
+"""From a run to arrays: solutions, truths, residuals and values of unknowns are the ones they are called."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec import driver
+from gbspec.backends.module import load_module
+from gbspec.data.sampling import SimulateOptions
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import Findings, UserError
+from gbspec.report import collect
+from gbspec.report.figures import KINDS, draw, liveliest
+from gbspec.report.unknowns import Expression, learned_functions, postulate_of, truth_of
+from gbspec.runs.store import Run
+
+TEXT = """\
+model growth "Growth on a substrate, twice"
+condition D in [0.05, 0.2]
+state X in [0, 10] = 1
+state S in [0, 10] = 5
+learn Y = 0.5 in [0.1, 2]
+unknown mu(S) = S/(2 + S)*nn by mlp(4)
+X' = mu(S)*X - D*X
+S' = -mu(S)*X/Y + D*(5 - S) + 0.1*mu(2*S)
+observe X
+observe total = X + S
+initial X = 1
+initial S = 5
+truth Y = 0.4
+truth mu(S) = 0.5*S/(1 + S)
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of two members whose weights are random: what is drawn does not depend on how good they are."""
+    folder = tmp_path_factory.mktemp("collect")
+    (folder / "growth.gb").write_text(TEXT)
+    model = driver.load_model(folder / "growth.gb", Findings())
+    for member in (0, 1):
+        place = folder / "members" / str(member)
+        place.mkdir(parents=True)
+        load_module(model).random(seed=member).save(place / "weights.safetensors")
+    entry = {"value": 0.5, "sd": 0.1, "interval": [0.4, 0.6], "start": 0.5, "per_member": [0.5, 0.5]}
+    return Run(folder, model, {"constants": {"Y": entry}, "members": [{"loss": 2.0}, {"loss": 1.0}]}, (0, 1))
+
+
+@pytest.fixture(scope="module")
+def data(run: Run) -> Trajectories:
+    """Noise-free measurements of the truth."""
+    options = SimulateOptions(trajectories=3, span=4.0, keep_start=True)
+    return driver.simulate(driver.reference(run.model), options)
+
+
+@pytest.fixture(scope="module")
+def fitted(run: Run, data: Trajectories) -> collect.Fitted:
+    return collect.Fitted(run, data)
+
+
+def test_the_truth_passes_through_noise_free_measurements(fitted: collect.Fitted, data: Trajectories) -> None:
+    item = data.items[1]
+    found = fitted.true_solution(1, item.times)
+    assert found is not None
+    np.testing.assert_allclose(found[1], item.values, rtol=1e-6)
+
+
+def test_members_have_solutions_of_their_own(fitted: collect.Fitted, data: Trajectories) -> None:
+    states, channels = fitted.solutions(0, data.items[0].times)
+    assert states.shape == (2, len(data.items[0].times), 2)
+    np.testing.assert_allclose(channels[:, :, 1], states.sum(axis=2))
+    assert np.abs(states[0] - states[1]).max() > 0
+
+
+def test_a_fit_shows_what_was_measured_and_nothing_else(fitted: collect.Fitted, data: Trajectories) -> None:
+    hidden = data.items[0].values.copy()
+    hidden[::2, 0] = np.nan
+    item = replace(data.items[0], values=hidden)
+    (shown,) = collect.trajectory_fits(collect.Fitted(fitted.run, replace(data, items=(item,))), [0])
+    first, second = shown.channels
+    assert len(first.times) == np.isfinite(hidden[:, 0]).sum() < len(second.times)
+    assert first.grid[0] == item.start
+    assert first.grid[-1] == item.end
+    assert shown.condition.startswith("D = ")
+
+
+def test_residuals_are_measured_minus_fitted_in_standard_deviations(fitted: collect.Fitted, data: Trajectories) -> None:
+    found = collect.residuals(fitted)[0]
+    fits = [fitted.solutions(i, item.times)[1].mean(axis=0)[:, 0] for i, item in enumerate(data.items)]
+    measured = np.concatenate([item.values[:, 0] for item in data.items])
+    expected = (measured - np.concatenate(fits)) / np.std(measured)
+    np.testing.assert_allclose(found.residual, expected, rtol=1e-9)
+
+
+def test_every_application_of_an_unknown_is_visited(fitted: collect.Fitted, data: Trajectories) -> None:
+    points = collect.visited(fitted, 0, limit=10**6)
+    substrate = np.concatenate([fitted.solutions(i, item.times)[0][0][:, 1] for i, item in enumerate(data.items)])
+    # the module calls each network once for equal arguments
+    np.testing.assert_allclose(np.sort(points[:, 0]), np.sort(np.concatenate([substrate, 2 * substrate])))
+
+
+def test_truth_and_postulate_are_evaluated_where_asked(fitted: collect.Fitted) -> None:
+    s = np.array([[0.5], [2.0], [8.0]])
+    truth, postulate = truth_of(fitted.model, "mu"), postulate_of(fitted, fitted.model.unknowns[0])
+    assert truth is not None
+    assert postulate is not None
+    np.testing.assert_allclose(truth(s), 0.5 * s[:, 0] / (1 + s[:, 0]), rtol=1e-14)
+    np.testing.assert_allclose(postulate(s), s[:, 0] / (2 + s[:, 0]), rtol=1e-14)
+
+
+def test_parameters_hide_constants_of_the_same_name(fitted: collect.Fitted) -> None:
+    truth = fitted.model.truth_functions[0]
+    constants = driver.reference(fitted.model).model.constants
+    value = Expression(truth.value, truth.parameters, (*constants, replace(constants[0], name="S", value=1e9)))
+    np.testing.assert_allclose(value(np.array([[1.0]])), 0.25)
+
+
+def test_learned_functions_follow_the_members(fitted: collect.Fitted) -> None:
+    (found,) = learned_functions(fitted)
+    (piece,) = found.slices
+    assert piece.members.shape[0] == 2
+    direct = fitted.evaluators[1].functions_many("mu", piece.x[:, None])
+    np.testing.assert_allclose(piece.members[1], direct)
+    assert found.plane is None
+
+
+def test_constants_stand_beside_their_truths(run: Run) -> None:
+    (found,) = collect.constants(run)
+    assert (found.name, found.value, found.interval, found.truth, found.start) == ("Y", 0.5, (0.4, 0.6), 0.4, 0.5)
+
+
+def test_the_liveliest_trajectory_changes_most(data: Trajectories) -> None:
+    wild = replace(
+        data.items[2], values=data.items[2].values * np.where(np.arange(len(data.items[2].times)) % 2, 1, 9)[:, None]
+    )
+    assert liveliest(replace(data, items=(*data.items[:2], wild))) == 2
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "history"])
+def test_every_kind_is_drawn(run: Run, data: Trajectories, kind: str) -> None:
+    assert draw(kind, run, data).axes
+
+
+def test_a_history_that_is_not_there_is_said(run: Run, data: Trajectories, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="history"):
+        draw("history", run, data)
