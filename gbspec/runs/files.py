@@ -63,7 +63,7 @@ def _finite(value: Any) -> Any:
 
 def write_tensors(path: Path, arrays: Mapping[str, Array], remarks: Mapping[str, Any]) -> None:
     """Writes arrays as safetensors, with remarks (expressible as JSON) in its header."""
-    whole = {name: np.ascontiguousarray(value) for name, value in arrays.items()}
+    whole = {name: np.asarray(value, order="C") for name, value in arrays.items()}
     write_bytes(path, dump_tensors(whole, {"remarks": json.dumps(_finite(remarks))}))
 
 

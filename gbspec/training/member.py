@@ -17,6 +17,7 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.training.context import Context, build_context
+from gbspec.training.newton import LevenbergMarquardt
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.plan import Planned, plan
@@ -47,6 +48,7 @@ class Position:
     best_score: float = float("inf")
     marks: dict[str, Array] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    deviations: Array = field(default_factory=lambda: np.zeros(0))
     seconds: float = 0.0
     loss: float = float("inf")
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
@@ -167,6 +169,16 @@ class _Runner:
             if time.monotonic() - self._saved > SAVE_EVERY:
                 self._save()
         position.marks[planned.name] = position.theta
+        self._uncertainty(stage, position.iteration < stage.total)
+
+    def _uncertainty(self, stage: Stage, converged: bool) -> None:
+        """Standard deviations of constants, of the last stage that converged; another vector makes them void."""
+        position = self.position
+        if isinstance(stage, LevenbergMarquardt):
+            known = converged and bool(self.parameters.shared)
+            position.deviations = stage.deviations(position.state) if known else np.zeros(0)
+        elif not (stage.name == "choice" and not position.notes):
+            position.deviations = np.zeros(0)
 
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
@@ -211,6 +223,9 @@ class _Runner:
         known = len(self.parameters.model.constants)
         return tuple(float(x) for x in values[:, known:].mean(axis=0)) if len(values) else ()
 
+    def _shared_names(self) -> list[str]:
+        return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
+
     def _seconds_left(self, stage: Stage, stage_seconds: float) -> float:
         """At this stage's pace for all that may still come: an upper estimate, as stages end when they converge."""
         position = self.position
@@ -239,6 +254,8 @@ class _Runner:
         instance.save(temporary)
         temporary.replace(path)
         result.history = list(position.history)
+        for name, deviation in zip(self._shared_names(), position.deviations, strict=False):
+            result.sd[name] = float(deviation)
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
@@ -247,6 +264,7 @@ class _Runner:
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
         arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
+        arrays["deviations"] = position.deviations
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = {
@@ -288,6 +306,7 @@ def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
         iteration=remarks["iteration"],
         state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
         entry=arrays["entry"],
+        deviations=arrays["deviations"],
         theta=arrays["theta"],
         best=arrays["best"],
         best_score=float.fromhex(remarks["exact"]["best_score"]),

@@ -108,6 +108,29 @@ class LevenbergMarquardt:
         }
         return Outcome(after, mean_loss(new_residuals), small >= 2)
 
+    def deviations(self, state: State) -> Array:
+        """Standard deviations of shared constants (natural values) at a converged state, by Gauss-Newton and Laplace.
+
+        The covariance is the noise variance times the inverse of the normal matrix, ridge included. [n_shared constants]
+        """
+        parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
+        system = linearise(self.problem_at(0), parameters, theta)
+        residuals = system.residuals.numpy()
+        if not np.isfinite(residuals).all():
+            return np.full(len(parameters.shared), np.nan)
+        delta = self.threshold(residuals)
+        equations = NormalEquations(system, parameters, huber_weights(residuals, delta), ridge, theta)
+        weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
+        variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
+        out = np.zeros(len(parameters.shared))
+        slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
+        for i, slope in enumerate(slopes):
+            unit = np.zeros(parameters.size)
+            unit[parameters.n_weights + i] = 1.0
+            column = float(equations.invert(unit, weak)[parameters.n_weights + i])
+            out[i] = abs(float(slope)) * np.sqrt(max(column, 0.0) * variance)
+        return out
+
 
 def _try_step(equations: NormalEquations, damping: float) -> Array:
     """The step; a step of NaN (which no objective accepts) where the equations are singular to rounding."""

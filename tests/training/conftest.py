@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
@@ -82,7 +82,7 @@ def urp_rhs(t: float, x: Any, Da: float) -> list[float]:
 
 @cache
 def urp_data(count: int, span: float, seed: int, noise: float = 0.0, together: bool = False) -> Trajectories:
-    """Trajectories of the CSTR, each channel on its own gamma clock of mean 0.4 (or `together`), starts not measured."""
+    """Trajectories of the CSTR, channels on their own gamma clocks of mean 0.4 (or `together`), starts not measured."""
     rng = np.random.default_rng(seed)
     items: list[Trajectory] = []
     while len(items) < count:
@@ -162,9 +162,13 @@ def problem_of(
     return problem, parameters, theta
 
 
-@pytest.fixture(autouse=True)
-def _one_thread() -> None:
+@pytest.fixture(autouse=True, scope="session")
+def _quick() -> Iterator[None]:
+    """One thread, and a warm start cut short: what follows it makes up for that on these small problems."""
     torch.set_num_threads(1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.training.warm_start.REGRESSION_STEPS", 250)
+        yield
 
 
 @pytest.fixture
