@@ -55,8 +55,6 @@ def load_model(path: str | Path, findings: Findings, read: Callable[[str | Path]
     """
     from gbspec.ir.verify import verify
     from gbspec.lower import lower
-    from gbspec.passes.claims import check_claims
-    from gbspec.passes.contracts import with_contracts
     from gbspec.semantics import check
     from gbspec.syntax.parser import parse
 
@@ -68,8 +66,14 @@ def load_model(path: str | Path, findings: Findings, read: Callable[[str | Path]
     model = lower(checked, findings)
     findings.raise_if_failed()
     verify(model)
-    check_claims(model, findings)
-    model = with_contracts(model, findings)
+    if model.claims:
+        from gbspec.passes.claims import check_claims
+
+        check_claims(model, findings)
+    if any(unknown.contracts for unknown in model.unknowns):
+        from gbspec.passes.contracts import with_contracts
+
+        model = with_contracts(model, findings)
     findings.raise_if_failed()
     return model
 

@@ -13,13 +13,12 @@ from gbspec.semantics import (
     size,
     table,
     truths,
-    unit_rules,
     unknowns,
     usage,
 )
 from gbspec.semantics.checked import Checked
 from gbspec.semantics.constants import Evaluator
-from gbspec.semantics.merge import Item, Load, Merged, merge
+from gbspec.semantics.merge import Item, Load, Merged, merge, names_a_unit
 from gbspec.semantics.numbers import Numbers, constants, default_start, functions_of
 from gbspec.semantics.scope import Resolver
 from gbspec.semantics.sites import Site, sites
@@ -94,7 +93,11 @@ def _units(
     numbers: Numbers,
     findings: Findings,
 ) -> None:
-    """Units of all expressions in which nothing else is wrong."""
+    """Units of all expressions in which nothing else is wrong; of models that name none, nothing is loaded for it."""
+    if not names_a_unit(items):
+        return
+    from gbspec.semantics import unit_rules
+
     sound = {id(s.expression): s.references.complete and rests.broken.isdisjoint(s.references.names) for s in places_of}
 
     def usable(expression: ast.Expression | None) -> bool:

@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from gbspec.diagnostics import Findings, Source, Span, UserError
 from gbspec.semantics.vocabulary import suggestion
@@ -120,6 +120,21 @@ def keys(statement: ast.Statement) -> tuple[Key, ...]:
             return ()
         case _:
             return tuple(("name", name.text) for name in declared(statement))
+
+
+def names_a_unit(items: Iterable[Item]) -> bool:
+    """Whether a model says anything about units."""
+    for item in items:
+        statement: Any = item.statement
+        if (
+            isinstance(statement, ast.UnitStatement)
+            or getattr(statement, "unit", None)
+            or getattr(statement, "units", ())
+        ):
+            return True
+        if isinstance(statement, ast.UnknownStatement) and any(a.unit for a in statement.arguments):
+            return True
+    return False
 
 
 def merge(file: ast.File, findings: Findings, load: Load) -> Merged:

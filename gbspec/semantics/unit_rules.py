@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -21,21 +21,6 @@ Terms = Mapping[str, Sequence[tuple[bool, Term]]]
 Usable = Callable[[ast.Expression | None], bool]
 
 
-def names_a_unit(items: Iterable[Item]) -> bool:
-    """Whether a model says anything about units."""
-    for item in items:
-        statement: Any = item.statement
-        if (
-            isinstance(statement, ast.UnitStatement)
-            or getattr(statement, "unit", None)
-            or getattr(statement, "units", ())
-        ):
-            return True
-        if isinstance(statement, ast.UnknownStatement) and any(a.unit for a in statement.arguments):
-            return True
-    return False
-
-
 def check(
     items: Sequence[Item],
     table: Table,
@@ -52,8 +37,6 @@ def check(
     that is none (GB503), an expression in another unit than its place (GB504). A warning (GB550): a name without a unit
     where use does not tell it.
     """
-    if not names_a_unit(items):
-        return
     own = frozenset(i.statement.name.text for i in items if isinstance(i.statement, ast.UnitStatement))
     units = Units(table, findings, evaluate, Solution(Namespace(own)))
     rules = _Rules(units, terms, usable)

@@ -28,10 +28,11 @@ def rendered_findings(path: Path) -> str:
 
 
 def run_front_end(path: Path, findings: Findings) -> None:
-    """Everything that `gbspec check` does before it looks for what data cannot tell."""
+    """Everything that `gbspec check` does."""
     from gbspec.driver import load_model
+    from gbspec.passes.examine import examine
 
-    load_model(path, findings)
+    examine(load_model(path, findings), findings)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")

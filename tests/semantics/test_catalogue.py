@@ -9,6 +9,7 @@ import pytest
 from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.catalogue import Entry, entries
 from gbspec.driver import load_model
+from gbspec.passes.examine import examine
 
 TOPICS = {"names", "balances", "learning", "conservation", "units"}
 ENTRIES = [entry for entry in entries().values() if entry.topic in TOPICS]
@@ -19,7 +20,7 @@ def findings_of(text: str, folder: Path) -> Findings:
     path.write_text(text)
     findings = Findings()
     try:
-        load_model(path, findings)
+        examine(load_model(path, findings), findings)
     except UserError as error:
         findings.extend(error.diagnostics)
     return findings

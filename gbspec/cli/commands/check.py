@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -10,8 +9,9 @@ import typer
 from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Findings, Severity, UserError
+from gbspec.ir.dump import guarantee
 from gbspec.ir.model import Model
-from gbspec.passes.conservation import Law, linear_laws
+from gbspec.passes.examine import Examination, examine
 from gbspec.report.text import model_summary, start
 
 
@@ -28,16 +28,16 @@ def run(
     for name in models:
         findings = Findings()
         model: Model | None = None
-        laws: Sequence[Law] = ()
+        examination: Examination | None = None
         try:
             model = driver.load_model(name, findings)
         except UserError as error:
             findings.extend(error.diagnostics)
-        everything.extend(findings)
         if model is not None:
-            laws = linear_laws(model)
-            output.summary(model_summary(model) + "".join(f"conserved {law}\n" for law in laws))
-        documents.append(describe(name, model, findings, laws))
+            examination = examine(model, findings)
+            output.summary(model_summary(model) + examination_summary(examination))
+        everything.extend(findings)
+        documents.append(describe(name, model, findings, examination))
     output.findings(everything)
     output.document({"files": documents})
     warnings = [d for d in everything if d.severity is Severity.WARNING]
@@ -47,7 +47,9 @@ def run(
         raise ExitWith(WRONG_INPUT)
 
 
-def describe(path: str, model: Model | None, findings: Findings, laws: Sequence[Law] = ()) -> dict[str, Any]:
+def describe(
+    path: str, model: Model | None, findings: Findings, examination: Examination | None = None
+) -> dict[str, Any]:
     """One entry of `files` of `check --json`; of a model that cannot be read the parts are empty."""
     from gbspec.diagnostics.render import to_json
 
@@ -61,15 +63,43 @@ def describe(path: str, model: Model | None, findings: Findings, laws: Sequence[
         "constants": [constant.name for constant in parts.constants],
         "learnables": [learnable.name for learnable in parts.learnables],
         "unknowns": [
-            {"names": n.outputs, "arguments": [a.name for a in n.arguments], "parameters": n.parameters}
+            {
+                "names": n.outputs,
+                "arguments": [a.name for a in n.arguments],
+                "parameters": n.parameters,
+                "contracts": {u.name: guarantee(u) for u in parts.unknowns if u.name in n.outputs and u.contracts},
+            }
             for n in parts.networks
         ],
-        "laws": [str(law) for law in laws],
-        "identifiability": None,
+        "laws": [str(law) for law in examination.laws] if examination else [],
+        "identifiability": identifiability(examination) if examination else None,
         "diagnostics": [to_json(d) for d in findings],
         "channels": [channel.name for channel in parts.channels],
         "starts": {state.name: start(state.initial) for state in parts.states},
     }
+
+
+def identifiability(examination: Examination) -> dict[str, Any]:
+    """What no data could separate, as JSON has it."""
+    answer = examination.identifiability
+    sets = [
+        {
+            "constants": found.constants,
+            "unknowns": found.unknowns,
+            "transformation": found.transformation or None,
+            "with_states_measured": found.measured_states,
+        }
+        for found in answer.sets
+    ]
+    return {"decided": answer.decided, "inseparable": sets}
+
+
+def examination_summary(examination: Examination) -> str:
+    """Conservation laws, and whether it was found out what data can tell."""
+    lines = [f"conserved {law}\n" for law in examination.laws]
+    if not examination.identifiability.decided:
+        lines.append("undecided whether data can tell all learned constants\n")
+    return "".join(lines)
 
 
 def _count(n: int, word: str) -> str:

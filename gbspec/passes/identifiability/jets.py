@@ -1,0 +1,298 @@
+"""The linear system of directions: small changes of constants, functions and starts that change nothing that is seen.
+
+Around a base point, trajectories are followed along lines through the space of starts, conditions and inputs, as power
+series in time and along the line. An unknown function has a random Taylor polynomial at each argument where it is
+applied (a germ), and its change another one with free coefficients; a start or a constant of each trajectory, being
+free for each, changes by a polynomial in what tells trajectories apart. A direction is a vector of a change of the
+constants and of all these coefficients; it changes nothing that is seen if every coefficient of every residual is zero.
+The true directions are always among those found; with growing order the others disappear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
+from math import comb
+
+import numpy as np
+import sympy
+
+from gbspec.ir.model import Expr
+from gbspec.passes.identifiability.problem import Problem
+from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
+
+
+def monomials(variables: int, order: int) -> list[tuple[int, ...]]:
+    """Exponents of all monomials up to an order, each after those that it is a multiple of."""
+    found = []
+    for degree in range(order + 1):
+        for choice in combinations_with_replacement(range(variables), degree):
+            found.append(tuple(choice.count(r) for r in range(variables)))
+    return found
+
+
+@dataclass
+class Germ:
+    """An unknown near one point of its arguments: random coefficients, and the first of its columns."""
+
+    unknown: str
+    base: tuple[float, ...]
+    exponents: list[tuple[int, ...]]
+    coefficients: Array
+    column: int
+
+
+@dataclass
+class Base:
+    """A base point: values of the variables at which everything is expanded, and of the constants."""
+
+    variables: dict[sympy.Symbol, float]
+    constants: dict[sympy.Symbol, float]
+
+
+@dataclass
+class System:
+    """The residuals' coefficients, one row each, by columns: constants, then everything else."""
+
+    matrix: Array
+    germs: list[Germ]
+    constants: int
+    starts: dict[str, int]
+    """The first column of each hidden state's free start, a polynomial over `parameters` less their base values."""
+    parameters: list[sympy.Symbol]
+    own: dict[str, int]
+    """The first column of each constant that every trajectory has to itself."""
+
+
+@dataclass
+class Columns:
+    """Hands out columns; the constants have the first ones."""
+
+    count: int
+    free: dict[tuple[str, str], int] = field(default_factory=dict)
+
+    def take(self, number: int) -> int:
+        """The first of so many new columns."""
+        self.count += number
+        return self.count - number
+
+
+class Jet:
+    """One base point of one problem, expanded."""
+
+    def __init__(self, problem: Problem, base: Base, algebra: Algebra, lines: int, rng: np.random.Generator) -> None:
+        self._problem, self._algebra, self._lines = problem, algebra, lines
+        model = problem.model
+        self._states = [s.symbol for s in model.states]
+        self._base = base
+        self._rng = rng
+        self.germs: list[Germ] = []
+        self._columns = Columns(len(problem.sought))
+        self._parameters = [s for s, start in zip(self._states, problem.starts, strict=True) if start is None]
+        self._parameters += [c.symbol for c in model.conditions] + [i.symbol for i in model.inputs]
+        if problem.uses_time and model.time.start is None:
+            self._parameters.append(model.time.symbol)
+        self._slopes = [i.symbol for i in model.inputs if i.interpolation == "linear"]
+        self._directions = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
+
+    # -------------------------------------------------------------------------------------------------------- values
+
+    def system(self) -> System:
+        """All residuals at this base point."""
+        starts = self._start_values()
+        values = dict(starts)
+        for _ in range(self._algebra.time_order + 1):
+            evaluation = self._evaluation(values)
+            rates = [evaluation(rate) for rate in self._problem.rates]
+            values.update(
+                (state, starts[state] + self._algebra.integral(rate))
+                for state, rate in zip(self._states, rates, strict=True)
+            )
+        evaluation = self._evaluation(values)
+        rows = [row for row in self._residuals(evaluation) if row.size]
+        width = self._columns.count
+        padded = [np.concatenate([r, np.zeros((width - r.shape[0], r.shape[1]))]) for r in rows]
+        matrix = np.concatenate(padded, axis=1).T if padded else np.zeros((0, width))
+        first: dict[str, dict[str, int]] = {"start": {}, "own": {}}
+        for (kind, name), column in self._columns.free.items():
+            first[kind][name] = column
+        parameters = [*self._parameters, *(sympy.Dummy() for _ in self._slopes)]
+        return System(matrix, self.germs, len(self._problem.sought), first["start"], parameters, first["own"])
+
+    def _start_values(self) -> dict[sympy.Symbol, Array]:
+        algebra, model = self._algebra, self._problem.model
+        values: dict[sympy.Symbol, Array] = {}
+        for symbol, value in (*self._base.constants.items(), *self._base.variables.items()):
+            values[symbol] = algebra.constant(np.full(self._lines, value))
+        along = algebra.index[0, 1] if algebra.order else None
+        for column, symbol in enumerate(self._parameters):
+            if along is not None:
+                values[symbol][..., along] = self._directions[:, column]
+        for column, symbol in enumerate(self._slopes, start=len(self._parameters)):
+            if (1, 1) in algebra.index:
+                values[symbol][..., algebra.index[1, 0]] = 0.5
+                values[symbol][..., algebra.index[1, 1]] = self._directions[:, column]
+        if (1, 0) in algebra.index:
+            clock = values.setdefault(
+                model.time.symbol, algebra.constant(np.full(self._lines, model.time.start or 0.0))
+            )
+            clock[..., algebra.index[1, 0]] = 1.0
+        waiting = {s: e for s, e in zip(self._states, self._problem.starts, strict=True) if e is not None}
+        while waiting:
+            ready = [s for s, e in waiting.items() if not (e.free_symbols & set(waiting))]
+            for state in ready:
+                values[state] = Evaluation(algebra, values, self._lines)(waiting.pop(state))
+        return values
+
+    def _evaluation(self, values: dict[sympy.Symbol, Array]) -> Evaluation:
+        """Values of everything, those of the networks put in one after the other."""
+        table = dict(values)
+        evaluation = Evaluation(self._algebra, table, self._lines)
+        self._powers: list[tuple[Germ, Array]] = []
+        for application in self._problem.applications:
+            arguments = [evaluation(argument) for argument in application.arguments]
+            germ = self._germ(application.unknown, [float(a[0, 0]) for a in arguments])
+            powers = self._monomials(arguments, germ)
+            self._powers.append((germ, powers))
+            table[application.value] = np.tensordot(germ.coefficients, powers, axes=1)
+        return evaluation
+
+    def _germ(self, unknown: str, base: Sequence[float]) -> Germ:
+        for germ in self.germs:
+            if germ.unknown == unknown and np.allclose(germ.base, base, rtol=1e-9, atol=1e-12):
+                return germ
+        exponents = monomials(len(base), self._algebra.order)
+        coefficients = self._rng.uniform(0.3, 1.0, size=len(exponents))
+        coefficients *= self._rng.choice([-1.0, 1.0], size=len(exponents))
+        coefficients[0] = abs(coefficients[0])
+        germ = Germ(unknown, tuple(base), exponents, coefficients, self._columns.take(len(exponents)))
+        self.germs.append(germ)
+        return germ
+
+    def _monomials(self, arguments: Sequence[Array], germ: Germ) -> Array:
+        """Powers of the arguments less their base values, shape [monomials, lines, L]."""
+        shifted = [
+            a - self._algebra.constant(np.full(self._lines, b)) for a, b in zip(arguments, germ.base, strict=True)
+        ]
+        return self._powers_of(shifted, germ.exponents)
+
+    def _powers_of(self, shifted: Sequence[Array], exponents: Sequence[tuple[int, ...]]) -> Array:
+        found: dict[tuple[int, ...], Array] = {}
+        for exponent in exponents:
+            r = next((r for r, e in enumerate(exponent) if e), None)
+            if r is None:
+                found[exponent] = self._algebra.constant(np.ones(self._lines))
+            else:
+                lower = (*exponent[:r], exponent[r] - 1, *exponent[r + 1 :])
+                found[exponent] = self._algebra.times(shifted[r], found[lower])
+        return np.stack([found[e] for e in exponents])
+
+    # ------------------------------------------------------------------------------------------------------ directions
+
+    def _residuals(self, evaluation: Evaluation) -> Iterator[Array]:
+        """Rows as columns: arrays of shape [columns so far, number of coefficients]."""
+        problem, algebra = self._problem, self._algebra
+        starts = self._start_changes()
+        changes = {i: starts[i] for i in problem.hidden}
+        networks = self._network_changes(evaluation, changes)
+        for _ in range(algebra.time_order if problem.hidden else 0):
+            rates = {i: self._change(problem.rates[i], evaluation, changes, networks) for i in problem.hidden}
+            changes = {i: self._sum(starts[i], algebra.integral(rates[i])) for i in problem.hidden}
+            networks = self._network_changes(evaluation, changes)
+        for i in sorted(problem.known):
+            yield self._flat(self._change(problem.rates[i], evaluation, changes, networks))
+            if problem.starts[i] is not None:
+                yield self._flat(starts[i])
+        for output in problem.outputs:
+            yield self._flat(self._change(output, evaluation, changes, networks))
+
+    @staticmethod
+    def _flat(change: Array) -> Array:
+        return change.reshape(change.shape[0], -1)
+
+    def _zero(self) -> Array:
+        return np.zeros((self._columns.count, self._lines, self._algebra.size))
+
+    @staticmethod
+    def _sum(a: Array, b: Array) -> Array:
+        if a.shape[0] < b.shape[0]:
+            a, b = b, a
+        result = a.copy()
+        result[: b.shape[0]] += b
+        return result
+
+    def _free(self, kind: str, name: str) -> Array:
+        """A change that each trajectory has to itself: a polynomial in what tells trajectories apart."""
+        exponents = monomials(self._directions.shape[1], self._algebra.order)
+        column = self._columns.free.get((kind, name))
+        if column is None:
+            column = self._columns.free[kind, name] = self._columns.take(len(exponents))
+        result = self._zero()
+        for k, exponent in enumerate(exponents):
+            factor = np.prod(self._directions ** np.array(exponent), axis=1)
+            result[column + k, :, self._algebra.index[0, sum(exponent)]] = factor
+        return result
+
+    def _start_changes(self) -> dict[int, Array]:
+        """Changes of the starts: free ones for hidden states, of expressions by what they hold, none for the rest."""
+        problem = self._problem
+        at_start = Evaluation(self._algebra, self._start_values(), self._lines)
+        found: dict[int, Array] = {}
+        for i, start in enumerate(problem.starts):
+            if start is None:
+                free = i in problem.hidden
+                found[i] = self._free("start", problem.model.states[i].name) if free else self._zero()
+        waiting = {i: e for i, e in enumerate(problem.starts) if e is not None}
+        while waiting:
+            pending = {self._states[i] for i in waiting}
+            for i in [i for i, e in waiting.items() if not (e.free_symbols & pending)]:
+                found[i] = self._change(waiting.pop(i), at_start, found, [])
+        return found
+
+    def _network_changes(self, evaluation: Evaluation, changes: dict[int, Array]) -> list[Array]:
+        found: list[Array] = []
+        for application, (germ, powers) in zip(self._problem.applications, self._powers, strict=True):
+            change = self._zero()
+            change[germ.column : germ.column + len(germ.exponents)] = powers
+            for r, argument in enumerate(application.arguments):
+                inner = self._change(argument, evaluation, changes, found)
+                if np.any(inner):
+                    change = self._sum(change, self._algebra.times(self._slope(germ, powers, r), inner))
+            found.append(change)
+        return found
+
+    def _slope(self, germ: Germ, powers: Array, r: int) -> Array:
+        """The derivative of a germ by its argument r, as a series."""
+        position = {e: k for k, e in enumerate(germ.exponents)}
+        result = np.zeros(powers.shape[1:])
+        for exponent, coefficient in zip(germ.exponents, germ.coefficients, strict=True):
+            if exponent[r]:
+                lower = (*exponent[:r], exponent[r] - 1, *exponent[r + 1 :])
+                result += exponent[r] * coefficient * powers[position[lower]]
+        return result
+
+    def _change(self, e: Expr, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]) -> Array:
+        """The change of an expression: of its constants, of hidden states, of networks; shape [columns, lines, L]."""
+        problem, algebra = self._problem, self._algebra
+        total = self._zero()
+        present = e.free_symbols
+        for column, learnable in enumerate(problem.sought):
+            if learnable.symbol in present:
+                total[column] += evaluation(sympy.diff(e, learnable.symbol))
+        parts = {self._states[i]: change for i, change in changes.items()}
+        parts.update((k.symbol, self._free("own", k.name)) for k in problem.own if k.symbol in present)
+        parts.update((a.value, c) for a, c in zip(problem.applications, networks, strict=False))
+        for symbol, change in parts.items():
+            if symbol in present and np.any(change):
+                total = self._sum(total, algebra.times(evaluation(sympy.diff(e, symbol)), change))
+        return total
+
+
+def size(problem: Problem, order: int) -> int:
+    """How many columns a jet of that order has, about."""
+    model = problem.model
+    space = len(model.states) + len(model.conditions) + len(model.inputs)
+    free = len(problem.own) + sum(problem.starts[i] is None for i in problem.hidden)
+    germs = sum(comb(order + len(a.arguments), order) for a in problem.applications)
+    return len(problem.sought) + germs + free * comb(order + space, order)

@@ -1,0 +1,94 @@
+"""A Model as a question of what its data determine: its right sides in terms of constants and function values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import sympy
+from sympy.core.function import AppliedUndef
+
+from gbspec.ir.model import NN, Expr, Learnable, Model
+
+
+@dataclass(frozen=True)
+class Application:
+    """One application of an unknown: the symbol of its network's value, and the arguments."""
+
+    unknown: str
+    value: sympy.Dummy
+    arguments: tuple[Expr, ...]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What varies, what is sought, and what is seen.
+
+    `known` are the states that are measured as they are; `hidden` the others. `starts` has the expression of a state's
+    start, None where it is free. `rates` and `outputs` are in symbols of states, variables, constants and the values of
+    applications. `outputs` are the measured expressions that are not states.
+    """
+
+    model: Model
+    applications: tuple[Application, ...]
+    rates: tuple[Expr, ...]
+    outputs: tuple[Expr, ...]
+    known: frozenset[int]
+    starts: tuple[Expr | None, ...]
+
+    @cached_property
+    def hidden(self) -> tuple[int, ...]:
+        """States that are not measured as they are."""
+        return tuple(i for i in range(len(self.model.states)) if i not in self.known)
+
+    @cached_property
+    def sought(self) -> tuple[Learnable, ...]:
+        """Learnables, one value for all trajectories; a prior counts as knowledge."""
+        return tuple(k for k in self.model.learnables if k.prior is None and not k.per_trajectory)
+
+    @cached_property
+    def own(self) -> tuple[Learnable, ...]:
+        """Learnables with a value for each trajectory."""
+        return tuple(k for k in self.model.learnables if k.prior is None and k.per_trajectory)
+
+    @property
+    def uses_time(self) -> bool:
+        """Whether the time stands in any expression."""
+        return any(self.model.time.symbol in e.free_symbols for e in (*self.rates, *self.outputs, *self._arguments))
+
+    @property
+    def _arguments(self) -> list[Expr]:
+        return [argument for a in self.applications for argument in a.arguments]
+
+
+def pose(model: Model, *, all_states: bool) -> Problem:
+    """The question with every state measured and every start free, or with what `observe` and `initial` say."""
+    channels = [c.value for c in model.channels if c.state is None]
+    expressions = model.inlined([*model.balances, *channels])
+    table, applications = _applications(model, expressions)
+    opened = [e.xreplace(table) for e in expressions]
+    n = len(model.states)
+    measured = {c.state for c in model.channels if c.state is not None}
+    known = frozenset(range(n)) if all_states else frozenset(measured)
+    starts = tuple(None if all_states or s.initial.kind != "expression" else s.initial.value for s in model.states)
+    return Problem(model, applications, tuple(opened[:n]), tuple(opened[n:]), known, starts)
+
+
+def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr, Expr], tuple[Application, ...]]:
+    """Each distinct application, inner ones first, and what it is replaced by: its postulate at a symbol for `nn`."""
+    found: set[Expr] = set()
+    for expression in expressions:
+        found |= expression.atoms(AppliedUndef)
+    unknowns = {u.name: u for u in model.unknowns}
+    table: dict[Expr, Expr] = {}
+    applications = []
+    for application in sorted(found, key=lambda a: (len(a.atoms(AppliedUndef)), sympy.default_sort_key(a))):
+        name = application.func.__name__
+        unknown = unknowns[name]
+        formals = [a.symbol for a in model.networks[unknown.network].arguments]
+        arguments = tuple(argument.xreplace(table) for argument in application.args)
+        value = sympy.Dummy(f"nn_{name}", real=True)
+        table[application] = unknown.postulate.xreplace({**dict(zip(formals, arguments, strict=True)), NN: value})
+        applications.append(Application(name, value, arguments))
+    return table, tuple(applications)

@@ -1,0 +1,179 @@
+"""What is told of directions: the set, the transformation, the lines, and what would separate it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.diagnostics import Findings, Label, Span
+from gbspec.ir.model import Model
+from gbspec.passes.identifiability.directions import Directions, absorbers, find
+from gbspec.passes.identifiability.problem import Problem, pose
+from gbspec.passes.identifiability.series import Array
+from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries
+
+MOST_STATES = 40
+MOST_OPERATIONS = 20_000
+_SAME_MISTAKE = frozenset({"GB403", "GB404"})
+"""Warnings on a constant that say already why it cannot be learned: never used, only compared with."""
+
+BUDGET = 1.5
+"""Seconds of processor time after which the answer is `undecided`."""
+
+
+@dataclass(frozen=True)
+class Inseparable:
+    """Names that no data separate: learnable constants and unknowns, and a transformation that proves it if known.
+
+    `measured_states` tells whether that is so even with every state measured, or only with what `observe` declares.
+    """
+
+    constants: tuple[str, ...]
+    unknowns: tuple[str, ...]
+    transformation: str
+    measured_states: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All of them."""
+        return (*self.constants, *self.unknowns)
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """The answer; `decided` is False where time or size did not allow one."""
+
+    decided: bool
+    sets: tuple[Inseparable, ...] = ()
+
+
+def identifiability(model: Model, findings: Findings, budget: float = BUDGET) -> Identifiability:
+    """Finds what no data could separate and records a warning for each set (GB401; GB402 for a constant by itself).
+
+    With each unknown a free function of its arguments: first with every state measured, then with what `observe` and
+    `initial` declare. `allow GB401 NAME` with any name of a set accepts it.
+    """
+    if not model.learnables and len(model.unknowns) < 2:
+        return Identifiability(True)
+    large = sum(b.count_ops() for b in model.balances) + sum(i.value.count_ops() for i in model.intermediates)
+    if len(model.states) > MOST_STATES or large > MOST_OPERATIONS or not model.channels:
+        return Identifiability(False)
+    deadline = time.process_time() + budget
+    try:
+        everything = find(pose(model, all_states=True), deadline)
+        problem = pose(model, all_states=False)
+        declared = find(problem, deadline)
+    except (KeyError, np.linalg.LinAlgError, FloatingPointError):
+        return Identifiability(False)
+    if declared is None:
+        return Identifiability(False)
+    sets = _sets(problem, declared, everything)
+    told = {d.subject for d in findings if d.code in _SAME_MISTAKE}
+    for found in sets:
+        if not any(name in told or model.accepts("GB404", name) for name in found.constants):
+            _warn(model, problem, found, findings)
+    return Identifiability(True, tuple(sets))
+
+
+def _sets(problem: Problem, declared: Directions, everything: Directions | None) -> list[Inseparable]:
+    names = [k.name for k in problem.sought]
+    known = symmetries(problem, declared) if declared.basis.shape[1] else []
+    sets: list[Inseparable] = []
+    for group in _groups(declared.basis):
+        members = [i for i in range(len(names)) if np.max(np.abs(group[i])) > 1e-6]
+        constants = tuple(names[i] for i in members)
+        unknowns = {u for direction in group.T for u in absorbers(declared, direction)}
+        constants += tuple(k.name for k in problem.own if k.name in unknowns)
+        ordered = tuple(u.name for u in problem.model.unknowns if u.name in unknowns)
+        proofs = [s for s in known if set(s.constants) <= set(constants)]
+        measured = everything is not None and _within(group, everything.basis)
+        sets.append(Inseparable(constants, ordered, _proof(proofs, group.shape[1]), measured))
+    loose = [name for name in declared.functions if all(name not in s.unknowns for s in sets)]
+    if len(loose) > 1 and everything is not None and set(loose) <= set(everything.functions):
+        sets.append(Inseparable((), tuple(loose), "", True))
+    return sets
+
+
+def _proof(proofs: Sequence[Symmetry], count: int) -> str:
+    return "; ".join(str(s) for s in proofs[:count])
+
+
+def _groups(basis: Array) -> list[Array]:
+    """Directions that share constants, together; rows are constants."""
+    rows = echelon(basis.T) if basis.shape[1] else np.zeros((0, basis.shape[0]))
+    groups: list[tuple[set[int], list[int]]] = []
+    for k, row in enumerate(rows):
+        support = {int(i) for i in np.flatnonzero(np.abs(row) > 1e-6)}
+        touching = [g for g in groups if g[0] & support]
+        groups = [g for g in groups if not g[0] & support]
+        groups.append((support.union(*(g[0] for g in touching)), [k, *(i for g in touching for i in g[1])]))
+    return [rows[sorted(members)].T for _, members in groups]
+
+
+def _within(group: Array, basis: Array) -> bool:
+    """Whether all directions of a group are combinations of those of a basis."""
+    if not basis.shape[1]:
+        return False
+    rest = group - basis @ np.linalg.lstsq(basis, group, rcond=None)[0]
+    return bool(np.max(np.abs(rest)) < 1e-6 * np.max(np.abs(group)))
+
+
+# -------------------------------------------------------------------------------------------------------- reporting
+
+
+def _warn(model: Model, problem: Problem, found: Inseparable, findings: Findings) -> None:
+    code = "GB401" if len(found.names) > 1 else "GB402"
+    if any(model.accepts(code, name) for name in found.names):
+        return
+    spans = {item.name: item.span for item in (*model.learnables, *model.unknowns)}
+    by = "any data" if found.measured_states else "what is observed"
+    if code == "GB402":
+        message = f"`{found.names[0]}` cannot be learned from {by}"
+    else:
+        message = f"{_list(found.names)} cannot be told apart by {by}"
+    others = [(n, "learnable constant") for n in found.constants[1:]]
+    others += [(n, "unknown function") for n in found.unknowns[0 if found.constants else 1 :]]
+    labels = [Label(span, text) for name, text in others if (span := spans.get(name)) is not None]
+    place: Span | None = spans.get(found.names[0])
+    findings.warning(
+        code,
+        message,
+        place,
+        label="learnable constant" if found.constants else "unknown function",
+        labels=labels,
+        notes=[_note(found)],
+        help=_help(model, problem, found, code),
+        subject=found.names[0],
+    )
+
+
+def _note(found: Inseparable) -> str:
+    if found.transformation:
+        return f"{found.transformation} leaves everything that is observed unchanged"
+    if not found.constants:
+        return "what one of them gains the other can lose"
+    if found.unknowns:
+        return f"{_list(found.unknowns)} can take up every change of {_list(found.constants)}"
+    if len(found.constants) == 1:
+        return "nothing that is observed depends on it"
+    return "they can change together so that everything that is observed stays as it is"
+
+
+def _help(model: Model, problem: Problem, found: Inseparable, code: str) -> str:
+    ways: list[str] = []
+    hidden = [model.states[i].name for i in problem.hidden]
+    if not found.measured_states and hidden:
+        ways.append(f"observe {_list(hidden, 'or')}")
+    if found.constants:
+        ways.append(f"give {_list(found.constants, 'or')} a value (`const`) or a prior")
+    if found.unknowns and found.measured_states:
+        ways.append(f"leave an argument out of {_list(found.unknowns, 'or')}")
+    return f"{'; or '.join(ways)}; or accept it with `allow {code} {found.names[0]}`"
+
+
+def _list(names: Sequence[str], word: str = "and") -> str:
+    quoted = [f"`{name}`" for name in names]
+    return quoted[0] if len(quoted) == 1 else ", ".join(quoted[:-1]) + f" {word} {quoted[-1]}"

@@ -1,0 +1,216 @@
+"""Truncated power series in time t and in a parameter s along many lines at once, and expressions evaluated on them.
+
+An array of shape [..., L] holds the coefficients of the L monomials t^i s^j with i + j <= order (and i <= time order).
+Everything but the constant term is nilpotent, so a function of a series is its Taylor polynomial at the constant term.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import sympy
+
+from gbspec.ir.model import Expr
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Algebra:
+    """Arithmetic of series up to a total order, with time up to its own."""
+
+    order: int
+    time_order: int
+
+    @cached_property
+    def monomials(self) -> tuple[tuple[int, int], ...]:
+        """Exponents (of t, of s) of each coefficient; the constant term comes first."""
+        pairs = [(i, j) for i in range(self.time_order + 1) for j in range(self.order + 1 - i)]
+        return tuple(sorted(pairs, key=lambda p: (p[0] + p[1], p)))
+
+    @cached_property
+    def index(self) -> Mapping[tuple[int, int], int]:
+        """Position of each monomial."""
+        return {monomial: k for k, monomial in enumerate(self.monomials)}
+
+    @cached_property
+    def _products(self) -> list[tuple[list[int], list[int]]]:
+        """For each monomial: the monomials that it can be multiplied with, and what comes out."""
+        table = []
+        for i, j in self.monomials:
+            pairs = [(k, self.index.get((i + a, j + b))) for k, (a, b) in enumerate(self.monomials)]
+            kept = [(k, target) for k, target in pairs if target is not None]
+            table.append(([k for k, _ in kept], [target for _, target in kept]))
+        return table
+
+    @property
+    def size(self) -> int:
+        """The number of coefficients."""
+        return len(self.monomials)
+
+    def constant(self, value: Array | float) -> Array:
+        """A series that does not vary."""
+        values = np.asarray(value, dtype=np.float64)
+        result = np.zeros((*values.shape, self.size))
+        result[..., 0] = values
+        return result
+
+    def times(self, a: Array, b: Array) -> Array:
+        """The product; leading axes are broadcast."""
+        result = np.zeros(np.broadcast_shapes(a.shape, b.shape))
+        for k, (source, target) in enumerate(self._products):
+            if np.any(a[..., k]):
+                result[..., target] += a[..., k : k + 1] * b[..., source]
+        return result
+
+    def compose(self, taylor: Array, a: Array) -> Array:
+        """`sum_k taylor[..., k] z^k` for z the series without its constant term."""
+        z = a.copy()
+        z[..., 0] = 0.0
+        result = self.constant(taylor[..., self.order])
+        for k in range(self.order - 1, -1, -1):
+            result = self.times(result, z)
+            result[..., 0] += taylor[..., k]
+        return result
+
+    def integral(self, a: Array) -> Array:
+        """The integral over time from 0."""
+        result = np.zeros_like(a)
+        for k, (i, j) in enumerate(self.monomials):
+            target = self.index.get((i + 1, j))
+            if target is not None:
+                result[..., target] = a[..., k] / (i + 1)
+        return result
+
+    # ------------------------------------------------------------------------------------------ elementary functions
+
+    def _taylor(self, values: Array, coefficients: Callable[[float], list[Any]]) -> Array:
+        flat = [[float(c) for c in coefficients(float(v))] for v in np.ravel(values)]
+        return np.reshape(np.array(flat), (*np.shape(values), self.order + 1))
+
+    def exp(self, a: Array) -> Array:
+        """e^a."""
+        factorials = np.array([math.factorial(k) for k in range(self.order + 1)])
+        return self.compose(np.exp(a[..., :1]) / factorials, a)
+
+    def power(self, a: Array, exponent: float) -> Array:
+        """a^exponent for a real exponent."""
+        if exponent == int(exponent) and 0 <= exponent <= 8:
+            result = self.constant(np.ones(a.shape[:-1]))
+            for _ in range(int(exponent)):
+                result = self.times(result, a)
+            return result
+        binomial, terms = 1.0, []
+        for k in range(self.order + 1):
+            terms.append(binomial * np.power(a[..., 0], exponent - k))
+            binomial *= (exponent - k) / (k + 1)
+        return self.compose(np.stack(terms, axis=-1), a)
+
+    def log(self, a: Array) -> Array:
+        """The natural logarithm."""
+        terms = [np.log(a[..., 0])] + [-((-1.0) ** k) / k * a[..., 0] ** -k for k in range(1, self.order + 1)]
+        return self.compose(np.stack(terms, axis=-1), a)
+
+    def wave(self, a: Array, shift: int) -> Array:
+        """sin (shift 0) or cos (shift 1)."""
+        terms = [np.sin(a[..., 0] + (k + shift) * math.pi / 2) / math.factorial(k) for k in range(self.order + 1)]
+        return self.compose(np.stack(terms, axis=-1), a)
+
+    def general(self, name: str, a: Array) -> Array:
+        """Any other function of one argument, its Taylor coefficients by mpmath."""
+        import mpmath  # type: ignore[import-untyped] # comes with sympy, without types
+
+        function = getattr(mpmath, name)
+        return self.compose(self._taylor(a[..., 0], lambda v: list(mpmath.taylor(function, v, self.order))), a)
+
+
+@dataclass
+class Evaluation:
+    """Expressions on series: `values` has the series of each symbol, shape [lines, L]."""
+
+    algebra: Algebra
+    values: Mapping[sympy.Symbol, Array]
+    lines: int
+    _memo: dict[Expr, Array] = field(default_factory=dict)
+
+    def __call__(self, expression: Expr) -> Array:
+        """The series of an expression, shape [lines, L]."""
+        if expression not in self._memo:
+            self._memo[expression] = self._evaluate(expression)
+        return self._memo[expression]
+
+    def _evaluate(self, e: Expr) -> Array:
+        algebra = self.algebra
+        if e.is_Symbol:
+            return self.values[e]
+        if e.is_number:
+            return algebra.constant(np.full(self.lines, float(e)))
+        if e.is_Add:
+            return np.asarray(np.sum([self(part) for part in e.args], axis=0))
+        if e.is_Mul:
+            result = self(e.args[0])
+            for part in e.args[1:]:
+                result = algebra.times(result, self(part))
+            return result
+        if e.is_Pow:
+            if e.exp.is_number:
+                return algebra.power(self(e.base), float(e.exp))
+            return algebra.exp(algebra.times(self(e.exp), algebra.log(self(e.base))))
+        if isinstance(e, sympy.Piecewise):
+            return self._piecewise(e)
+        return self._function(e)
+
+    def _function(self, e: Expr) -> Array:
+        algebra, arguments = self.algebra, [self(part) for part in e.args]
+        a = arguments[0]
+        match e.func.__name__:
+            case "exp":
+                return algebra.exp(a)
+            case "log":
+                return algebra.log(a)
+            case "sin":
+                return algebra.wave(a, 0)
+            case "cos":
+                return algebra.wave(a, 1)
+            case "Abs":
+                return np.sign(a[..., :1]) * a
+            case "sign":
+                return algebra.constant(np.sign(a[..., 0]))
+            case "Heaviside":
+                return algebra.constant((a[..., 0] > 0).astype(float))
+            case "Min" | "Max":
+                better = np.less if e.func.__name__ == "Min" else np.greater
+                for b in arguments[1:]:
+                    a = np.where(better(a[..., :1], b[..., :1]), a, b)
+                return a
+            case "atan2":
+                result = algebra.general("atan", algebra.times(a, algebra.power(arguments[1], -1.0)))
+                result[..., 0] = np.arctan2(a[..., 0], arguments[1][..., 0])
+                return result
+            case name:
+                return algebra.general(str(name), a)
+
+    def _piecewise(self, e: Expr) -> Array:
+        result = np.full((self.lines, self.algebra.size), np.nan)
+        for value, condition in reversed(e.args):
+            result = np.where(self._condition(condition)[..., None], self(value), result)
+        return result
+
+    def _condition(self, condition: Any) -> npt.NDArray[np.bool_]:
+        if condition in (sympy.true, sympy.false):
+            return np.full(self.lines, condition == sympy.true)
+        if isinstance(condition, sympy.Not):
+            return ~self._condition(condition.args[0])
+        if isinstance(condition, sympy.And | sympy.Or):
+            parts = [self._condition(part) for part in condition.args]
+            return np.asarray(np.all(parts, axis=0) if isinstance(condition, sympy.And) else np.any(parts, axis=0))
+        left, right = self(condition.args[0])[..., 0], self(condition.args[1])[..., 0]
+        comparisons = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
+        compare = comparisons.get(condition.rel_op, np.equal)
+        return np.asarray(compare(left, right))

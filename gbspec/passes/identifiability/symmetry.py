@@ -1,0 +1,213 @@
+"""Names for directions: scalings and translations of constants, functions, arguments and hidden states.
+
+A direction of the constants says that something can change; a symmetry says how. Candidates are small generators with
+few weights: `k -> k (1 + a e)`, `f -> f (1 + b e)`, `x -> x (1 + w e)` (scaling), or additions in place of factors
+(translation). Those that leave every residual of the jets zero form a null space, whose weights are small fractions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+
+from gbspec.passes.identifiability.directions import Directions, at_order
+from gbspec.passes.identifiability.jets import Base, Germ, System
+from gbspec.passes.identifiability.problem import Problem
+from gbspec.passes.identifiability.series import Array
+
+Kind = Literal["scaling", "translation"]
+Key = tuple[str, str, int]
+"""What a weight belongs to: ("constant", name, 0), ("state", name, 0), or of an unknown ("value", name, 0), its
+argument scaled or added to the value ("argument", name, r), its argument shifted ("shift", name, r).
+"""
+
+CLEAR = 2
+"""The order from which on a shift of an argument is not taken for an addition to the value."""
+
+_OF_FUNCTIONS = ("value", "argument", "shift")
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """A transformation with one parameter; weights of what it changes."""
+
+    kind: Kind
+    weights: Mapping[Key, Fraction]
+
+    formals: Mapping[str, Sequence[str]]
+    """Names of the arguments of each unknown."""
+
+    @property
+    def constants(self) -> list[str]:
+        """The constants that it changes."""
+        return [name for (what, name, _), weight in self.weights.items() if what == "constant" and weight]
+
+    @property
+    def unknowns(self) -> list[str]:
+        """The unknowns that it changes."""
+        return list(dict.fromkeys(n for (what, n, _), w in self.weights.items() if what in _OF_FUNCTIONS and w))
+
+    def __str__(self) -> str:
+        weights = {key: weight for key, weight in self.weights.items() if weight}
+        texts = [f"{key[1]} -> {self._moved(key[1], w)}" for key, w in weights.items() if key[0] == "constant"]
+        texts += [f"{key[1]} -> {self._moved(key[1], w)}" for key, w in weights.items() if key[0] == "state"]
+        texts += [f"{name} -> {self._function(name, weights)}" for name in self.unknowns]
+        return ", ".join(reversed(texts[: len(self.constants)])) + "".join(
+            f", {t}" for t in texts[len(self.constants) :]
+        )
+
+    @property
+    def _parameter(self) -> str:
+        """The name of the transformation's parameter: one that the model does not have."""
+        taken = {name for _, name, _ in self.weights} | {n for names in self.formals.values() for n in names}
+        return next(name for name in ("c", "q", "w", "lambda", "c_") if name not in taken)
+
+    def _moved(self, name: str, weight: Fraction) -> str:
+        size, c = abs(weight), self._parameter
+        if self.kind == "translation":
+            return f"{name} {'+' if weight > 0 else '-'} {c if size == 1 else f'{size}*{c}'}"
+        power = c if size == 1 else (f"{c}^{size}" if size.denominator == 1 else f"{c}^({size})")
+        return f"{power}*{name}" if weight > 0 else f"{name}/{power}"
+
+    def _function(self, name: str, weights: Mapping[Key, Fraction]) -> str:
+        formals = self.formals[name]
+        inside = "argument" if self.kind == "scaling" else "shift"
+        moved = [
+            self._moved(formal, -weights[inside, name, r]) if (inside, name, r) in weights else formal
+            for r, formal in enumerate(formals)
+        ]
+        text = f"{name}({', '.join(moved)})" if moved != list(formals) else name
+        if ("value", name, 0) in weights:
+            text = self._moved(text, weights["value", name, 0])
+        for r, formal in enumerate(formals):
+            weight = weights.get(("argument", name, r), Fraction(0))
+            if self.kind == "translation" and weight:
+                size = "" if abs(weight) == 1 else f"{abs(weight)}*"
+                text += f" {'+' if weight > 0 else '-'} {size}{self._parameter}*{formal}"
+        return text
+
+
+def symmetries(problem: Problem, directions: Directions) -> list[Symmetry]:
+    """Scalings, then translations, that change some constant and nothing that is seen."""
+    found: list[Symmetry] = []
+    arguments = {u.name: problem.model.networks[u.network].arguments for u in problem.model.unknowns}
+    formals = {name: [a.name for a in items] for name, items in arguments.items()}
+    if directions.order < CLEAR:
+        directions = at_order(problem, CLEAR) or directions
+    kinds: tuple[Kind, ...] = ("scaling", "translation")
+    for kind in kinds:
+        keys = _keys(problem, kind)
+        blocks = []
+        for system, base in zip(directions.systems, directions.bases, strict=True):
+            generators = np.stack([_column(problem, system, base, key, kind) for key in keys], axis=1)
+            blocks.append(system.matrix @ generators)
+        for weights in _rational_null(np.concatenate(blocks), keys):
+            symmetry = Symmetry(kind, weights, formals)
+            if symmetry.constants:
+                found.append(symmetry)
+    return found
+
+
+def _keys(problem: Problem, kind: Kind) -> list[Key]:
+    """Weights; those further on are put to use only where those before them do not do."""
+    arguments: dict[str, int] = {a.unknown: len(a.arguments) for a in problem.applications}
+    keys: list[Key] = [("value", name, 0) for name in arguments]
+    keys += [("state", problem.model.states[i].name, 0) for i in problem.hidden if problem.starts[i] is None]
+    keys += [("argument", name, r) for name, count in arguments.items() for r in range(count)]
+    if kind == "translation":
+        keys += [("shift", name, r) for name, count in arguments.items() for r in range(count)]
+    keys += [("constant", k.name, 0) for k in reversed(problem.sought)]
+    return keys
+
+
+def _column(problem: Problem, system: System, base: Base, key: Key, kind: Kind) -> Array:
+    """What a unit of one weight changes, in the columns of a system."""
+    what, name, position = key
+    column = np.zeros(system.matrix.shape[1])
+    if what == "constant":
+        index = next(i for i, k in enumerate(problem.sought) if k.name == name)
+        column[index] = base.constants[problem.sought[index].symbol] if kind == "scaling" else 1.0
+    elif what == "state":
+        _move_start(problem, system, base, name, kind, column)
+    else:
+        for germ in system.germs:
+            if germ.unknown == name:
+                part = column[germ.column : germ.column + len(germ.exponents)]
+                _move_germ(germ, what, position, kind, part)
+    return column
+
+
+def _move_start(problem: Problem, system: System, base: Base, name: str, kind: Kind, column: Array) -> None:
+    symbol = next(s.symbol for s in problem.model.states if s.name == name)
+    first = system.starts[name]
+    if kind == "translation":
+        column[first] = 1.0
+        return
+    column[first] = base.variables[symbol]
+    column[first + 1 + system.parameters.index(symbol)] = 1.0
+
+
+def _move_germ(germ: Germ, what: str, position: int, kind: Kind, part: Array) -> None:
+    if what == "value":
+        if kind == "scaling":
+            part += germ.coefficients
+        else:
+            part[0] += 1.0
+        return
+    unit = tuple(int(r == position) for r in range(len(germ.base)))
+    index = {exponent: k for k, exponent in enumerate(germ.exponents)}
+    if what == "shift":
+        for exponent, coefficient in zip(germ.exponents, germ.coefficients, strict=True):  # minus df/du
+            if exponent[position]:
+                lower = (*exponent[:position], exponent[position] - 1, *exponent[position + 1 :])
+                part[index[lower]] -= exponent[position] * coefficient
+        return
+    if kind == "translation":  # c times the argument is added
+        part[0] += germ.base[position]
+        if unit in index:
+            part[index[unit]] += 1.0
+        return
+    for exponent, coefficient in zip(germ.exponents, germ.coefficients, strict=True):  # minus u df/du
+        power = exponent[position]
+        if power:
+            part[index[exponent]] -= power * coefficient
+            lower = (*exponent[:position], power - 1, *exponent[position + 1 :])
+            part[index[lower]] -= power * coefficient * germ.base[position]
+
+
+def _rational_null(matrix: Array, keys: Sequence[Key]) -> list[dict[Key, Fraction]]:
+    """A basis of the null space with small fractions as entries; vectors that have none are left out."""
+    norms = np.linalg.norm(matrix, axis=0)
+    scaled = matrix / np.where(norms > 0, norms, 1.0)
+    _, values, right = np.linalg.svd(scaled, full_matrices=True)
+    rank = int(np.sum(values > 1e-9 * max(values[0], 1e-300))) if values.size else 0
+    null = right[rank:] / np.where(norms > 0, norms, 1.0)
+    found = []
+    for vector in echelon(null[:, ::-1])[:, ::-1]:
+        weights = {key: Fraction(float(v)).limit_denominator(12) for key, v in zip(keys, vector, strict=True)}
+        if max(abs(float(weights[key]) - v) for key, v in zip(keys, vector, strict=True)) < 1e-5:
+            found.append(weights)
+    return found
+
+
+def echelon(rows: Array) -> Array:
+    """Reduced row echelon form, with pivots in the first columns that allow it."""
+    rows = rows.copy()
+    top = 0
+    for column in range(rows.shape[1]):
+        if top == len(rows):
+            break
+        best = top + int(np.argmax(np.abs(rows[top:, column])))
+        if abs(rows[best, column]) < 1e-7 * max(1.0, float(np.max(np.abs(rows)))):
+            continue
+        rows[[top, best]] = rows[[best, top]]
+        rows[top] /= rows[top, column]
+        for other in range(len(rows)):
+            if other != top:
+                rows[other] -= rows[other, column] * rows[top]
+        top += 1
+    return rows[:top]

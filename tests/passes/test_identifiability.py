@@ -1,0 +1,151 @@
+"""What no data can separate: a table of cases whose answers are known."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.passes.identifiability.directions import absorbers, find
+from gbspec.passes.identifiability.problem import pose
+from tests.texts import SHIPPED, model_at, model_of
+
+TWO = "state x\nstate y\ny' = -y\n"
+PAIR = "observe x\nobserve y\n"
+COMPARTMENTS = (
+    "condition D\nstate a\nstate b\nlearn k10 = 1\nlearn k12 = 0.7\nlearn k21 = 0.4\n"
+    "a' = -(k10 + k12)*a + k21*b\nb' = k12*a - k21*b\nobserve a\nallow GB403\n"
+)
+TANKS = "input F held\nstate h1\nstate h2\nlearn k = 1\nunknown q(h)\nobserve h1\nobserve h2\n"
+
+CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
+    # name: (text, number of directions, constants in them, unknowns that absorb)
+    "decay": ("state x\nlearn k = 1\nx' = -k*x\nobserve x\n", 0, set(), set()),
+    "product of constants": ("state x\nlearn a = 1\nlearn b = 1\nx' = -a*b*x\nobserve x\n", 1, {"a", "b"}, set()),
+    "sum of constants": ("state x\nlearn a = 1\nlearn b = 2\nx' = -(a + b)*x\nobserve x\n", 1, {"a", "b"}, set()),
+    "factor of an unknown": (TWO + "learn k = 1\nunknown mu(y)\nx' = k*mu(y)*x\n" + PAIR, 1, {"k"}, {"mu"}),
+    "constant beside an unknown": ("state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k\nobserve x\n", 1, {"k"}, {"f"}),
+    "line beside an unknown": ("state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k*x\nobserve x\n", 1, {"k"}, {"f"}),
+    "exponential beside an unknown": (
+        "state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k*exp(x)\nobserve x\n", 1, {"k"}, {"f"}
+    ),
+    "rate inside beside an unknown": (
+        "state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + exp(k*x)\nobserve x\n", 1, {"k"}, {"f"}
+    ),
+    "another variable separates": (TWO + "learn k = 1\nunknown f(x)\nx' = f(x) + k*x*y\n" + PAIR, 0, set(), set()),
+    "unless the unknown has it": (TWO + "learn k = 1\nunknown f(x, y)\nx' = f + k*x*y\n" + PAIR, 1, {"k"}, {"f"}),
+    "a second balance separates": (
+        "state x\nstate y\nlearn k = 1\nunknown f(x, y)\nx' = f\ny' = k*f\n" + PAIR, 0, set(), set()
+    ),
+    "both balances scaled": (
+        "state x\nstate y\nlearn k = 1\nlearn c = 2\nunknown f(x, y)\nx' = c*f\ny' = k*f\n" + PAIR, 1, {"k", "c"}, {"f"}
+    ),
+    "scaled argument": ("state x\nlearn k = 1\nunknown f(u)\nx' = f(k*x)\nobserve x\n", 1, {"k"}, {"f"}),
+    "shifted argument": ("state x\nlearn k = 1\nunknown f(u)\nx' = f(x + k)\nobserve x\n", 1, {"k"}, {"f"}),
+    "argument and more": (TWO + "learn k = 1\nunknown f(u)\nx' = f(k*x) + k*y\n" + PAIR, 0, set(), set()),
+    "argument that mixes": (TWO + "learn k = 1\nunknown f(u)\nx' = f(x + k*y)\n" + PAIR, 0, set(), set()),
+    "one function at two places, scaled": (
+        TANKS + "h1' = F - k*q(h1)\nh2' = k*q(h1) - k*q(h2)\n", 1, {"k"}, {"q"}
+    ),
+    "one function at two places, one scaled": (TANKS + "h1' = F - q(h1)\nh2' = q(h1) - k*q(h2)\n", 0, set(), set()),
+    "factor in a postulate": ("state x\nlearn K = 1\nunknown f(x) = K*x*nn\nx' = f\nobserve x\n", 1, {"K"}, {"f"}),
+    "shape in a postulate": (
+        "state x\nlearn K = 1\nunknown f(x) = x/(K + x)*nn\nx' = f\nobserve x\n", 1, {"K"}, {"f"}
+    ),
+    "slope in an additive postulate": (
+        "state x\nlearn a = 1\nunknown f(x) = a*x + nn\nx' = f\nobserve x\n", 1, {"a"}, {"f"}
+    ),
+    "a prior is knowledge": (
+        "state x\nlearn k = 1 prior normal(1, 0.1)\nunknown f(x)\nx' = k*f\nobserve x\n", 0, set(), set()
+    ),
+    "each trajectory its own": (
+        "state x\nlearn k = 1\nlearn a = 1 per trajectory\nx' = -k*a*x\nobserve x\n", 1, {"k"}, {"a"}
+    ),
+    "a condition varies": ("state x\ncondition D\nlearn k = 1\nx' = -k*D*x\nobserve x\n", 0, set(), set()),
+    "a condition that the unknown has": (
+        "state x\ncondition D\nlearn k = 1\nunknown f(x, D)\nx' = f + k*D\nobserve x\n", 1, {"k"}, {"f"}
+    ),
+    "an input varies": (
+        "state x\ninput F linear\nlearn k = 1\nunknown f(x)\nx' = f + k*F\nobserve x\n", 0, set(), set()
+    ),
+    "time varies": ("state x\nlearn k = 1\nunknown f(x)\nx' = f + k*t\nobserve x\n", 0, set(), set()),
+    "scaled through time": ("state x\nlearn k = 1\nunknown f(x)\nx' = f*k*t\nobserve x\n", 1, {"k"}, {"f"}),
+    "scale of a channel": ("state x\nlearn k = 1\nlearn s = 2\nx' = -k*x\nobserve y = s*x\n", 1, {"s"}, set()),
+    "scale of a channel, start known": (
+        "state x\nlearn k = 1\nlearn s = 2\nx' = -k*x\ninitial x = 1\nobserve y = s*x\n", 0, set(), set()
+    ),
+    "start learned for all": (
+        "state x\nlearn k = 1\nlearn s = 2\nlearn x0 = 1\nx' = -k*x\ninitial x = x0\nobserve y = s*x\n",
+        1, {"s", "x0"}, set(),
+    ),
+    "Michaelis and Menten through a scale": (
+        "state S\nlearn V = 1\nlearn K = 0.5\nlearn s = 2\nS' = -V*S/(K + S)\nobserve y = s*S\n",
+        1, {"V", "K", "s"}, set(),
+    ),
+    "a sum of decays": (
+        "state x\nstate y\nlearn a = 1\nlearn b = 0.3\nx' = -a*x\ny' = -b*y\nobserve s = x + y\n", 0, set(), set()
+    ),
+    "no effect": ("state x\nstate z\nlearn k = 1\nx' = -x\nz' = k*x - z\nobserve x\n", 1, {"k"}, set()),
+    "two compartments": (COMPARTMENTS, 1, {"k10", "k12", "k21"}, set()),
+    "two compartments after a dose": (COMPARTMENTS + "initial a = D\ninitial b = 0\n", 0, set(), set()),
+    "epidemic of which a part is seen": (
+        "state S\nstate I\nconst N = 2\nlearn beta = 1\nlearn gamma = 0.4\nlearn part = 0.5\n"
+        "S' = -beta*S*I/N\nI' = beta*S*I/N - gamma*I\nobserve y = part*I\n",
+        1, {"beta", "part"}, set(),
+    ),
+    "branches": (
+        "state x\nlearn a = 1\nlearn b = 1\nx' = if(x > 0.1, -a*b*x, 1)\nobserve x\n", 1, {"a", "b"}, set()
+    ),
+}  # fmt: skip
+
+
+def answer(text: str, *, all_states: bool = False) -> tuple[int, set[str], set[str]]:
+    problem = pose(model_of("model m\n" + text), all_states=all_states)
+    found = find(problem, time.process_time() + 30)
+    assert found is not None
+    names = [k.name for k in problem.sought]
+    moving = {n for n, row in zip(names, found.basis, strict=True) if np.max(np.abs(row), initial=0) > 1e-6}
+    unknowns = {u for direction in found.basis.T for u in absorbers(found, direction)}
+    return found.basis.shape[1], moving, unknowns
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_known_answer(name: str) -> None:
+    text, count, constants, unknowns = CASES[name]
+    assert answer(text) == (count, constants, unknowns)
+
+
+def paper(name: str) -> str:
+    (path,) = (p for p in SHIPPED if p.stem == name)
+    return "".join(line for line in model_at(path).text.splitlines(keepends=True) if not line.startswith("model"))
+
+
+@pytest.mark.parametrize(
+    ("name", "unseen", "count", "constants"),
+    [
+        ("urp_gb2", [], 0, set()),
+        ("urp_gb2", ["x2"], 2, {"B", "beta"}),
+        ("urp_gb2", ["x1"], 2, {"B", "beta"}),
+        ("bf_gb2", [], 0, set()),
+        ("bf_gb2", ["z"], 1, {"sigma", "eta"}),
+        ("bf_gb2", ["v"], 2, {"omega", "sigma"}),
+        ("bf_gb2", ["u"], 0, set()),
+        ("bf_gb2", ["v", "z"], 4, {"omega", "sigma", "rho", "eta"}),
+    ],
+)
+def test_the_paper_s_systems(name: str, unseen: list[str], count: int, constants: set[str]) -> None:
+    text = paper(name)
+    for state in unseen:
+        text = text.replace(f"observe {state}\n", "")
+    assert answer(text)[:2] == (count, constants)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_shipped_models_are_answered_in_time(path: Path) -> None:
+    model = model_at(path)
+    begin = time.process_time()
+    for all_states in (True, False):
+        find(pose(model, all_states=all_states), time.process_time() + 3)
+    assert time.process_time() - begin < 3
