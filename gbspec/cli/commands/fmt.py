@@ -15,7 +15,7 @@ from gbspec.cli.output import Output
 @command("fmt", "gbspec fmt my_model.gb", "gbspec fmt --check models/*.gb")
 def run(
     output: Output,
-    files: Annotated[list[str], typer.Argument(help="Model files.", metavar="FILE...")],
+    files: Annotated[list[str], typer.Argument(help="Model files.", metavar="FILE")],
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit 1 if a file is not in form.")] = False,
     diff: Annotated[bool, typer.Option("--diff", help="Write nothing; show what would change, exit 1 if any.")] = False,
 ) -> None:
