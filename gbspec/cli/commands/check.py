@@ -18,7 +18,7 @@ from gbspec.report.text import model_summary, start
 @command("check", "gbspec check my_model.gb", "gbspec check --strict --json models/*.gb")
 def run(
     output: Output,
-    models: Annotated[list[str], typer.Argument(help="Model files, or shipped models by name.", metavar="MODEL...")],
+    models: Annotated[list[str], typer.Argument(help="Model files, or shipped models by name.", metavar="MODEL")],
     strict: Annotated[bool, typer.Option("--strict", help="Count warnings as errors.")] = False,
 ) -> None:
     """Check models: names, balances, cycles, and how each state starts; all findings at once."""
