@@ -8,8 +8,9 @@ import math
 from collections.abc import Mapping
 from typing import TypeVar
 
-from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.ir.model import Condition, Constant, Input, Learnable, Model, Range, TruthConstant
+from gbspec.passes.contracts import with_contracts
 
 D = TypeVar("D", Condition, Input)
 
@@ -20,7 +21,8 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     A learnable's bounds are widened where the value lies outside them. The text is left as it was.
 
     Raises:
-        UserError: GB804, one finding for each name that is none of these, or whose value is not finite.
+        UserError: GB804, one finding for each name that is none of these, or whose value is not finite; GB6xx where a
+            contract cannot be kept with these values.
     """
     names = [*model.constant_names, *(c.name for c in model.conditions), *(i.name for i in model.inputs)]
     problems = [problem for name, value in values.items() if (problem := _problem(name, value, names)) is not None]
@@ -29,7 +31,7 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
     learnable = {k.name for k in model.learnables}
     truths = {t.name: t.value for t in model.truth_constants}
     truths.update({name: value for name, value in values.items() if name in learnable and name in truths})
-    return dataclasses.replace(
+    changed = dataclasses.replace(
         model,
         constants=tuple(_constant(c, values) for c in model.constants),
         learnables=tuple(_learnable(k, values) for k in model.learnables),
@@ -37,6 +39,11 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
         inputs=tuple(_default(i, values) for i in model.inputs),
         truth_constants=tuple(TruthConstant(name, value) for name, value in truths.items()),
     )
+    # What was proved of contracts may rest on the values that were replaced.
+    findings = Findings()
+    changed = with_contracts(changed, findings)
+    findings.raise_if_failed()
+    return changed
 
 
 def _problem(name: str, value: float, names: list[str]) -> Diagnostic | None:

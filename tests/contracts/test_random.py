@@ -39,7 +39,8 @@ def statements(draw: st.DrawFn) -> str:
     w = draw(st.sampled_from(["", ", w"]))
     activation = draw(st.sampled_from(["silu", "tanh", "relu", "sin"]))
     text = ", ".join(draw(st.permutations(contracts)))
-    return f"unknown f({u}, v in [0, 3]{w}) {text} {draw(st.sampled_from(POSTULATES))} by mlp(7, 9, activation={activation})"
+    postulate = draw(st.sampled_from(POSTULATES))
+    return f"unknown f({u}, v in [0, 3]{w}) {text} {postulate} by mlp(7, 9, activation={activation})"
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])

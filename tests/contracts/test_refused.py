@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.contracts.helpers import model_of, refused
+from gbspec.diagnostics import UserError
+from gbspec.passes.override import with_values
+from tests.contracts.helpers import model_of, refused, whole_model
 
 REFUSED = {
     "unknown f(u) increasing in u, decreasing in u": ("GB603", "increasing and decreasing"),
@@ -50,6 +52,16 @@ def test_a_range_makes_the_proof() -> None:
     (missing,) = refused(text.format(""))
     assert "`u in [0, 10]`" in missing.help
     assert model_of(text.format(" in [0, 10]")).unknowns[0].form is not None
+
+
+def test_a_value_set_later_is_proved_anew() -> None:
+    """`--set` may take away what a proof rests on."""
+    text = "model m\nstate x in [0, 9]\nconst c = 1\nunknown f(x) >= 0 = x/(c + x)*nn\nx' = -f(x)\nobserve x\n"
+    model = whole_model(text)
+    assert with_values(model, {"c": 2.0}).unknowns[0].form is not None
+    with pytest.raises(UserError) as caught:
+        with_values(model, {"c": -1.0})
+    assert [d.code for d in caught.value.diagnostics] == ["GB605"]
 
 
 def test_every_output_is_told_of() -> None:

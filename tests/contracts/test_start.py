@@ -64,7 +64,7 @@ CASES = [
 
 @pytest.mark.parametrize("text", CASES)
 def test_nothing_is_saturated_at_the_start(text: str) -> None:
-    """At random starts every weight matters, within four orders of magnitude: no unit is dead, no output pressed flat."""
+    """At random starts every layer matters, within four orders of magnitude: no unit is dead, no output flat."""
     cls = load_module(model_of(f"unknown f(u in [0, 10], v in [0, 5]) {text} by mlp(24, 24)"))
     generator = torch.Generator().manual_seed(0)
     x = torch.rand(100, 2, generator=generator, dtype=torch.float64) * torch.tensor([10.0, 5.0])

@@ -78,8 +78,8 @@ def test_the_jacobian_is_exact(contracts: str) -> None:
 # ---------------------------------------------------------------------- fits
 def fitted(unknown: str, truth: Any, ranges: list[tuple[float, float]], iterations: int) -> float:
     """Levenberg-Marquardt on values of a function at random points; the error is relative to the values' deviation."""
-    text = f"model m\nstate x\nlearn K = 1 in [0.5, 2]\n{unknown}\nx' = -K*f({', '.join('x' for _ in ranges)})\nobserve x\n"
-    model = whole_model(text)
+    places = ", ".join("x" for _ in ranges)
+    model = whole_model(f"model m\nstate x\nlearn K = 1 in [0.5, 2]\n{unknown}\nx' = -K*f({places})\nobserve x\n")
     instance = load_module(model).random(0)
     rng = np.random.default_rng(0)
     low, high = np.array(ranges).T
