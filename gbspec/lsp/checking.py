@@ -27,12 +27,14 @@ def check(workspace: Workspace, path: str | Path) -> Checked:
     one names it, with the place itself beside it.
     """
     from gbspec import driver
+    from gbspec.passes.examine import examine
 
     source = workspace.source(path)
     findings = Findings()
     values: dict[str, float] = {}
     try:
         model = driver.load_model(path, findings, workspace.source)
+        examine(model, findings)
         values = {constant.name: constant.value for constant in model.constants}
     except UserError as error:
         findings.extend(error.diagnostics)

@@ -20,6 +20,9 @@ const D = 0.3 "dilution rate"
 unknown mu(X) by mlp(4)
 X' = mu*X - D*X
 observe X
+state S in [0, 2] = 1
+S' = -D*S
+observe S
 """
 DERIVED = """\
 model derived extends "base.gb"
@@ -149,8 +152,9 @@ def test_completion_knows_statements_clauses_names_and_words(editor: Editor, fil
 
 
 def test_completion_replaces_the_word_that_is_being_written(editor: Editor, files: tuple[Path, Path]) -> None:
-    uri = editor.open(files[0], BASE + "let r = 2*ex")
-    params = types.CompletionParams(document(uri), types.Position(6, 12))
+    text = BASE + "let r = 2*ex"
+    uri = editor.open(files[0], text)
+    params = types.CompletionParams(document(uri), place(text, "2*ex", 4))
     items = editor.ask(editor.client.text_document_completion_async, params).items
     edit = next(item.text_edit for item in items if item.label == "exp")
     assert (edit.range.start.character, edit.range.end.character) == (10, 12)
@@ -180,6 +184,7 @@ def test_references_are_found_in_every_file_of_the_model(editor: Editor, files: 
     assert sorted((Path(f.uri).name, f.range.start.line) for f in found) == [
         ("base.gb", 2),
         ("base.gb", 4),
+        ("base.gb", 7),
         ("derived.gb", 1),
     ]
 
@@ -194,7 +199,7 @@ def test_a_renamed_model_is_still_right(editor: Editor, files: tuple[Path, Path]
     assert "cells' = mu*cells - D*cells" in base.read_text()
     for path in (base, derived):
         findings = Findings()
-        assert [s.name for s in driver.load_model(path, findings).states] == ["cells"]
+        assert [s.name for s in driver.load_model(path, findings).states] == ["cells", "S"]
         assert list(findings) == []
 
 
@@ -222,8 +227,8 @@ def test_a_broken_file_still_has_an_outline(editor: Editor, files: tuple[Path, P
     params = types.DocumentSymbolParams(document(uri))
     groups = editor.ask(editor.client.text_document_document_symbol_async, params)
     names = {g.name: [c.name for c in g.children] for g in groups}
-    assert names["states"] == ["X"]
-    assert names["balances"] == ["X'"]
+    assert names["states"] == ["X", "S"]
+    assert names["balances"] == ["X'", "S'"]
     assert names["unknown functions"] == ["mu"]
     assert "constants" not in names
 

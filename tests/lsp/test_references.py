@@ -157,7 +157,7 @@ def test_what_a_base_declares_is_renamed_in_all_files_that_extend_it(tmp_path: P
         rename(workspace, tmp_path / "base.gb", (tmp_path / "base.gb").read_text().index("k ="), "extra")
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=25)
 @given(st.data())
 def test_whatever_is_renamed_in_a_shipped_model_it_stays_the_same_model(data: st.DataObject) -> None:
     path = data.draw(st.sampled_from(sorted(p for p in shipped_models().values() if "extends" not in p.read_text())))
