@@ -203,6 +203,19 @@ class FittedRun:
             save(made, path)
         return made
 
+    def report(
+        self,
+        path: str | Path | None = None,
+        *,
+        data: str | Path | Trajectories | None = None,
+        diagram: tuple[str, float, float] | None = None,
+        cycles: bool = False,
+    ) -> Path:
+        """Writes the page of `gbspec report` (by default `report.html` in the run) and gives its path."""
+        target = self.run.path / "report.html" if path is None else Path(path)
+        driver.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
+        return target
+
     def _data(self, data: str | Path | Trajectories | None) -> Trajectories | None:
         return driver.training_data(self.run, Findings()) if data is None else _table(data, self.run.model)
 

@@ -240,6 +240,29 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
     return found
 
 
+def report(
+    run: Run,
+    data: Trajectories | None,
+    path: str | Path,
+    *,
+    diagram: tuple[str, float, float] | None = None,
+    cycles: bool = False,
+) -> None:
+    """Writes the report of a run as one HTML file; `diagram` names a parameter and its range."""
+    from gbspec.files import write_text
+    from gbspec.report.collect import Fitted
+    from gbspec.report.html.page import Findings as Found
+    from gbspec.report.html.page import page
+
+    source = learned(run)
+    drawn = None
+    if diagram is not None:
+        drawn = bifurcate(source, *diagram, cycles=cycles), true_diagram(source, *diagram, cycles=cycles)
+    spectra = None if data is None else eigen(source, along=data)
+    fitted = None if data is None else Fitted(run, data)
+    write_text(path, page(fitted, run, Found(validate(run, data), spectra, drawn)))
+
+
 def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
     """A figure of a run: one of `gbspec.report.KINDS`."""
     from gbspec.report.figures import draw

@@ -25,6 +25,7 @@ COMMANDS = {
     "eigen": "gbspec.cli.commands.eigen",
     "bifurcate": "gbspec.cli.commands.bifurcate",
     "plot": "gbspec.cli.commands.plot",
+    "report": "gbspec.cli.commands.report",
     "demo": "gbspec.cli.commands.demo",
 }
 """Name of each command and the module whose `run` it is, in the order in which the help lists them."""

@@ -1,0 +1,52 @@
+"""`gbspec report RUN`: everything about a run on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.diagnostics import Diagnostic, UserError
+
+
+@command(
+    "report",
+    "gbspec report my_run",
+    "gbspec report my_run -o my_run.html --over Da --range 0.2 0.5",
+)
+def run(
+    output: Output,
+    directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
+    to: Annotated[
+        str | None, typer.Option("--output", "-o", help="The page; RUN/report.html.", metavar="FILE.html")
+    ] = None,
+    data: Annotated[
+        str | None, typer.Option("--data", help="A table; without it the one trained on.", metavar="DATA")
+    ] = None,
+    over: Annotated[
+        str | None, typer.Option("--over", help="Draw a bifurcation diagram over this.", metavar="NAME")
+    ] = None,
+    ends: Annotated[tuple[float, float] | None, typer.Option("--range", help="Its range.", metavar="LO HI")] = None,
+    cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
+) -> None:
+    """Write one self-contained page: the model, its fit, what was learned, how good it is, how to reproduce it."""
+    from gbspec import driver
+    from gbspec.diagnostics import Findings
+    from gbspec.files import writable
+
+    if (over is None) != (ends is None):
+        message = "`--over` and `--range` belong together"
+        raise UserError([Diagnostic("GB814", message, None, help="write both: `--over Da --range 0.2 0.5`")])
+    findings = Findings()
+    opened = driver.open_run(directory)
+    path = writable(to if to is not None else Path(directory) / "report.html")
+    table = driver.training_data(opened, findings) if data is None else driver.read_data(data, opened.model, findings)
+    output.findings(findings)
+    diagram = None if over is None or ends is None else (over, *ends)
+    with output.console().status("writing the report"):
+        driver.report(opened, table, path, diagram=diagram, cycles=cycles)
+    output.say(f"wrote {path}")
+    output.document({"run": directory, "path": path, "bytes": path.stat().st_size})

@@ -1,0 +1,128 @@
+"""A model's equations in presentation MathML, which browsers typeset without scripts or fonts of ours."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+from xml.sax.saxutils import escape
+
+import sympy
+from sympy.printing.mathml import MathMLPresentationPrinter
+
+from gbspec.ir.model import NN, Expr, Model, Unknown
+
+_ENTITIES = {"&InvisibleTimes;": "&#x2062;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
+"""The printer's named entities as numbers, so that the page is well formed as XML too."""
+
+
+class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is untyped
+    """sympy's printer with unknown functions by their names, floats in full, and pieces under a brace."""
+
+    # ruff's rule on names of functions does not hold here: sympy finds these methods by the names of its classes
+    def _print_Float(self, expr: sympy.Float) -> Any:  # noqa: N802
+        digits, _, exponent = repr(float(expr)).partition("e")
+        number = self._leaf("mn", digits.removesuffix(".0"))
+        if not exponent:
+            return number
+        power = self.dom.createElement("msup")
+        power.appendChild(self._leaf("mn", "10"))
+        power.appendChild(self._leaf("mn", str(int(exponent))))
+        return self._row(number, self._leaf("mo", "·"), power)
+
+    def _print_Piecewise(self, expr: sympy.Piecewise) -> Any:  # noqa: N802
+        table = self.dom.createElement("mtable")
+        for value, condition in expr.args:
+            line = self.dom.createElement("mtr")
+            when = self._leaf("mtext", "otherwise") if condition == sympy.true else self._print(condition)
+            for cell in (self._print(value), when):
+                box = self.dom.createElement("mtd")
+                box.appendChild(cell)
+                line.appendChild(box)
+            table.appendChild(line)
+        return self._row(self._leaf("mo", "{"), table)
+
+    def _print_Function(self, expr: Any) -> Any:  # noqa: N802
+        if not isinstance(expr, sympy.core.function.AppliedUndef):
+            return super()._print_Function(expr)
+        inside: list[Any] = []
+        for argument in expr.args:
+            inside += ([self._leaf("mo", ",")] if inside else []) + [self._print(argument)]
+        name = self._print(sympy.Symbol(expr.func.__name__))
+        return self._row(name, self._leaf("mo", "("), *inside, self._leaf("mo", ")"))
+
+    def _leaf(self, tag: str, text: str) -> Any:
+        leaf = self.dom.createElement(tag)
+        leaf.appendChild(self.dom.createTextNode(text))
+        return leaf
+
+    def _row(self, *parts: Any) -> Any:
+        row = self.dom.createElement("mrow")
+        for part in parts:
+            row.appendChild(part)
+        return row
+
+
+def expression(value: Expr | sympy.Basic) -> str:
+    """An expression, without the surrounding `math` element."""
+    text = str(_Printer().doprint(value))
+    # A relation's sign is left bare by sympy's printer
+    text = text.replace("<mo><</mo>", "<mo>&lt;</mo>").replace("<mo>></mo>", "<mo>&gt;</mo>")
+    return re.sub(r"&[A-Za-z]+;", lambda found: _ENTITIES.get(found[0], found[0]), text)
+
+
+def name(text: str) -> str:
+    """A declared name: Greek letters and indices are recognised."""
+    return expression(sympy.Symbol(text))
+
+
+def inline(text: str) -> str:
+    """A name within a line of words."""
+    return f"<math>{name(text)}</math>"
+
+
+def equations(pairs: list[tuple[str, str]]) -> str:
+    """Equations below each other, aligned at their signs."""
+    rows = "".join(
+        f'<mtr><mtd style="text-align:right">{left}</mtd><mtd><mo>=</mo></mtd>'
+        f'<mtd style="text-align:left">{right}</mtd></mtr>'
+        for left, right in pairs
+    )
+    return f'<math display="block"><mtable displaystyle="true">{rows}</mtable></math>'
+
+
+def balances(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each balance."""
+    time = name(model.time.name)
+    return [
+        (f"<mfrac><mrow><mi>d</mi>{name(s.name)}</mrow><mrow><mi>d</mi>{time}</mrow></mfrac>", expression(balance))
+        for s, balance in zip(model.states, model.balances, strict=True)
+    ]
+
+
+def intermediates(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each named expression."""
+    return [(name(item.name), expression(item.value)) for item in model.intermediates]
+
+
+def observations(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each channel that is not a state as it is."""
+    return [(name(c.name), expression(c.value)) for c in model.channels if c.value != c.symbol]
+
+
+def starts(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each start that the model expresses."""
+    at = "<mn>0</mn>" if model.time.start is None else f"<mn>{escape(f'{model.time.start:g}')}</mn>"
+    return [
+        (f"<msub>{name(s.name)}<mrow>{at}</mrow></msub>", expression(s.initial.value))
+        for s in model.states
+        if s.initial.value is not None
+    ]
+
+
+def postulate(model: Model, unknown: Unknown) -> tuple[str, str]:
+    """Left and right side of an unknown: what was postulated, with the network as a calligraphic N."""
+    arguments = [a.symbol for a in model.networks[unknown.network].arguments]
+    formals = "<mo>,</mo>".join(name(a.name) for a in arguments)
+    network = f"<mrow><mi>𝒩</mi><mo>(</mo>{formals}<mo>)</mo></mrow>"
+    right = expression(unknown.postulate).replace(name(NN.name), network)
+    return f"{name(unknown.name)}<mo>(</mo>{formals}<mo>)</mo>", right

@@ -1,0 +1,192 @@
+"""report: one page that needs nothing else, with every section that it promises."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from typer.testing import CliRunner
+
+from gbspec.cli.app import build, needed
+
+Run = Callable[..., Any]
+VOID = {"meta", "link", "img", "br", "hr", "input"}
+SECTIONS = ("model", "fit", "functions", "constants", "metrics", "parity", "residuals", "history", "bifurcation",
+            "eigenvalues", "phase", "reproduce")  # fmt: skip
+
+PREY = """\
+model prey "Predators <b>&</b> prey, what is eaten unknown"
+state N in [0, 3] = 1
+state P in [0, 3] = 1 "never measured"
+condition r in [0.8, 1.2]
+learn m = 0.5 in [0, 2]
+unknown eaten(N, P) = N*P + nn by mlp(6)
+initial P learn
+N' = r*N - eaten(N, P)
+P' = 0.5*eaten(N, P) - m*P
+observe N
+truth m = 0.4
+truth eaten(N, P) = N*P/(1 + 0.3*N)
+"""
+
+
+def call(*arguments: object) -> Any:
+    texts = [str(argument) for argument in arguments]
+    return CliRunner().invoke(build(needed(texts)), texts)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with a run, its table and its report."""
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "prey.gb").write_text(PREY)
+    made = call("simulate", folder / "prey.gb", "-o", folder / "prey.csv", "--trajectories", 4, "--span", 6)
+    assert made.exit_code == 0, made.stderr
+    made = call("train", folder / "prey.gb", folder / "prey.csv", "-o", folder / "run", "--method", "lm", "--epochs", 3,
+                "--quiet")  # fmt: skip
+    assert made.exit_code == 0, made.stderr
+    made = call("report", folder / "run", "--over", "r", "--range", 0.8, 1.2)
+    assert made.exit_code == 0, made.stderr
+    yield folder
+
+
+@pytest.fixture(scope="module")
+def page(place: Path) -> str:
+    return (place / "run" / "report.html").read_text(encoding="utf-8")
+
+
+class Reader(HTMLParser):
+    """Tags that are opened and closed in order, and everything that refers to something else."""
+
+    def __init__(self) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("script", "style"):
+            self.words += data
+
+
+@pytest.fixture(scope="module")
+def read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    reader.close()
+    return reader
+
+
+def test_the_page_is_well_formed_and_has_its_sections(read: Reader) -> None:
+    assert read.open == []
+    ids = [attrs["id"] for _, attrs in read.tags if "id" in attrs]
+    assert len(ids) == len(set(ids))
+    assert set(SECTIONS) <= set(ids)
+
+
+def test_nothing_is_loaded_from_elsewhere(read: Reader) -> None:
+    for tag, attrs in read.tags:
+        assert not attrs.keys() & {"src", "srcset", "data", "poster"}, tag
+        assert tag not in ("link", "iframe", "object", "embed", "img")
+        assert (attrs.get("href") or "#").startswith("#")
+        assert "url(" not in (attrs.get("style") or "")
+
+
+def test_what_users_write_is_escaped(page: str, read: Reader) -> None:
+    assert "Predators <b>&</b> prey" in read.words
+    assert not any(tag == "b" and not attrs for tag, attrs in read.tags[:4])
+    assert "<b>&</b> prey" not in page.replace("\\u003c", "")
+
+
+def test_equations_are_mathml_that_parses(page: str) -> None:
+    found = re.findall(r"<math.*?</math>", page, flags=re.DOTALL)
+    assert len(found) >= 2
+    trees = [ElementTree.fromstring(one) for one in found]
+    text = "".join("".join(tree.itertext()) for tree in trees)
+    for name in ("N", "P", "eaten", "𝒩", "m"):
+        assert name in text
+
+
+def test_the_plots_show_the_data_what_was_not_measured_and_the_truth(page: str) -> None:
+    (content,) = re.findall(r'<script type="application/json" id="charts">(.*?)</script>', page, flags=re.DOTALL)
+    charts = json.loads(content)
+    places = [int(n) for n in re.findall(r'data-chart="(\d+)"', page)]
+    assert sorted(places) == list(range(len(charts)))
+    titles = [chart["layout"]["title"]["text"] for chart in charts]
+    assert titles.count("P: not measured") == 4
+    names = {trace.get("name") for chart in charts for trace in chart["data"]}
+    assert {"learned", "truth", "measured", "postulate", "residual"} <= names
+    first = next(trace for trace in charts[0]["data"] if trace["name"] == "measured")
+    assert len(first["x"]) == len(first["y"]) > 3
+    assert any(trace["type"] == "heatmap" for chart in charts for trace in chart["data"])
+
+
+def test_it_says_how_to_reproduce_the_run(read: Reader) -> None:
+    assert "gbspec train model.gb" in read.words
+    assert "--method lm --epochs 3" in read.words
+    assert "learn m = 0.5 in [0, 2]" in read.words
+
+
+def test_without_the_data_it_says_what_is_missing(place: Path, here: Path) -> None:
+    shutil.copytree(place / "run", here / "run")
+    fit = json.loads((here / "run" / "fit.json").read_text())
+    fit["data"]["path"] = "gone.csv"
+    (here / "run" / "fit.json").write_text(json.dumps(fit))
+    assert call("report", "run", "-o", "r.html").exit_code == 0
+    assert "is not where it was" in Path("r.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (("--over", "r"), "GB814"),
+        (("--over", "q", "--range", "0", "1"), "GB872"),
+        (("-o", "no/r.html"), "GB805"),
+        (("--data", "absent.csv"), "GB70"),
+    ],
+)
+def test_wrong_options(place: Path, here: Path, arguments: tuple[str, ...], code: str) -> None:
+    result = call("report", place / "run", *arguments)
+    assert result.exit_code == 1, result.output
+    assert code in result.stderr
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+@pytest.mark.parametrize("size", ["1280,900", "390,844"])
+def test_a_browser_draws_it_without_a_script_error(place: Path, tmp_path: Path, size: str) -> None:
+    browser = next((found for name in BROWSERS if (found := shutil.which(name))), None)
+    if browser is None:
+        pytest.skip(f"none of {', '.join(BROWSERS)} is installed")
+    flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--enable-logging=stderr")
+    run = (f"--user-data-dir={tmp_path}", f"--window-size={size}", "--virtual-time-budget=30000", "--dump-dom")
+    command = [browser, *flags, *run, (place / "run" / "report.html").as_uri()]
+    made = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+    assert made.returncode == 0, made.stderr[-2000:]
+    assert "Uncaught" not in made.stderr
+    assert "CONSOLE" not in made.stderr, made.stderr[-2000:]
+    shown = len(re.findall(r'class="chart[^"]*" data-chart', made.stdout))
+    hidden = 3 * len(("N", "P"))  # all trajectories but the first wait until they are chosen
+    assert made.stdout.count('data-drawn="yes"') == shown - hidden > 10
+    assert made.stdout.count('class="main-svg"') >= shown - hidden
