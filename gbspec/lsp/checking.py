@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbspec.diagnostics import Diagnostic, Findings, Label, Source, Span, UserError
-from gbspec.lsp.workspace import Workspace, key
+from gbspec.lsp.workspace import Workspace
 from gbspec.syntax import ast
 
 
@@ -43,8 +43,7 @@ def check(workspace: Workspace, path: str | Path) -> Checked:
 
 def affected(workspace: Workspace, path: str | Path) -> tuple[Path, ...]:
     """The open files whose findings depend on a file: itself and those that extend it."""
-    wanted = key(path)
-    return tuple(p for p in workspace.opened() if wanted in {key(c.source.path) for c in workspace.chain(p)})
+    return tuple(p for p in workspace.opened() if workspace.extends(p, path))
 
 
 def _here(diagnostic: Diagnostic, source: Source, workspace: Workspace) -> Diagnostic:

@@ -98,7 +98,8 @@ class Session:
         if uri is not None and self.workspace.source(path) is source:
             self.checked[path] = checked
             found = [self.messages.diagnostic(d) for d in checked.findings]
-            self.server.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, found))
+            version = self.server.workspace.get_text_document(uri).version
+            self.server.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, found, version))
 
     # ------------------------------------------------------------------------------------------------------- places
 

@@ -83,23 +83,33 @@ class Workspace:
     def chain(self, path: str | Path) -> tuple[Parsed, ...]:
         """The file, the one that it extends, and so on, as far as they can be read."""
         found: list[Parsed] = []
+        for step in self._steps(path):
+            parsed = self.parsed(step)
+            if parsed is not None:
+                found.append(parsed)
+        return tuple(found)
+
+    def extends(self, path: str | Path, other: str | Path) -> bool:
+        """Whether a file is the other or extends it, directly or through others; the other itself is not read."""
+        wanted = key(other)
+        return any(key(step) == wanted for step in self._steps(path))
+
+    def _steps(self, path: str | Path) -> Iterator[Path]:
+        """The paths along a chain, each given before it is read."""
         seen: set[Path] = set()
         current: Path | None = Path(path)
         while current is not None and key(current) not in seen:
             seen.add(key(current))
+            yield current
             parsed = self.parsed(current)
-            if parsed is None:
-                break
-            found.append(parsed)
-            current = extended(parsed.file)
-        return tuple(found)
+            current = extended(parsed.file) if parsed is not None else None
 
     def descendants(self, path: str | Path) -> tuple[Parsed, ...]:
         """The file and all known files that extend it, directly or through others."""
         wanted = key(path)
         found = {wanted: self.parsed(path)}
         for other in self._known(Path(path)):
-            if key(other) not in found and wanted in {key(p.source.path) for p in self.chain(other)}:
+            if key(other) not in found and self.extends(other, path):
                 found[key(other)] = self.parsed(other)
         return tuple(p for p in found.values() if p is not None)
 

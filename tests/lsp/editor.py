@@ -90,10 +90,14 @@ class Editor:
 
         async def wait() -> list[types.Diagnostic]:
             async with self.news:
-                await self.news.wait_for(lambda: uri in self.published)
+                await self.news.wait_for(lambda: uri in self.published and self._is_news(uri))
             return list(self.published[uri].diagnostics)
 
         return self.run(wait())
+
+    def _is_news(self, uri: str) -> bool:
+        """Whether what was published last is about the text that was sent last (a closed file has no version)."""
+        return self.published[uri].version in (None, self.versions.get(uri))
 
     def codes(self, uri: str) -> list[str]:
         return [str(d.code) for d in self.findings(uri)]

@@ -249,6 +249,23 @@ def test_a_file_that_is_not_there_is_answered_with_nothing(editor: Editor, tmp_p
     assert editor.ask(editor.client.text_document_hover_async, params) is None
 
 
+def test_a_text_that_is_in_no_file_yet_is_checked_too(editor: Editor) -> None:
+    uri = "untitled:Untitled-1"
+    item = types.TextDocumentItem(uri, "gb", 1, BASE.replace("D*X", "DD*X"))
+    editor.versions[uri] = 1
+    editor.send(editor.client.text_document_did_open, types.DidOpenTextDocumentParams(item))
+    assert editor.codes(uri) == ["GB201"]
+
+
+def test_a_burst_of_changes_ends_with_the_findings_of_the_last(editor: Editor, tmp_path: Path) -> None:
+    uri = editor.open(tmp_path / "base.gb", BASE)
+    assert editor.codes(uri) == []
+    for end in range(1, 9):
+        editor.change(uri, BASE + "let r = 2*XX"[:end] + "\n")
+    editor.change(uri, BASE + "let r = 2*XX\n")
+    assert editor.codes(uri) == ["GB201"]
+
+
 def test_a_closed_file_has_no_findings(editor: Editor, tmp_path: Path) -> None:
     uri = editor.open(tmp_path / "base.gb", "model m\nx' = y\n")
     assert editor.findings(uri)
