@@ -109,9 +109,9 @@ class LevenbergMarquardt:
         return Outcome(after, mean_loss(new_residuals), small >= 2)
 
     def deviations(self, state: State) -> Array:
-        """Standard deviations of shared constants (natural values) at a converged state, by Gauss-Newton and Laplace.
+        """Standard deviations of shared constants (natural values) at a converged state (Gauss-Newton, Laplace).
 
-        The covariance is the noise variance times the inverse of the normal matrix, ridge included. [n_shared constants]
+        The covariance is the noise variance times the inverse of the normal matrix, ridge included.
         """
         parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
         system = linearise(self.problem_at(0), parameters, theta)

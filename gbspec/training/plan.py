@@ -18,8 +18,18 @@ from gbspec.training.stages import Choice, InitialStates, Stage, imputed_forcing
 from gbspec.training.unroll import solve
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {
-    "low": {"imputed": 4, "teacher": 6, "half": 0, "blend": 4, "autoregressive": 8, "least squares": 100, "adam": 100},
+    "low": {
+        "approach": 15,
+        "imputed": 4,
+        "teacher": 6,
+        "half": 0,
+        "blend": 4,
+        "autoregressive": 8,
+        "least squares": 100,
+        "adam": 100,
+    },
     "normal": {
+        "approach": 25,
         "imputed": 6,
         "teacher": 12,
         "half": 3,
@@ -29,6 +39,7 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "adam": 300,
     },
     "high": {
+        "approach": 60,
         "imputed": 10,
         "teacher": 50,
         "half": 12,
@@ -120,7 +131,7 @@ class _Planner:
                 self._newton("forcing as asked", limits["autoregressive"], last, lambda theta: True, self._regular),
             ]
         return [
-            self._adam(limits["adam"] // 2, self._hidden),
+            self._adam(limits["approach"], self._hidden),
             self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
             self._starts("initial states", 1.0),
             self._newton("teacher forcing", limits["teacher"], self._at(1.0), lambda theta: True, self._prior),
