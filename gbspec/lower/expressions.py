@@ -107,8 +107,10 @@ def build(node: ast.Expression, naming: Naming, calling: Calling) -> Expr:
                 return _ELEMENTARY[function.text](*values)
             case ast.Call():
                 return calling(part, values)
+            case ast.Index(array=array, index=ast.Number(text=text)):  # on the command line; in a file it is a name
+                return naming(ast.Name(part.span, f"{array.text}_{text}"))
             case ast.Index():
-                return sympy.nan
+                return naming(ast.Name(part.span, part.array.text))
             case _:
                 assert_never(part)
 

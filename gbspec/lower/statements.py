@@ -174,11 +174,12 @@ class _Lowering:
 
     def _text(self) -> str:
         """The text of the file itself where it extends none; else what it and its bases come to, formatted."""
-        sources = {item.statement.span.source for item in self._checked.items}
+        items = self._checked.source
+        sources = {item.statement.span.source for item in items}
         if len(sources) == 1 and not any(s.extends for s in self._checked.all(ast.ModelStatement)):
             return sources.pop().text
-        joined = "\n".join(item.text.rstrip() for item in self._checked.items) + "\n"
-        return format_text(Source(self._checked.items[0].statement.span.source.path, joined))
+        joined = "\n".join(item.text.rstrip() for item in items) + "\n"
+        return format_text(Source(items[0].statement.span.source.path, joined))
 
     def _number(self, node: ast.Expression | None) -> float | None:
         return self._checked.numbers.value(node)

@@ -8,7 +8,7 @@ from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.graph import Graph
 from gbspec.semantics.merge import Item, Merged, keys, target_name
 from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.table import Declaration, Kind, Table
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
 
@@ -77,37 +77,13 @@ def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Mer
                 _state(target, table, findings, "GB313", "a dose adds to a state", merged)
             case ast.ObserveStatement(target=ast.Name() as target, value=None):
                 _measurable(target, table, findings, merged)
-            case ast.ObserveStatement(target=ast.Index() as target) | ast.ClosureStatement(target=target):
-                _element(target, table, findings, merged)
-            case ast.StateStatement(declarator=declarator) if declarator.first is not None:
-                _array(declarator, findings)
             case _:
                 pass
-
-
-def _array(node: ast.Node, findings: Findings) -> None:
-    findings.error(
-        "GB901",
-        "arrays of states are not supported yet",
-        node.span,
-        help="write the states one by one: `c_1`, `c_2`, …",
-    )
-
-
-def _element(target: ast.Index, table: Table, findings: Findings, merged: Merged) -> None:
-    """An element must be of a declared array; that these are not supported yet is told where one is declared."""
-    declaration = table.get(target.array.text)
-    statement = declaration.statement if declaration is not None else None
-    if not (isinstance(statement, ast.StateStatement) and statement.declarator.first is not None):
-        _state(target.array, table, findings, "GB303", "only an array of states has elements", merged)
 
 
 def _state(
     target: ast.Name | ast.Index, table: Table, findings: Findings, code: str, rule: str, merged: Merged
 ) -> None:
-    if isinstance(target, ast.Index):
-        _element(target, table, findings, merged)
-        return
     name = target_name(target)
     declaration = table.get(name.text)
     if declaration is None:
@@ -177,17 +153,27 @@ def coverage(
                 balanced.add(array.text)
             case _:
                 pass
-    for declaration in table.values():
-        name = declaration.name
-        if declaration.kind is Kind.STATE and name not in balanced and name not in takers and merged.lacks(name):
-            findings.error(
-                "GB301",
-                f"the state `{declaration.name}` has no balance",
-                declaration.span,
-                help=f"say how it changes: `{declaration.name}' = …`",
-                subject=declaration.name,
-            )
+    bare = [d for d in table.values() if d.kind is Kind.STATE and d.name not in balanced and d.name not in takers]
+    _no_balance([d for d in bare if merged.lacks(d.name)], findings)
     _empty_nets(sites, takers, findings, merged)
+
+
+def _no_balance(states: Iterable[Declaration], findings: Findings) -> None:
+    """One finding for each statement that declares states without a balance: elements of an array are told together."""
+    together: dict[Span | None, list[str]] = {}
+    for declaration in states:
+        together.setdefault(declaration.span, []).append(declaration.name)
+    for span, names in together.items():
+        array = span is not None and span.text != names[0]
+        few = ", ".join(f"`{name}`" for name in names[:3]) + (", …" if len(names) > 3 else "")
+        findings.error(
+            "GB301",
+            f"the state {few} has no balance" if len(names) == 1 else f"the states {few} have no balance",
+            span,
+            help=f"say how {'it changes' if len(names) == 1 else 'they change'}: "
+            f"`{span.text + '[i]' if span is not None and array else names[0]}' = …`",
+            subject=names[0],
+        )
 
 
 def _has_net(state: str, site: Site, graph: Graph) -> bool:

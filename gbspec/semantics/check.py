@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from gbspec.diagnostics import Findings
 from gbspec.semantics import (
     allow,
+    arrays,
     balances,
     columns,
     graph,
@@ -41,10 +44,13 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
         What lowering needs, or None if there is any error.
     """
     local = Findings()
-    merged = merge(file, local, load)
+    read = merge(file, local, load)
+    merged = arrays.expand(read, local)
     names = table.build(merged.items, local)
     accepted = allow.allowed(merged.items, names, local, merged)
     checked = _check(merged, names, accepted, local)
+    if checked is not None:
+        checked = dataclasses.replace(checked, source=read.items)
     findings.extend(d for d in local if not allow.is_accepted(d, accepted))
     return None if findings.failed else checked
 
@@ -78,7 +84,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
         return None
     if not usage.has_states(items, names, findings):
         return None
-    usage.unused(places_of, names, findings)
+    usage.unused(places_of, merged.in_indices, names, findings)
     usage.only_compared(places_of, usage.observed_names(items), names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
     return Checked(items, names, order, values, numbers, terms, known, accepted)

@@ -33,6 +33,8 @@ class Checked:
     terms: Mapping[str, tuple[tuple[bool, Term], ...]]
     truths: Mapping[str, float]
     allowed: Allowed
+    source: tuple[Item, ...] = ()
+    """The statements as they are written, arrays not written out."""
 
     def all(self, kind: type[S]) -> Iterator[S]:
         """The statements of one kind, in the order of the model."""

@@ -51,16 +51,19 @@ class Item:
 class Merged:
     """The statements of a model after `extends`.
 
-    `complete` is False where a base could not be read; `uncertain` are names in statements that could not be read.
+    `complete` is False where a base could not be read; `uncertain` are names in statements that could not be read,
+    `arrays` names of arrays, of which only the elements are names by themselves, `in_indices` names in their indices.
     """
 
     items: tuple[Item, ...]
     complete: bool = True
     uncertain: frozenset[str] = frozenset()
+    arrays: frozenset[str] = frozenset()
+    in_indices: frozenset[str] = frozenset()
 
     def lacks(self, name: str) -> bool:
         """Whether what is not found under a name is really not there, and not merely unreadable."""
-        return self.complete and name not in self.uncertain
+        return self.complete and name not in self.uncertain and name not in self.arrays
 
 
 def target_name(target: ast.Name | ast.Index) -> ast.Name:

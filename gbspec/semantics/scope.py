@@ -49,9 +49,6 @@ class Resolver:
                     continue
                 case ast.Call():
                     self._call(node, site, smooth)
-                case ast.Index():
-                    self._index(node, site)
-                    continue
                 case _:
                     pass
             parts = operands(node)
@@ -67,7 +64,8 @@ class Resolver:
         names = [name for name in self.missing if merged.lacks(name)]
         for number, name in enumerate(names):
             missing = self.missing[name]
-            spans = sorted(missing.spans, key=lambda s: (s.source.path, s.start))
+            places = {(s.source.path, s.start): s for s in missing.spans}
+            spans = [places[key] for key in sorted(places)]
             what = "no function is called" if missing.called else "nothing is called"
             self.findings.error(
                 "GB201",
@@ -86,7 +84,9 @@ class Resolver:
         """One finding for each unknown named without arguments where these are no names of the model."""
         told: set[str] = set()
         for node, unknown, strangers in self.unapplied:
-            lacking = all(merged.lacks(n.text) and n.text not in self.missing for n in strangers)
+            lacking = all(
+                n.text in merged.arrays or (merged.lacks(n.text) and n.text not in self.missing) for n in strangers
+            )
             if not lacking or unknown.name in told:
                 continue
             told.add(unknown.name)
@@ -199,8 +199,6 @@ class Resolver:
                 least, most = arity(name.text)
                 if count < least or (most is not None and count > most):
                     self._wrong_arity(node, least, site, None, at_least=most is None)
-            elif name.text == "sum":
-                self._sum(node, site)
             else:
                 self._not_found(name, site, called=True)
             return
@@ -267,30 +265,6 @@ class Resolver:
         )
 
     # ------------------------------------------------------------------------------------------------------ refusals
-
-    def _index(self, node: ast.Index, site: Site) -> None:
-        """An element of an array; that arrays are not supported is told where one is declared."""
-        site.references.complete = False
-        declaration = self.table.get(node.array.text)
-        if declaration is None:
-            self._not_found(node.array, site, called=False)
-        elif not (isinstance(declaration.statement, ast.StateStatement) and declaration.statement.declarator.first):
-            self.findings.error(
-                "GB204",
-                f"`{node.array.text}` is {declaration.kind.value}, not an array",
-                node.span,
-                labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
-                help=f"`{node.array.text}` alone is its value; brackets are for arrays of states",
-            )
-
-    def _sum(self, node: ast.Call, site: Site) -> None:
-        site.references.complete = False
-        self.findings.error(
-            "GB901",
-            "`sum` adds up an array of states, and arrays are not supported yet",
-            node.span,
-            help="write the sum out: `c_1 + c_2 + …`",
-        )
 
 
 def _usage(declaration: Declaration) -> str:

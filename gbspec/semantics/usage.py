@@ -21,9 +21,12 @@ _USELESS = {
 }
 
 
-def unused(sites: Iterable[Site], table: Table, findings: Findings) -> None:
-    """One warning for each declared name that no expression names; a truth does not use what is learned."""
-    used: set[str] = set()
+def unused(sites: Iterable[Site], elsewhere: Iterable[str], table: Table, findings: Findings) -> None:
+    """One warning for each declared name that nothing names, in expressions or `elsewhere`.
+
+    A truth does not use what is learned.
+    """
+    used = set(elsewhere)
     for site in sites:
         names = site.references.names
         used.update(

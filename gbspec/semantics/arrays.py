@@ -1,0 +1,415 @@
+"""Arrays of states, written out: `state c[1..N]` becomes `c_1` to `c_N`, a balance with an index one for each element.
+
+What an index means is decided here, so that all later checks see names only. An element that does not exist, such as
+`c[0]`, stands for what closes that end: `c[0] = …`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import cast
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.expressions import walk
+from gbspec.semantics.merge import Item, Merged, declared
+from gbspec.syntax import ast
+from gbspec.syntax.walk import children
+
+LARGEST = 2000
+"""The most elements that an array may have."""
+
+
+@dataclass
+class Array:
+    """A declared array: its range of indices, and the expressions that close its ends."""
+
+    statement: ast.StateStatement
+    first: int
+    last: int
+    ends: dict[int, ast.ClosureStatement] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The array's name."""
+        return self.statement.declarator.name.text
+
+    def element(self, index: int) -> str:
+        """The name of the state that an element is."""
+        return f"{self.name}_{index}" if index >= 0 else f"{self.name}_m{-index}"
+
+
+def expand(merged: Merged, findings: Findings) -> Merged:
+    """The statements with arrays written out; without arrays they are returned as they are."""
+    indexed = [
+        i.statement
+        for i in merged.items
+        if isinstance(i.statement, ast.StateStatement) and i.statement.declarator.first
+    ]
+    if not indexed and not any(_mentions_index(item.statement) for item in merged.items):
+        return merged
+    return _Expansion(merged, findings).run(indexed)
+
+
+def _mentions_index(statement: ast.Statement) -> bool:
+    return any(
+        isinstance(part, ast.Index | ast.ClosureStatement) or _is_sum(part)
+        for root in (statement, *children(statement))
+        for part in (_inside(root) if isinstance(root, _EXPRESSIONS) else (root,))
+    )
+
+
+_EXPRESSIONS = (ast.Number, ast.Name, ast.Call, ast.Index, ast.Unary, ast.Binary, ast.Conditional, ast.Group)
+
+
+def _inside(root: ast.Node) -> Iterator[ast.Node]:
+    return iter(walk(cast(ast.Expression, root)))
+
+
+def _is_sum(node: ast.Node) -> bool:
+    return isinstance(node, ast.Call) and node.function.text == "sum"
+
+
+class _Expansion:
+    def __init__(self, merged: Merged, findings: Findings) -> None:
+        self._merged = merged
+        self._findings = findings
+        self._arrays: dict[str, Array] = {}
+        self._unsure: set[str] = set()
+        self._named: set[str] = set()
+        self._functions = {
+            i.statement.name.text: i.statement for i in merged.items if isinstance(i.statement, ast.FunctionStatement)
+        }
+        self._values = self._constants()
+        self._declared = {n.text: n for i in merged.items for n in declared(i.statement)}
+
+    def run(self, indexed: list[ast.StateStatement]) -> Merged:
+        for statement in indexed:
+            self._declare(statement)
+        for item in self._merged.items:
+            if isinstance(item.statement, ast.ClosureStatement):
+                self._close(item.statement)
+        items = [new for item in self._merged.items for new in self._written_out(item)]
+        return dataclasses.replace(
+            self._merged, items=tuple(items), arrays=frozenset(self._unsure), in_indices=frozenset(self._named)
+        )
+
+    def _constants(self) -> dict[str, float]:
+        """Values of the constants, as far as they can be told; what is wrong with others is found later."""
+        waiting = [i.statement for i in self._merged.items if isinstance(i.statement, ast.ConstStatement)]
+        values: dict[str, float] = {}
+        evaluate = Evaluator(values, self._functions)
+        progress = True
+        while progress:
+            progress = False
+            for statement in waiting:
+                if statement.name.text not in values and (value := evaluate(statement.value)) is not None:
+                    values[statement.name.text] = value
+                    progress = True
+        return values
+
+    # --------------------------------------------------------------------------------------------------- declarations
+
+    def _whole(self, node: ast.Expression, what: str, extra: Mapping[str, float] | None = None) -> int | None:
+        self._named.update(part.text for part in walk(node) if isinstance(part, ast.Name))
+        value = Evaluator({**self._values, **(extra or {})}, self._functions)(node)
+        if value is not None and value == int(value):
+            return int(value)
+        self._findings.error(
+            "GB240",
+            f"{what} must be a whole number" + ("" if value is None else f", not {value:g}"),
+            node.span,
+            help="write numbers and constants there, and `i` in a balance for every `i`",
+        )
+        return None
+
+    def _declare(self, statement: ast.StateStatement) -> None:
+        declarator = statement.declarator
+        name = declarator.name
+        self._unsure.add(name.text)
+        if declarator.first is None or declarator.last is None:
+            return
+        first, last = (self._whole(e, "an end of an array") for e in (declarator.first, declarator.last))
+        if first is None or last is None:
+            return
+        if not 0 <= last - first < LARGEST:
+            self._findings.error(
+                "GB240",
+                f"`{name.text}` would have {max(last - first + 1, 0)} elements; an array has 1 to {LARGEST}",
+                declarator.span,
+            )
+            return
+        self._arrays[name.text] = Array(statement, first, last)
+
+    def _close(self, statement: ast.ClosureStatement) -> None:
+        array = self._arrays.get(statement.target.array.text)
+        if array is None:
+            self._no_array(statement.target.array)
+            return
+        index = self._whole(statement.target.index, "an index")
+        if index is None:
+            return
+        if array.first <= index <= array.last:
+            self._findings.error(
+                "GB241",
+                f"`{array.name}[{index}]` is a state, so it needs a balance and not an equation",
+                statement.target.span,
+                labels=[Label(array.statement.declarator.span, f"from {array.first} to {array.last}")],
+                help=f"an equation closes an end: `{array.name}[{array.first - 1}] = …`; a start is `initial`",
+            )
+        array.ends[index] = statement
+
+    def _no_array(self, name: ast.Name) -> None:
+        if name.text not in self._unsure and self._merged.lacks(name.text):
+            known = name.text in self._declared
+            self._findings.error(
+                "GB204" if known else "GB201",
+                f"`{name.text}` is not an array" if known else f"no array is called `{name.text}`",
+                name.span,
+                labels=[Label(self._declared[name.text].span, "declared here")] if known else [],
+                help=f"declare it with its indices: `state {name.text}[1..10]`",
+            )
+        self._unsure.add(name.text)
+
+    # ------------------------------------------------------------------------------------------------------ statements
+
+    def _written_out(self, item: Item) -> list[Item]:
+        statement = item.statement
+        match statement:
+            case ast.ClosureStatement():
+                return []
+            case ast.StateStatement(declarator=declarator) if declarator.first is not None:
+                array = self._arrays.get(declarator.name.text)
+                names = [array.element(i) for i in range(array.first, array.last + 1)] if array is not None else []
+                return [
+                    self._item(item, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
+                    for n in names
+                ]
+            case (
+                ast.BalanceStatement(target=target)
+                | ast.InitialStatement(target=target)
+                | ast.ObserveStatement(target=target)
+                | ast.DoseStatement(target=target)
+            ):
+                return self._about(item, target)
+            case _:
+                return [self._rewritten(item, {})]
+
+    @staticmethod
+    def _at(name: ast.Name, text: str) -> ast.Name:
+        return ast.Name(name.span, text)
+
+    @staticmethod
+    def _item(item: Item, **changes: object) -> Item:
+        return Item(dataclasses.replace(item.statement, **changes), item.text)  # type: ignore[arg-type] # fields by name
+
+    def _about(self, item: Item, target: ast.Name | ast.Index) -> list[Item]:
+        """A statement about an element, about every element (`c[i]`, or the array's name), or about a plain name."""
+        name = target.array if isinstance(target, ast.Index) else target
+        array = self._arrays.get(name.text)
+        if array is None:
+            if isinstance(target, ast.Index):
+                self._no_array(name)
+                return []
+            return [self._rewritten(item, {})] if name.text not in self._unsure else []
+        loop = self._loop(target)
+        if loop is None and isinstance(target, ast.Index):
+            index = self._whole(target.index, "an index")
+            if index is None or not self._exists(array, index, target):
+                return []
+            return [self._element(item, array, index, {})]
+        bound = [{loop: i} if loop else {} for i in range(array.first, array.last + 1)]
+        return [self._element(item, array, array.first + k, values) for k, values in enumerate(bound)]
+
+    def _loop(self, target: ast.Name | ast.Index) -> str | None:
+        """The running index of a statement for every element: a bare name that is no constant."""
+        if (
+            isinstance(target, ast.Index)
+            and isinstance(target.index, ast.Name)
+            and target.index.text not in self._values
+        ):
+            return target.index.text
+        return None
+
+    def _exists(self, array: Array, index: int, node: ast.Node) -> bool:
+        if array.first <= index <= array.last:
+            return True
+        self._findings.error(
+            "GB242",
+            f"`{array.name}` has no element {index}",
+            node.span,
+            labels=[Label(array.statement.declarator.span, f"from {array.first} to {array.last}")],
+            help=f"close this end by an equation: `{array.name}[{index}] = …`",
+        )
+        return False
+
+    def _element(self, item: Item, array: Array, index: int, values: Mapping[str, int]) -> Item:
+        name = item.statement.target  # type: ignore[union-attr] # only statements about a target come here
+        target = ast.Name(name.span, array.element(index))
+        new = self._item(item, target=target)
+        if isinstance(new.statement, ast.ObserveStatement) and new.statement.column is None:
+            new = self._item(new, column=ast.Text(name.span, f"{array.name}[{index}]"))
+        return self._rewritten(new, values)
+
+    # ----------------------------------------------------------------------------------------------------- expressions
+
+    def _rewritten(self, item: Item, values: Mapping[str, int]) -> Item:
+        """The statement with indices resolved in all of its expressions; `values` are those of running indices."""
+        formals = _formals(item.statement)
+        changes: dict[str, object] = {}
+        for part in dataclasses.fields(item.statement):
+            value = getattr(item.statement, part.name)
+            if part.name in ("value", "rate", "consumed", "produced", "fraction", "lag") and value is not None:
+                changes[part.name] = self._expression(value, values, formals, ())
+            elif part.name == "postulates":
+                changes[part.name] = tuple(self._expression(p, values, formals, ()) for p in value)
+        return self._item(item, **changes) if changes else item
+
+    def _expression(
+        self,
+        root: ast.Expression,
+        values: Mapping[str, int],
+        formals: frozenset[str],
+        within: tuple[tuple[str, int], ...],
+    ) -> ast.Expression:
+        def put(node: ast.Expression) -> ast.Expression:
+            match node:
+                case ast.Name(text=text) if text in values and text not in formals:
+                    return ast.Number(node.span, str(values[text]))
+                case ast.Name(text=text) if text in self._arrays and text not in formals:
+                    self._whole_array(node)
+                    return node
+                case ast.Index():
+                    return self._index(node, values, formals, within)
+                case ast.Call(function=ast.Name(text="sum")):
+                    return self._sum(node)
+                case _:
+                    return node
+
+        return _rebuilt(root, put)
+
+    def _index(
+        self,
+        node: ast.Index,
+        values: Mapping[str, int],
+        formals: frozenset[str],
+        within: tuple[tuple[str, int], ...],
+    ) -> ast.Expression:
+        array = self._arrays.get(node.array.text)
+        nothing = node.array  # a name that the checks to come leave alone, for what is wrong here was told
+        if array is None:
+            self._no_array(node.array)
+            return nothing
+        index = self._whole(node.index, "an index", {name: float(v) for name, v in values.items()})
+        if index is None:
+            return nothing
+        end = array.ends.get(index)
+        if end is None or array.first <= index <= array.last:
+            return ast.Name(node.span, array.element(index)) if self._exists(array, index, node) else nothing
+        if (array.name, index) in within:
+            self._findings.error(
+                "GB208",
+                f"the end `{array.name}[{index}]` depends on itself",
+                end.target.span,
+                help="write it in terms of elements inside the range",
+            )
+            return nothing
+        inside = self._expression(end.value, {}, frozenset(), (*within, (array.name, index)))
+        return ast.Group(node.span, inside)
+
+    def _whole_array(self, node: ast.Name) -> None:
+        self._findings.error(
+            "GB243",
+            f"`{node.text}` is an array, and one element of it is needed here",
+            node.span,
+            help=f"name an element, `{node.text}[i]` or `{node.text}[1]`, or all together: `sum({node.text})`",
+        )
+
+    def _sum(self, node: ast.Call) -> ast.Expression:
+        argument = node.arguments[0] if len(node.arguments) == 1 else None
+        array = self._arrays.get(argument.text) if isinstance(argument, ast.Name) else None
+        if array is None:
+            if not (isinstance(argument, ast.Name) and argument.text in self._unsure):
+                self._findings.error(
+                    "GB243",
+                    "`sum(…)` takes the name of one array of states",
+                    node.span,
+                    help="it adds up all elements; other sums are written with `+`",
+                )
+            self._unsure.add(node.function.text)
+            return node.function
+        total: ast.Expression = ast.Name(node.span, array.element(array.first))
+        for i in range(array.first + 1, array.last + 1):
+            total = ast.Binary(node.span, "+", total, ast.Name(node.span, array.element(i)))
+        return ast.Group(node.span, total)
+
+
+def _formals(statement: ast.Statement) -> frozenset[str]:
+    match statement:
+        case ast.FunctionStatement(parameters=parameters):
+            return frozenset(p.text for p in parameters)
+        case ast.UnknownStatement(arguments=arguments):
+            return frozenset(a.name.text for a in arguments)
+        case ast.TruthStatement(parameters=parameters):
+            return frozenset(p.text for p in parameters or ())
+        case _:
+            return frozenset()
+
+
+def _rebuilt(root: ast.Expression, put: Callable[[ast.Expression], ast.Expression]) -> ast.Expression:
+    """The expression with `put` applied to every name, index and call of `sum`; iterative, unchanged parts shared."""
+    results: list[ast.Expression] = []
+    stack: list[tuple[ast.Expression, int]] = [(root, -1)]
+    while stack:
+        node, count = stack.pop()
+        if isinstance(node, ast.Name | ast.Index) or _is_sum(node):
+            results.append(put(node))
+        elif count < 0:
+            below = _operands(node)
+            stack.append((node, len(below)))
+            stack.extend((part, -1) for part in reversed(below))
+        else:
+            split = len(results) - count
+            parts = results[split:]
+            del results[split:]
+            same = all(new is old for new, old in zip(parts, _operands(node), strict=True))
+            results.append(node if same else _with_operands(node, parts))
+    return results[0]
+
+
+def _operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
+    match node:
+        case ast.Call(arguments=arguments):
+            return arguments
+        case ast.Unary(operand=operand):
+            return (operand,)
+        case (
+            ast.Binary(left=left, right=right)
+            | ast.Comparison(left=left, right=right)
+            | ast.Logic(left=left, right=right)
+        ):
+            return left, right
+        case ast.Conditional(condition=condition, then=then, otherwise=otherwise):
+            return condition, then, otherwise
+        case ast.Group(inner=inner):
+            return (inner,)
+        case _:
+            return ()
+
+
+def _with_operands(node: ast.Expression, parts: list[ast.Expression]) -> ast.Expression:
+    match node:
+        case ast.Call():
+            return dataclasses.replace(node, arguments=tuple(parts))
+        case ast.Unary():
+            return dataclasses.replace(node, operand=parts[0])
+        case ast.Binary() | ast.Comparison() | ast.Logic():
+            return dataclasses.replace(node, left=parts[0], right=parts[1])
+        case ast.Conditional():
+            return dataclasses.replace(node, condition=parts[0], then=parts[1], otherwise=parts[2])
+        case ast.Group():
+            return dataclasses.replace(node, inner=parts[0])
+        case _:
+            return node

@@ -1,0 +1,87 @@
+"""Arrays of states, written out."""
+
+from __future__ import annotations
+
+from gbspec.ir.dump import dump
+from gbspec.ir.model import symbol
+from gbspec.passes import with_truth
+from tests.texts import codes, model_of
+
+COLUMN = """model column
+const N = 4
+const h = 1/N
+learn D = 0.1 in [0, 1]
+condition cin in [0, 1] = 1
+unknown r(c) by mlp(8)
+state c[1..N] in [0, 1] = 0
+c[i]' = D*(c[i-1] - 2*c[i] + c[i+1])/h^2 - r(c[i]) + i*h
+c[0] = cin
+c[N+1] = 2*c[N] - c[N-1]
+initial c[i] = i/N
+observe c[3]
+observe total = h*sum(c)
+truth r(c) = c/(1 + c)
+"""
+
+
+def test_elements_balances_and_ends() -> None:
+    model = model_of(COLUMN)
+    c = [symbol(f"c_{i}") for i in range(6)]
+    D, h = symbol("D"), symbol("h")
+    assert [s.name for s in model.states] == ["c_1", "c_2", "c_3", "c_4"]
+    complete = with_truth(model)
+    wanted = D * (c[1] - 2 * c[2] + c[3]) / h**2 - c[2] / (1 + c[2]) + 2 * h
+    assert (complete.balances[1] - wanted).expand() == 0
+    first = D * (symbol("cin") - 2 * c[1] + c[2]) / h**2 - c[1] / (1 + c[1]) + h
+    assert (complete.balances[0] - first).expand() == 0
+    last = -c[4] / (1 + c[4]) + 4 * h
+    assert (complete.balances[3] - last).expand() == 0
+    assert [str(s.initial.value) for s in model.states] == ["1/N", "2/N", "3/N", "4/N"]
+    assert [(ch.name, ch.column, ch.state) for ch in model.channels] == [("c_3", "c[3]", 2), ("total", "total", None)]
+    assert model.channels[1].value == h * (c[1] + c[2] + c[3] + c[4])
+
+
+def test_the_kept_text_is_the_short_one() -> None:
+    model = model_of(COLUMN)
+    assert model.text == COLUMN
+    child = model_of('model child extends "column.gb"\nconst N = 6\n', {"column.gb": COLUMN})
+    assert len(child.states) == 6
+    assert "c[1..N]" in child.text
+    assert dump(model_of(child.text)) == dump(child)
+
+
+def test_statements_for_all_elements_by_the_name_of_the_array() -> None:
+    text = "model m\nstate c[0..2]\nc[j]' = -j*c[j]\ninitial c = 1\nobserve c\n"
+    model = model_of(text)
+    assert [s.initial.kind for s in model.states] == ["expression"] * 3
+    assert [ch.column for ch in model.channels] == ["c[0]", "c[1]", "c[2]"]
+    assert model.balances[2] == -2 * symbol("c_2")
+
+
+def test_arguments_shadow_arrays_and_indices() -> None:
+    text = (
+        "model m\nstate c[1..2]\nfunction f(c, i) = c*i\nunknown g(c) = c*nn\nc[i]' = f(c[i], 5) + g(c[i]) + i\n"
+        "observe c[1]\n"
+    )
+    model = model_of(text)
+    assert symbol("i") not in model.balances[0].free_symbols
+    assert not codes(text)
+
+
+def test_two_arrays_and_a_process() -> None:
+    text = (
+        "model m\nstate a[1..3]\nstate b[1..3]\nprocess p: a[1] -> 2*b[3] rate a[1]*b[2]\n"
+        "a[i]' = net(a[i]) - a[i]\nb[i]' = net(b[i])\nobserve a[1]\n"
+    )
+    found = codes(text)
+    assert set(found) <= {"GB314"}
+
+
+def test_one_mistake_in_a_balance_for_every_element_is_told_once() -> None:
+    assert codes("model m\nstate c[1..50]\nc[i]' = -k*c[i]\nobserve c[1]\n") == ["GB201"]
+    assert codes("model m\nstate c[1..50]\nobserve c[1]\n") == ["GB301"]
+
+
+def test_five_hundred_states() -> None:
+    text = COLUMN.replace("const N = 4", "const N = 500")
+    assert len(model_of(text).balances) == 500
