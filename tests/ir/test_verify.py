@@ -19,7 +19,7 @@ from tests.texts import model_of
 TEXT = (
     'model m "Title"\ntime t : h\nstate x : g in [0, 1]\nstate y\ncondition Da = 0.1\ninput F linear\nconst a = 0.1\n'
     "learn k = 1 in [0, 10]\nunknown f, g(x, u) = nn*u by mlp(4)\nlet r = k*x/3\nprocess p: a*x -> y rate f(x, r)\n"
-    "y' = net(y) + F*Da*g(x, 2.5)\ninitial x = k\nobserve x noise normal(0.1)\nobserve z = x + y\n"
+    "y' = net(y) + F*Da*g(x, 2.5)\ninitial x = 2\nobserve x noise normal(0.1)\nobserve z = x + y\n"
     "truth k = 2\ntruth f(x, u) = x*u\ntruth g(x, u) = 0.1*x\n"
 )
 MODEL = model_of(TEXT)
@@ -64,7 +64,7 @@ def test_dump_is_stable_and_complete() -> None:
         == """model m "Title"
 time t : h
 states
-  x : g in [0.0, 1.0] initial k
+  x : g in [0.0, 1.0] initial 2
   y initial measured
 conditions
   Da = 0.1

@@ -10,7 +10,7 @@ state x1
 state x2
 const B = 11
 learn k = 1 in [0, 5]
-unknown r1, r2, r3(x1, x2) : 1/h, g, m
+unknown r1, r2, r3(x1, x2) : g, g, m
     = x1*nn, x2*nn, nn by mlp(8)
 x1' = -k*x1 + r1 + r2
 x2' = B*r3 - x2
@@ -42,7 +42,7 @@ def test_one_of_several_outputs_can_become_known() -> None:
     child = 'model child extends "base.gb"\nlet r2 = 2*x2\n'
     model = model_of(child, {"base.gb": BASE})
     assert model.networks[0].outputs == ("r1", "r3")
-    assert [u.unit for u in model.unknowns] == ["1/h", "m"]
+    assert [u.unit for u in model.unknowns] == ["g", "m"]
     assert [str(u.postulate) for u in model.unknowns] == ["nn*x1", "nn"]
     assert dump(model_of(model.text)) == dump(model)
 
@@ -61,7 +61,7 @@ def test_without_removes() -> None:
 def test_without_a_state_takes_what_is_about_it() -> None:
     model = model_of(
         'model child extends "base.gb"\nwithout x2\nwithout r3\nwithout y\nwithout B\n'
-        "x1' = -k*x1 + r1(x1, 2) + r2(x1, 3)\n",
+        "x1' = -k*x1 + r1(x1, 2*x1) + r2(x1, 3*x1)\n",
         {"base.gb": BASE},
     )
     assert [s.name for s in model.states] == ["x1"]

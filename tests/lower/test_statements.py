@@ -29,13 +29,13 @@ def test_everything_of_a_model() -> None:
         'state X : g/L in [0, 50] = 0.1 "biomass"\nstate S\nstate P\n'
         'condition Da in [0.2, 0.5] = 0.3 as "Da number"\ninput F : L/h held as "feed"\ninput G linear\n'
         "const a = 2\nlearn k = 1 > 0\nlearn Y in [1e-4, 1] prior lognormal(0.1, 0.5) per trajectory\n"
-        "let r = k*F\nunknown mu, nu(S, g in [0, 5]) : 1/h, g = S*nn, S + nn by mlp(8, 4, activation=tanh)\n"
+        "let r = k*F\nunknown mu, nu(S, g in [0, 5]) : 1/h, g/L/h = S*nn, nn + a*nn by mlp(8, 4, activation=tanh)\n"
         "process growth: 1/Y*S + a*S -> X rate mu(S, G)*X\n"
         "X' = net(X) - r*X\nP' = growth - nu(S, Da)\n"
         "initial X learn\ninitial S = 2*k*Da + P\n"
-        'observe X noise normal(0.05)\nobserve y = 2*S : g noise lognormal(0.1) as "OD 600"\n'
+        'observe X noise normal(0.05)\nobserve y = 2*S : g/L noise lognormal(0.1) as "OD 600"\n'
         "observe r\nobserve S_too = S\n"
-        "dose S times Y lag 2*k\ntruth k = 3*a\ntruth mu(S, h) = k*S*h\nallow GB403 spare\nconst spare = 1\n"
+        "dose S times Y lag 2*tl\nlearn tl = 1\ntruth k = 3*a\ntruth mu(S, h) = k*S*h\nallow GB403 spare\nconst spare = 1\n"
     )
     X, S, F, k, Y = (symbol(n) for n in ("X", "S", "F", "k", "Y"))
     assert (model.name, model.title, model.class_name) == ("full", "Everything", "Full")
@@ -51,7 +51,7 @@ def test_everything_of_a_model() -> None:
     assert (condition.default, condition.column, condition.range) == (0.3, "Da number", Range(0.2, 0.5))
     assert [(i.name, i.interpolation, i.column) for i in model.inputs] == [("F", "held", "feed"), ("G", "linear", "G")]
     assert [(c.name, c.value) for c in model.constants] == [("a", 2.0), ("spare", 1.0)]
-    learn_k, learn_Y = model.learnables
+    learn_k, learn_Y, learn_tl = model.learnables
     assert (learn_k.start, learn_k.range) == (1.0, Range(0, math.inf))
     assert learn_Y.start == pytest.approx(1e-2)
     assert learn_Y.prior == Prior("lognormal", 0.1, 0.5)
@@ -59,7 +59,7 @@ def test_everything_of_a_model() -> None:
     (network,) = model.networks
     assert (network.hidden, network.activation, network.outputs) == ((8, 4), "tanh", ("mu", "nu"))
     assert network.arguments[1].range == Range(0, 5)
-    assert [u.unit for u in model.unknowns] == ["1/h", "g"]
+    assert [u.unit for u in model.unknowns] == ["1/h", "g/L/h"]
     assert [u.neutral for u in model.unknowns] == [1.0, 0.0]
     assert [(i.name, i.kind) for i in model.intermediates] == [("r", "let"), ("growth", "rate")]
     assert model.intermediates[1].value == unknown_function("mu")(S, symbol("G")) * X
@@ -75,7 +75,7 @@ def test_everything_of_a_model() -> None:
         ("S_too", 1, "S_too"),
     ]
     assert [c.noise for c in model.channels[:2]] == [Noise("normal", 0.05), Noise("lognormal", 0.1)]
-    assert model.doses == (Dose("S", Y, 2 * k),)
+    assert model.doses == (Dose("S", Y, 2 * learn_tl.symbol),)
     assert [(t.name, t.value) for t in model.truth_constants] == [("k", 6.0)]
     assert model.truth_functions[0].value == k * S * symbol("h")
     assert model.allowed == (("GB403", "spare"),)
