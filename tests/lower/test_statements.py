@@ -35,7 +35,8 @@ def test_everything_of_a_model() -> None:
         "initial X learn\ninitial S = 2*k*Da + P\n"
         'observe X noise normal(0.05)\nobserve y = 2*S : g/L noise lognormal(0.1) as "OD 600"\n'
         "observe r\nobserve S_too = S\n"
-        "dose S times Y lag 2*tl\nlearn tl = 1\ntruth k = 3*a\ntruth mu(S, h) = k*S*h\nallow GB403 spare\nconst spare = 1\n"
+        "dose S times Y lag 2*tl\nlearn tl = 1\n"
+        "truth k = 3*a\ntruth mu(S, h) = k*S*h\nallow GB403 spare\nconst spare = 1\n"
     )
     X, S, F, k, Y = (symbol(n) for n in ("X", "S", "F", "k", "Y"))
     assert (model.name, model.title, model.class_name) == ("full", "Everything", "Full")
