@@ -166,20 +166,21 @@ class Builder:
         return self.formals[zero.argument] - zero.value
 
     def _factor(self, zero: Zero, needs_sign: bool) -> Expr:
-        """A smooth factor that vanishes at the zero and levels off at 1; never negative where `needs_sign`."""
+        """A factor that vanishes at the zero and levels off at 1; never negative where `needs_sign`.
+
+        It is then 0 beyond a zero at the end of the argument's range: were it positive there, a substance that is used
+        up could be used further, without end.
+        """
         d, size = self._distance(zero), spread(zero.argument)
         root = sympy.sqrt(d**2 + size**2)
         if not needs_sign:
             return d / root
-        if self._interior(zero):
-            return d**2 / (d**2 + size**2)
-        return sympy.Abs(d) / root
-
-    def _interior(self, zero: Zero) -> bool:
-        """Whether the zero is known to lie inside the argument's range."""
-        d = self._distance(zero)
-        known = self.formals[zero.argument] in self.ranges.box
-        return known and not (self.ranges.nonnegative(d) or self.ranges.nonnegative(-d))
+        if self.formals[zero.argument] not in self.ranges.box:
+            return sympy.Abs(d) / root
+        for side in (1, -1):
+            if self.ranges.nonnegative(side * d):
+                return _beyond(side * d) / root
+        return d**2 / (d**2 + size**2)
 
     def _sign(self, demands: Wanted) -> int | None:
         """1 or -1 where the bounds at the zeros leave one sign, None where they leave both or there are none."""
@@ -252,7 +253,7 @@ class Builder:
         """A value of one sign whose size rises away from each zero, on the side where it may, and is 0 beyond."""
         value = self._core(sign)
         for zero in gated:
-            d = sympy.Max(sign * demands.directions[zero.argument] * self._distance(zero), 0)
+            d = _beyond(sign * demands.directions[zero.argument] * self._distance(zero))
             if self._only_zero(zero, sign * demands.directions[zero.argument]):
                 raise Refused(
                     "GB603",
@@ -308,7 +309,7 @@ class Builder:
 
     # ---------------------------------------------------------------- links
     def _softplus_link(self, start: Expr, x: Expr) -> Expr:
-        """`s softplus(softplus^-1(start) + x)`: `start` (in scales, at least 0.05) corrected where softplus maps from."""
+        """`s softplus(softplus^-1(start) + x)`; `start` is in scales, and at least 0.05."""
         r = sympy.Max(start, sympy.Float(0.05))
         return self.s * softplus(r + sympy.log(1 - sympy.exp(-r)) + x)
 
@@ -323,6 +324,11 @@ class Builder:
             z = 4 * link.factor * self.s * self.x / width
         limited = sympy.Max(sympy.Min(z, 300), -300)
         return lower + width * share / (share + (1 - share) * sympy.exp(-limited))
+
+
+def _beyond(d: Expr) -> Expr:
+    """d where it is not negative, else 0; at 0 its derivative is 1, that of the side where the value moves."""
+    return sympy.Piecewise((d, d >= 0), (sympy.S.Zero, True))
 
 
 def _algebraic(x: Expr) -> Expr:

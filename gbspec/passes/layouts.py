@@ -4,8 +4,12 @@ Every unit has a kind, one character an argument: `+` (not decreasing in it), `-
 A weight from a unit of kind a to one of kind b may be positive if every direction of a is allowed by b, negative if
 every direction of a turned round is, of either sign if both, and is absent if neither: by induction over the layers
 each unit then depends on the arguments as its kind says, provided that the units on the way are monotone functions of
-their inputs. Units whose kind names a direction get monotone activations (a third bends upwards, a third downwards, a third
-levels off: Runje and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023); the others keep their own.
+their inputs.
+
+Units whose kind names a direction get monotone activations: some bend upwards, some downwards, some level off (Runje
+and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023), in thirds. Where there are units of such kinds
+alone, in more than one layer, layers that bend and layers that level off take turns instead: as good, and faster, for
+then a layer has one activation. Units of other kinds keep the network's own activation.
 """
 
 from __future__ import annotations
@@ -16,6 +20,8 @@ from gbspec.ir.forms import Block, Layout, Shape
 
 TURNED = str.maketrans("+-", "-+")
 SHAPES: tuple[Shape, ...] = ("free", "convex", "concave", "saturating")
+_THIRDS: tuple[Shape, ...] = ("convex", "concave", "saturating")
+_TURNS: tuple[tuple[Shape, ...], ...] = (("convex", "concave"), ("saturating",))
 
 
 class TooNarrow(Exception):  # noqa: N818 - an answer, told to the user with the place of the network
@@ -38,7 +44,9 @@ def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | 
     needed = sum(share for _, share in groups)
     if any(width < len(groups) for width in hidden):
         raise TooNarrow(len(groups))
-    return Layout(tuple(_blocks(groups, needed, width) for width in hidden), tuple(kinds), gates)
+    turns = len(hidden) > 1 and all(monotone(kind) for kind, _ in groups)
+    layers = (_blocks(groups, needed, width, _TURNS[i % 2] if turns else _THIRDS) for i, width in enumerate(hidden))
+    return Layout(tuple(layers), tuple(kinds), gates)
 
 
 def monotone(kind: str) -> bool:
@@ -59,7 +67,8 @@ def _groups(kinds: Sequence[str]) -> list[tuple[str, int]]:
     return list(found.items())
 
 
-def _blocks(groups: Sequence[tuple[str, int]], total: int, width: int) -> tuple[Block, ...]:
+def _blocks(groups: Sequence[tuple[str, int]], total: int, width: int, shapes: tuple[Shape, ...]) -> tuple[Block, ...]:
+    """A layer's units: each kind its share, monotone kinds evenly divided among the shapes."""
     counts = [max(1, width * share // total) for _, share in groups]
     while sum(counts) > width:
         counts[counts.index(max(counts))] -= 1
@@ -69,7 +78,7 @@ def _blocks(groups: Sequence[tuple[str, int]], total: int, width: int) -> tuple[
         if not monotone(kind):
             blocks.append(Block(kind, "free", count))
             continue
-        third = count // 3
-        parts = (("convex", third), ("concave", third), ("saturating", count - 2 * third))
-        blocks += [Block(kind, shape, n) for shape, n in parts if n]  # type: ignore[arg-type]  # literals in a tuple
+        for i, shape in enumerate(shapes):
+            part = count // len(shapes) + (i >= len(shapes) - count % len(shapes))
+            blocks += [Block(kind, shape, part)] if part else []
     return tuple(sorted(blocks, key=lambda block: SHAPES.index(block.shape)))

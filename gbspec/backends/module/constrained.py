@@ -50,7 +50,7 @@ class Constrained:
         if form is None:
             raise Defect(f"`{unknown.name}` shares a network with contracts but has no form")
         table: dict[sympy.Symbol, sympy.Symbol] = {}
-        for symbol in form.value.free_symbols:
+        for symbol in sorted(form.value.free_symbols, key=lambda s: str(s.name)):
             found = described(symbol.name)
             if found is not None and found[0] == "raw":
                 table[symbol] = self._raw(form, *found[1])
