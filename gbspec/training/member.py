@@ -29,6 +29,9 @@ from gbspec.training.summary import MemberResult, summarise
 SAVE_EVERY = 5.0
 """Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
 
+TIGHT = 1e-3
+"""A stage whose tolerance is at most this has converged when it ends before its last iteration."""
+
 
 @dataclass
 class Position:
@@ -175,7 +178,9 @@ class _Runner:
         """Standard deviations of constants, of the last stage that converged; another vector makes them void."""
         position = self.position
         if isinstance(stage, LevenbergMarquardt):
-            known = converged and bool(self.parameters.shared)
+            # A stage that ends early, while the loss still falls by percents, has no curvature to speak of.
+            tight = stage.options.tolerance <= TIGHT
+            known = converged and tight and bool(self.parameters.shared)
             position.deviations = stage.deviations(position.state) if known else np.zeros(0)
         elif not (stage.name == "choice" and not position.notes):
             position.deviations = np.zeros(0)
