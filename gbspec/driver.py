@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from gbspec.runs.store import Run
     from gbspec.training import Progress
     from gbspec.training.options import TrainOptions
+    from gbspec.training.profile import Profile
 
 
 # ---------------------------------------------------------------------------------------------- text to Model
@@ -238,6 +239,46 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
     if path is not None:
         write(path, found, run.model.time.name)
     return found
+
+
+def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Trajectories:
+    """The data that a run was trained on, from `path` if they were moved. Raises `UserError` (GB859) without them."""
+    from gbspec.diagnostics import Diagnostic
+
+    data = training_data(run, findings) if path is None else read_data(path, run.model, findings)
+    if data is None:
+        where = run.fit.get("data", {}).get("path")
+        message = f"the table that the run was trained on, `{where}`, is not where it was"
+        raise UserError([Diagnostic("GB859", message, None, help="say where it is now: `--data TABLE`")])
+    if data.sha256 != run.fit.get("data", {}).get("sha256"):
+        message = f"`{data.path}` is not the table that the run was trained on"
+        help = "a profile continues the fit, so it needs the same table, unchanged"
+        raise UserError([Diagnostic("GB859", message, None, help=help)])
+    return data
+
+
+def profile(
+    run: Run,
+    name: str,
+    data: Trajectories,
+    *,
+    member: int | None = None,
+    points: int = 8,
+    iterations: int = 8,
+    progress: Callable[[float, float], None] | None = None,
+) -> Profile:
+    """The profile likelihood of a learned constant."""
+    from gbspec.training.profile import profile as follow
+
+    return follow(run, name, data, member=member, points=points, iterations=iterations, progress=progress)
+
+
+def profile_figure(run: Run, found: Profile) -> Figure:
+    """The figure of a profile, with the truth where the model states one."""
+    from gbspec.report.profile import draw
+
+    truths = {t.name: t.value for t in run.model.truth_constants}
+    return draw(found, truths.get(found.name))
 
 
 def report(

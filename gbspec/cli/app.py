@@ -24,6 +24,7 @@ COMMANDS = {
     "predict": "gbspec.cli.commands.predict",
     "eigen": "gbspec.cli.commands.eigen",
     "bifurcate": "gbspec.cli.commands.bifurcate",
+    "profile": "gbspec.cli.commands.profile",
     "plot": "gbspec.cli.commands.plot",
     "report": "gbspec.cli.commands.report",
     "demo": "gbspec.cli.commands.demo",

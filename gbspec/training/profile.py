@@ -111,7 +111,7 @@ def profile(
     *,
     member: int | None = None,
     points: int = 8,
-    iterations: int = 15,
+    iterations: int = 8,
     progress: Report | None = None,
 ) -> Profile:
     """The profile of a constant that all trajectories share, at most `points` values to either side.
@@ -251,6 +251,7 @@ class _Profiler:
         self, context: Context, parameters: Parameters, theta: Array, ridge: float, *, evidence: bool
     ) -> tuple[Array, float]:
         stage = self._stage(context, parameters, LevenbergOptions(False, self._tolerance, 0.1, ridge, evidence))
+        stage.total *= 2
         found, _, state = _run(stage, theta)
         return found, float(state["ridge"])
 

@@ -1,0 +1,119 @@
+"""profile: the interval of a constant with everything else fitted to it."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from typer.testing import CliRunner
+
+from gbspec.cli.app import build, needed
+
+Run = Callable[..., Any]
+NOISE = 0.03
+START = 1.0
+
+FALL = """\
+model fall "Straight lines: everything about them is known in closed form"
+time t from 0
+state x in [-5, 5] = 1
+condition u in [0, 1]
+learn a = 0.1 in [-5, 5]
+learn b = 0.1 in [-5, 5]
+initial x = 1
+x' = a + b*u
+observe x
+truth a = 0.5
+truth b = -0.7
+"""
+
+
+def call(*arguments: object) -> Any:
+    texts = [str(argument) for argument in arguments]
+    return CliRunner().invoke(build(needed(texts)), texts)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A run of a model that is linear in its constants, on noisy data."""
+    folder = tmp_path_factory.mktemp("profile")
+    (folder / "fall.gb").write_text(FALL)
+    rng = np.random.default_rng(5)
+    lines = ["trajectory,t,x,u"]
+    for k, u in enumerate((0.0, 0.3, 1.0)):
+        for t in (0.5, 1.0, 1.5, 2.0):
+            lines.append(f"{k},{t},{START + (0.5 - 0.7 * u) * t + NOISE * rng.standard_normal()},{u}")
+    (folder / "fall.csv").write_text("\n".join(lines) + "\n")
+    made = call("train", folder / "fall.gb", folder / "fall.csv", "-o", folder / "run", "--effort", "low", "--quiet")
+    assert made.exit_code == 0, made.stderr
+    yield folder
+
+
+def test_the_profile_of_a_linear_model_is_the_parabola_of_least_squares(place: Path, here: Path) -> None:
+    result = call("profile", place / "run", "b", "-o", "b.png", "--json")
+    assert result.exit_code == 0, result.stderr
+    made = json.loads(result.stdout)
+    data = pl.read_csv(place / "fall.csv")
+    t, u, x = (data[name].to_numpy() for name in ("t", "u", "x"))
+    design = np.stack([t, u * t], axis=1)
+    solution, residual, *_ = np.linalg.lstsq(design, x - START, rcond=None)
+    variance = float(residual[0]) / (len(x) - 2)
+    deviation = math.sqrt(variance * np.linalg.inv(design.T @ design)[1, 1])
+    assert made["estimate"] == pytest.approx(solution[1], abs=1e-3 * deviation + 1e-6)
+    half = math.sqrt(made["threshold"]) * deviation
+    assert made["interval"] == pytest.approx([solution[1] - half, solution[1] + half], abs=0.02 * half)
+    for point in made["points"]:
+        assert point["deviance"] == pytest.approx(((point["value"] - solution[1]) / deviation) ** 2, rel=0.02, abs=0.02)
+        # With b held, a is the least-squares solution of what is left
+        rest = float(t @ (x - START - point["value"] * u * t) / (t @ t))
+        assert point["constants"]["a"] == pytest.approx(rest, abs=1e-3)
+    assert Path("b.png").stat().st_size > 1000
+
+
+def test_what_the_data_do_not_bound_is_said_to_be_open(place: Path, here: Path) -> None:
+    text = FALL.replace("b*u", "b*u*0.0001")
+    Path("weak.gb").write_text(text)
+    made = call("train", "weak.gb", place / "fall.csv", "-o", "weak", "--effort", "low", "--quiet")
+    assert made.exit_code == 0, made.stderr
+    found = json.loads(call("profile", "weak", "b", "--points", 3, "--json").stdout)
+    assert None in found["interval"]
+    assert any("do not bound" in note for note in found["notes"])
+
+
+def test_the_weights_are_fitted_anew(here: Path) -> None:
+    Path("bent.gb").write_text(
+        'model bent "A rate partly unknown"\nstate x in [0, 2] = 1\nlearn k = 0.5 in [0, 3]\n'
+        "unknown extra(x) by mlp(4)\nx' = -k*x + extra(x)\nobserve x\ntruth k = 0.5\ntruth extra(x) = 0.2*x^2\n"
+    )
+    arguments = ("--trajectories", 4, "--span", 3, "--noise", 0.02, "--seed", 1)
+    assert call("simulate", "bent.gb", "-o", "bent.csv", *arguments).exit_code == 0
+    assert call("train", "bent.gb", "bent.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    found = json.loads(call("profile", "run", "k", "--points", 2, "--json").stdout)
+    # A free function of x makes up for any k: the data cannot tell them apart
+    assert max(point["deviance"] for point in found["points"]) < found["threshold"]
+    assert found["interval"] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(("u",), "GB858"), (("bb",), "GB858"), (("b", "-o", "b.gif"), "GB812"), (("b", "--data", "gone.csv"), "GB70")],
+)
+def test_wrong_input(place: Path, here: Path, arguments: tuple[str, ...], code: str) -> None:
+    result = call("profile", place / "run", *arguments)
+    assert result.exit_code == 1, result.output
+    assert code in result.stderr
+
+
+def test_other_data_than_those_trained_on_are_refused(place: Path, here: Path) -> None:
+    shutil.copytree(place / "run", here / "run")
+    Path("other.csv").write_text((place / "fall.csv").read_text() + "9,1.0,0.4,0.5\n")
+    result = call("profile", "run", "b", "--data", "other.csv")
+    assert result.exit_code == 1
+    assert "GB859" in result.stderr
