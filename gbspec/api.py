@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
+    from gbspec.training.profile import Profile
     from gbspec.training.progress import Progress
 
 
@@ -202,6 +203,25 @@ class FittedRun:
         if path is not None:
             save(made, path)
         return made
+
+    def profile(
+        self,
+        name: str,
+        path: str | Path | None = None,
+        *,
+        data: str | Path | None = None,
+        member: int | None = None,
+        points: int = 8,
+        iterations: int = 8,
+    ) -> Profile:
+        """The profile likelihood of a learned constant, drawn to `path` where one is given."""
+        from gbspec.report.style import save
+
+        table = driver.trained_on(self.run, data, Findings())
+        found = driver.profile(self.run, name, table, member=member, points=points, iterations=iterations)
+        if path is not None:
+            save(driver.profile_figure(self.run, found), path)
+        return found
 
     def report(
         self,

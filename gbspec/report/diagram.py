@@ -29,7 +29,7 @@ ACROSS = 3
 
 
 def diagram(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None = None) -> Figure:
-    """One panel a state: `shown` in colour, `others` (members) faint behind it, the `truth` in thin black lines.
+    """One panel a state: `shown` in colour, `others` (members) faint behind it, the `truth` broad and grey.
 
     Stable parts are solid, unstable ones dashed; of a cycle its largest and smallest values are drawn. The range in
     which the model was trained is white, what lies beyond it grey.
@@ -115,7 +115,8 @@ def _truth(axes: Axes, truth: Diagram, state: int) -> None:
     for curve in curves:
         if curve:
             values, heights = zip(*curve, strict=True)
-            style.truth_line(axes, values, heights)
+            # Broad, grey and behind: dashes would be taken for what is unstable
+            axes.plot(values, heights, color="#c3c7cd", linewidth=4.5, label="truth", zorder=1.5)
 
 
 def _special(axes: Axes, shown: Diagram, state: int) -> None:
