@@ -90,10 +90,9 @@ class Specification:
         **options: Any,
     ) -> FittedRun:
         """Learns what is unknown, into a run directory; `options` are the fields of `TrainOptions`."""
-        from gbspec.passes import with_values
         from gbspec.training.options import TrainOptions
 
-        model = with_values(self.model, values or {})
+        model = driver.specified(self.model, values or {})
         made = driver.train(model, _table(data, model), Path(directory), TrainOptions(**options), progress)
         return FittedRun(made)
 

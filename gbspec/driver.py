@@ -158,6 +158,22 @@ def read_data(path: str | Path, model: Model, findings: Findings, *, require_cha
     return read(path, model, findings, require_channels)
 
 
+def specified(model: Model, values: Mapping[str, float]) -> Model:
+    """The model to be trained with other values: its text has them too, so that a run keeps what was computed with.
+
+    A value of a learnable is where its training starts; its truth stays. Raises `UserError`: GB804 where a name is no
+    constant, condition or input, and what else is wrong with the model that has these values.
+    """
+    from gbspec.passes import with_values
+    from gbspec.syntax.settings import with_settings
+
+    if not values:
+        return model
+    with_values(model, values)  # every name is known and every number finite, or this says which is not
+    text = with_settings(Source("model.gb", model.text), values)
+    return load_model("model.gb", Findings(), lambda _: Source("model.gb", text))
+
+
 def train(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:

@@ -32,13 +32,12 @@ def run(
     """Learn the unknown functions and constants of a model from a table, into a run directory."""
     from gbspec import driver
     from gbspec.cli.progress import shown
-    from gbspec.passes import with_values
 
     findings = Findings()
     directory = target(to, resume=options.resume)
     options.check(findings)
     findings.raise_if_failed()
-    specified = with_values(driver.load_model(model, findings), settings(set_values))
+    specified = driver.specified(driver.load_model(model, findings), settings(set_values))
     measured = driver.read_data(data, specified, findings)
     output.findings(findings)
     with shown(output) as progress:
