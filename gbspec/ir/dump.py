@@ -51,7 +51,21 @@ def guarantee(unknown: Unknown) -> str:
 
 def dump(model: Model) -> str:
     """Every part of the Model, one a line, in its order; numbers in full precision. Ends with a line end."""
-    lines = [f"model {model.name}" + _quoted(model.title)]
+    lines = [f"model {model.name}" + _quoted(model.title), *_declarations(model), *_mathematics(model)]
+    lines += _section(
+        "truths",
+        (
+            *(f"{t.name} = {t.value!r}" for t in model.truth_constants),
+            *(f"{t.name}({', '.join(t.parameters)}) = {written(t.value)}" for t in model.truth_functions),
+        ),
+    )
+    lines += _section("allowed", (code + (f" {name}" if name else "") for code, name in model.allowed))
+    return "\n".join(lines) + "\n"
+
+
+def _declarations(model: Model) -> list[str]:
+    """What is declared: time, states, conditions, inputs, constants, networks."""
+    lines: list[str] = []
     lines.append(
         f"time {model.time.name}{_unit(model.time)}"
         + ("" if model.time.start is None else f" from {model.time.start!r}")
@@ -78,8 +92,12 @@ def dump(model: Model) -> str:
             for k in model.learnables
         ),
     )
-    lines += _section("networks", (_network(network) for network in model.networks))
-    lines += _section(
+    return lines + _section("networks", (_network(network) for network in model.networks))
+
+
+def _mathematics(model: Model) -> list[str]:
+    """What is expressed: postulates, intermediates, processes, balances, channels, doses, claims."""
+    lines = _section(
         "unknowns",
         (
             f"{_head(u)} = {written(u.postulate)}"
@@ -110,16 +128,8 @@ def dump(model: Model) -> str:
         ),
     )
     lines += _section("doses", (f"{d.state} times {written(d.fraction)} lag {written(d.lag)}" for d in model.doses))
-    lines += _section("claims", (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims))
-    lines += _section(
-        "truths",
-        (
-            *(f"{t.name} = {t.value!r}" for t in model.truth_constants),
-            *(f"{t.name}({', '.join(t.parameters)}) = {written(t.value)}" for t in model.truth_functions),
-        ),
-    )
-    lines += _section("allowed", (code + (f" {name}" if name else "") for code, name in model.allowed))
-    return "\n".join(lines) + "\n"
+    claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)
+    return lines + _section("claims", claims)
 
 
 def _section(title: str, entries: Iterable[str]) -> list[str]:

@@ -27,6 +27,10 @@ _COMPARE: dict[str, Callable[[float, float], bool]] = {
 }
 
 Functions = Mapping[str, ast.FunctionStatement]
+DEEPEST = 100
+MOST_CALLS = 100_000
+"""Functions that call each other deeper, or more often, are not evaluated: they may go round in a circle."""
+
 NotFinite = Callable[[ast.Expression, float, bool], None]
 """Told the expression, its value, and whether it is a division by zero."""
 
@@ -68,10 +72,14 @@ class Evaluator:
         self._values = values
         self._functions = functions
         self._not_finite = not_finite
+        self._depth = 0
+        self._calls = 0
 
     def __call__(self, node: ast.Expression, formals: Mapping[str, float | None] | None = None) -> float | None:
         """The value in float64, or None. `formals` shadow the constants (None: an argument of unknown value)."""
         shadow = formals or {}
+        if self._depth == 0:
+            self._calls = 0
         return fold(node, lambda n, values: self._combine(n, values, shadow), _counted)
 
     def _combine(
@@ -129,8 +137,17 @@ class Evaluator:
         if declared is not None:
             if len(declared.parameters) != len(values):
                 return None
+            if self._depth == DEEPEST or self._calls == MOST_CALLS:
+                return None
             formals = dict(zip((p.text for p in declared.parameters), values, strict=True))
-            return Evaluator(self._values, self._functions)(declared.value, formals)
+            told, self._not_finite = self._not_finite, None  # what is wrong inside is told of the call
+            self._depth += 1
+            self._calls += 1
+            try:
+                return self(declared.value, formals)
+            finally:
+                self._depth -= 1
+                self._not_finite = told
         return apply(name, values) if name in _ONE or name in ("min", "max", "atan2") else None
 
 

@@ -95,6 +95,15 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
         "S' = -beta*S*I/N\nI' = beta*S*I/N - gamma*I\nobserve y = part*I\n",
         1, {"beta", "part"}, set(),
     ),
+    "a zero settles what is added": (
+        "state x\nlearn k = 1\nunknown f(x) zero at x = 0\nx' = f + k\nobserve x\n", 0, set(), set()
+    ),
+    "a zero does not settle a slope": (
+        "state x\nlearn k = 1\nunknown f(x) zero at x = 0\nx' = f + k*x\nobserve x\n", 1, {"k"}, {"f"}
+    ),
+    "a zero in one of two arguments": (
+        TWO + "learn k = 1\nunknown f(x, y) zero at x = 0\nx' = f + k*y\n" + PAIR, 0, set(), set()
+    ),
     "branches": (
         "state x\nlearn a = 1\nlearn b = 1\nx' = if(x > 0.1, -a*b*x, 1)\nobserve x\n", 1, {"a", "b"}, set()
     ),

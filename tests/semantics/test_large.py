@@ -49,3 +49,17 @@ def test_deep_nest_of_functions_is_refused() -> None:
     lines = ["model nest", "state x", "function f0(y) = sin(y)"]
     lines += [f"function f{i}(y) = f{i - 1}(sin(y))" for i in range(1, 500)]
     assert codes("\n".join([*lines, "x' = -f499(x)", "observe x", ""])) == ["GB236"]
+
+
+def test_functions_in_a_circle_and_functions_that_explode_are_not_evaluated() -> None:
+    circle = "model m\nstate x\nfunction f(y) = g(y - 1)\nfunction g(y) = f(2)\nx' = -f(x)\nobserve x\n"
+    assert codes(circle) == ["GB208"]
+    lines = [
+        "model m",
+        "function f0(y) = y + 1",
+        *(f"function f{i}(y) = f{i - 1}(y) + f{i - 1}(2)" for i in range(1, 60)),
+    ]
+    text = "\n".join([*lines, "const n = f59(1)", "state c[1..f59(2)]", "c[i]' = -n*c[i]", "observe c[1]", ""])
+    begin = time.process_time()
+    assert set(codes(text)) <= {"GB236", "GB240", "GB223"}
+    assert time.process_time() - begin < 10

@@ -10,8 +10,9 @@ from math import comb
 
 import numpy as np
 
-from gbspec.passes.identifiability.jets import Base, Jet, System, size
-from gbspec.passes.identifiability.problem import Application, Problem
+from gbspec.ir.model import Expr
+from gbspec.passes.identifiability.jets import Base, Jet, OutOfTime, System, size
+from gbspec.passes.identifiability.problem import Problem
 from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
 
 SMALL = 1e-8
@@ -72,8 +73,11 @@ def at_order(problem: Problem, order: int, deadline: float = math.inf) -> Direct
     equations = max(1, len(problem.known) + len(problem.outputs)) * (order + 1)
     lines = min(LINES, comb(order + space, order) + 4, 8 + 2 * columns // equations)
     for base in bases:
-        with np.errstate(all="ignore"):
-            system = Jet(problem, base, algebra, lines, rng).system()
+        try:
+            with np.errstate(all="ignore"):
+                system = Jet(problem, base, algebra, lines, rng, deadline).system()
+        except OutOfTime:
+            return None
         if not np.all(np.isfinite(system.matrix)) or time.process_time() > deadline:
             return None
         systems.append(_scaled(system))
@@ -86,12 +90,17 @@ def at_order(problem: Problem, order: int, deadline: float = math.inf) -> Direct
 
 
 def _bases(problem: Problem, rng: np.random.Generator) -> list[Base]:
-    """A generic point, and for each pair of applications of one unknown a point where their arguments agree."""
+    """A generic point, points at the zeros of unknowns, and where two applications of one have the same arguments."""
     bases = [_generic(problem, rng)]
+    for application in problem.applications:
+        for r, place in application.zeros:
+            base = _agreeing(problem, [application.arguments[r]], [place], rng)
+            if base is not None:
+                bases.append(base)
     for i, first in enumerate(problem.applications):
         for second in problem.applications[:i]:
             if first.unknown == second.unknown and len(bases) < 6:
-                base = _coincident(problem, first, second, rng)
+                base = _agreeing(problem, first.arguments, second.arguments, rng)
                 if base is not None:
                     bases.append(base)
     return bases
@@ -112,10 +121,10 @@ def _generic(problem: Problem, rng: np.random.Generator) -> Base:
     return Base(variables, constants)
 
 
-def _coincident(problem: Problem, first: Application, second: Application, rng: np.random.Generator) -> Base | None:
-    """A point where two applications have the same arguments, by Newton's method with steps of least length."""
+def _agreeing(problem: Problem, first: Sequence[Expr], second: Sequence[Expr], rng: np.random.Generator) -> Base | None:
+    """A point where expressions have the same values, by Newton's method with steps of least length."""
     values = {a.value for a in problem.applications}
-    expressions = [*first.arguments, *second.arguments]
+    expressions = [*first, *second]
     if any(e.free_symbols & values for e in expressions):
         return None
     base = _generic(problem, rng)

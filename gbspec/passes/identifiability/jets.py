@@ -10,16 +10,19 @@ The true directions are always among those found; with growing order the others 
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations_with_replacement
 from math import comb
 
 import numpy as np
+import numpy.typing as npt
 import sympy
 
 from gbspec.ir.model import Expr
-from gbspec.passes.identifiability.problem import Problem
+from gbspec.passes.identifiability.problem import Application, Problem
 from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
 
 
@@ -41,6 +44,8 @@ class Germ:
     exponents: list[tuple[int, ...]]
     coefficients: Array
     column: int
+    free: npt.NDArray[np.bool_]
+    """Which coefficients can be anything: not those that a contract makes 0."""
 
 
 @dataclass
@@ -78,11 +83,24 @@ class Columns:
         return self.count - number
 
 
+class OutOfTime(Exception):  # noqa: N818 - no error, a budget that is spent
+    """The time for an answer is up."""
+
+
 class Jet:
     """One base point of one problem, expanded."""
 
-    def __init__(self, problem: Problem, base: Base, algebra: Algebra, lines: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        base: Base,
+        algebra: Algebra,
+        lines: int,
+        rng: np.random.Generator,
+        deadline: float = math.inf,
+    ) -> None:
         self._problem, self._algebra, self._lines = problem, algebra, lines
+        self._deadline = deadline
         model = problem.model
         self._states = [s.symbol for s in model.states]
         self._base = base
@@ -99,7 +117,7 @@ class Jet:
     # -------------------------------------------------------------------------------------------------------- values
 
     def system(self) -> System:
-        """All residuals at this base point."""
+        """All residuals at this base point. Raises `OutOfTime` when the deadline (of processor time) has passed."""
         starts = self._start_values()
         values = dict(starts)
         for _ in range(self._algebra.time_order + 1):
@@ -152,13 +170,14 @@ class Jet:
         self._powers: list[tuple[Germ, Array]] = []
         for application in self._problem.applications:
             arguments = [evaluation(argument) for argument in application.arguments]
-            germ = self._germ(application.unknown, [float(a[0, 0]) for a in arguments])
+            germ = self._germ(application, [float(a[0, 0]) for a in arguments])
             powers = self._monomials(arguments, germ)
             self._powers.append((germ, powers))
             table[application.value] = np.tensordot(germ.coefficients, powers, axes=1)
         return evaluation
 
-    def _germ(self, unknown: str, base: Sequence[float]) -> Germ:
+    def _germ(self, application: Application, base: Sequence[float]) -> Germ:
+        unknown = application.unknown
         for germ in self.germs:
             if germ.unknown == unknown and np.allclose(germ.base, base, rtol=1e-9, atol=1e-12):
                 return germ
@@ -166,7 +185,12 @@ class Jet:
         coefficients = self._rng.uniform(0.3, 1.0, size=len(exponents))
         coefficients *= self._rng.choice([-1.0, 1.0], size=len(exponents))
         coefficients[0] = abs(coefficients[0])
-        germ = Germ(unknown, tuple(base), exponents, coefficients, self._columns.take(len(exponents)))
+        free = np.ones(len(exponents), dtype=bool)
+        for r, place in application.zeros:
+            if abs(base[r] - float(place)) < 1e-9:  # what does not grow with this argument vanishes
+                free &= np.array([exponent[r] > 0 for exponent in exponents])
+        column = self._columns.take(len(exponents))
+        germ = Germ(unknown, tuple(base), exponents, coefficients * free, column, free)
         self.germs.append(germ)
         return germ
 
@@ -254,7 +278,7 @@ class Jet:
         found: list[Array] = []
         for application, (germ, powers) in zip(self._problem.applications, self._powers, strict=True):
             change = self._zero()
-            change[germ.column : germ.column + len(germ.exponents)] = powers
+            change[germ.column : germ.column + len(germ.exponents)] = powers * germ.free[:, None, None]
             for r, argument in enumerate(application.arguments):
                 inner = self._change(argument, evaluation, changes, found)
                 if np.any(inner):
@@ -274,6 +298,8 @@ class Jet:
 
     def _change(self, e: Expr, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]) -> Array:
         """The change of an expression: of its constants, of hidden states, of networks; shape [columns, lines, L]."""
+        if time.process_time() > self._deadline:
+            raise OutOfTime
         problem, algebra = self._problem, self._algebra
         total = self._zero()
         present = e.free_symbols

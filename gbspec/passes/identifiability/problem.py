@@ -9,7 +9,7 @@ from functools import cached_property
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir.model import NN, Expr, Learnable, Model
+from gbspec.ir.model import NN, Expr, Learnable, Model, Unknown
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,8 @@ class Application:
     unknown: str
     value: sympy.Dummy
     arguments: tuple[Expr, ...]
+    zeros: tuple[tuple[int, Expr], ...] = ()
+    """Places where the network is known to vanish: an argument, and its value (contracts `zero at`)."""
 
 
 @dataclass(frozen=True)
@@ -90,5 +92,19 @@ def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr,
         arguments = tuple(argument.xreplace(table) for argument in application.args)
         value = sympy.Dummy(f"nn_{name}", real=True)
         table[application] = unknown.postulate.xreplace({**dict(zip(formals, arguments, strict=True)), NN: value})
-        applications.append(Application(name, value, arguments))
+        applications.append(Application(name, value, arguments, _zeros(unknown, model)))
     return table, tuple(applications)
+
+
+def _zeros(unknown: Unknown, model: Model) -> tuple[tuple[int, Expr], ...]:
+    """Where the contract `zero at` of an unknown without a postulate puts a zero, if that place is a known number."""
+    if unknown.postulate != NN:
+        return ()
+    names = [a.name for a in model.networks[unknown.network].arguments]
+    known = {c.symbol: sympy.Float(c.value) for c in model.constants}
+    places = [
+        (names.index(c.argument), c.value.xreplace(known))
+        for c in unknown.contracts
+        if c.kind == "zero" and c.argument is not None and c.value is not None
+    ]
+    return tuple((r, value) for r, value in places if value.is_number)
