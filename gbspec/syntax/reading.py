@@ -6,11 +6,16 @@ from pathlib import Path
 
 from gbspec.diagnostics import Cell, Diagnostic, Source, Span, UserError
 
+_TABLES = frozenset({".csv", ".tsv", ".parquet", ".pq", ".xlsx"})
+
 
 def read_source(path: Path | str) -> Source:
     """Reads a `.gb` file; raises `UserError` (GB001 absent, GB002 unreadable, GB003 not UTF-8)."""
     path = Path(path)
     place = Cell(str(path))
+    if path.suffix.lower() in _TABLES and path.is_file():  # read as a model, each of its rows would be a finding
+        message = f"`{path}` is a table of data, not a model"
+        raise UserError([Diagnostic("GB002", message, place, help="the `.gb` file comes first, then the table")])
     try:
         data = path.read_bytes()
     except FileNotFoundError:

@@ -70,3 +70,18 @@ def test_a_binary_file_gives_findings(tmp_path: Path) -> None:
     findings = Findings()
     parse(read_source(path), findings)
     assert {"GB004"} <= {finding.code for finding in findings}
+
+
+@pytest.mark.parametrize("name", ["data.csv", "DATA.TSV", "data.parquet"])
+def test_a_table_in_place_of_the_model_is_one_finding(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("t,x\n0,1\n1,2\n")
+    with pytest.raises(UserError) as caught:
+        read_source(tmp_path / name)
+    (finding,) = caught.value.diagnostics
+    assert finding.code == "GB002"
+    assert "table of data" in finding.message
+
+
+def test_a_model_may_have_any_other_name(tmp_path: Path) -> None:
+    (tmp_path / "model.txt").write_text("model m\n")
+    assert read_source(tmp_path / "model.txt").text == "model m\n"
