@@ -28,13 +28,15 @@ def draw(found: Profile, truth: float | None = None) -> Figure:
             axes.plot([p.value for p in slow], [p.deviance for p in slow], "o", label="not converged", **look)
         axes.axhline(found.threshold, color=style.MEASURED, linewidth=1.2, label="90 %", zorder=2)
         inside = found.low if found.low is not None else values[0], found.high if found.high is not None else values[-1]
-        axes.axvspan(*inside, color=style.LEARNED, alpha=0.1, linewidth=0, label="interval")
+        if found.settled:
+            axes.axvspan(*inside, color=style.LEARNED, alpha=0.1, linewidth=0, label="interval")
         if truth is not None:
             axes.axvline(truth, label="truth", zorder=4, **style.DASHED)
         axes.set_ylim(-0.2, max(2.2 * found.threshold, 1.0))
         axes.set_ylabel("deviance")
         ends = [f"{end:.5g}" if end is not None else "open" for end in (found.low, found.high)]
-        axes.set_title(f"{found.name} = {found.estimate:.5g}, 90 %: {ends[0]} to {ends[1]}")
+        interval = f"90 %: {ends[0]} to {ends[1]}" if found.settled else "the fits had not come to rest"
+        axes.set_title(f"{found.name} = {found.estimate:.5g}, {interval}")
         for panel, name in zip(column[1:], names, strict=True):
             panel.plot(values, [p.others[name] for p in found.points], color=style.LEARNED, marker="o", markersize=3)
             panel.set_ylabel(name)

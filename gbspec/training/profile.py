@@ -64,7 +64,8 @@ class ProfilePoint:
 
 @dataclass(frozen=True)
 class Profile:
-    """A profile, by value. `low` and `high` end the 90 % interval, None where it was not left on that side."""
+    """A profile, by value. `low` and `high` end the 90 % interval; None where it was not left on that side, or
+    where some fit had not come to rest."""
 
     name: str
     member: int
@@ -75,6 +76,11 @@ class Profile:
     noise: float
     notes: tuple[str, ...] = ()
     threshold: float = THRESHOLD
+
+    @property
+    def settled(self) -> bool:
+        """Whether every fit came to rest, so that the deviances mean something."""
+        return all(point.converged for point in self.points)
 
     def to_json(self) -> dict[str, object]:
         """The document of `profile --json`."""
@@ -94,7 +100,8 @@ class Profile:
 
     def __str__(self) -> str:
         ends = [f"{end:.6g}" if end is not None else "open" for end in (self.low, self.high)]
-        lines = [f"{self.name} = {self.estimate:.6g}, 90 % interval {ends[0]} to {ends[1]}"]
+        interval = f"90 % interval {ends[0]} to {ends[1]}" if self.settled else "no interval, see the note"
+        lines = [f"{self.name} = {self.estimate:.6g}, {interval}"]
         for point in self.points:
             inside = "inside" if point.deviance <= self.threshold else ""
             rest = "" if point.converged else "  not converged"
@@ -332,13 +339,14 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler,
     )  # fmt: skip
     at = fits.index(least)
     low, high = _crossing(points[at::-1]), _crossing(points[at:])
-    for side, end in (("below", low), ("above", high)):
-        if end is None:
-            notes.append(f"the data do not bound {name} {side}, as far as it was followed")
     slow = sum(not point.converged for point in points)
     if slow:
-        notes.append(f"{slow} of {len(points)} fits had not come to rest: their deviances are too large; more "
-                     "`--iterations` would help")  # fmt: skip
+        low = high = None
+        notes.append(f"{slow} of {len(points)} fits had not come to rest, so their deviances are too large and no "
+                     "interval can be given: allow more `--iterations`")  # fmt: skip
+    else:
+        open_sides = [side for side, end in (("below", low), ("above", high)) if end is None]
+        notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
     if np.any(profiler.free.start_free == 0) and any(s.initial.kind == "measured" for s in profiler.model.states):
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:

@@ -101,6 +101,14 @@ def test_the_weights_are_fitted_anew(here: Path) -> None:
     assert found["interval"] == [None, None]
 
 
+def test_fits_that_had_not_come_to_rest_give_no_interval(place: Path, here: Path) -> None:
+    result = call("profile", place / "run", "b", "--iterations", 1, "--points", 3, "-o", "b.png", "--json")
+    found = json.loads(result.stdout)
+    assert not all(point["converged"] for point in found["points"])
+    assert found["interval"] == [None, None]
+    assert any("--iterations" in note for note in found["notes"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [(("u",), "GB858"), (("bb",), "GB858"), (("b", "-o", "b.gif"), "GB812"), (("b", "--data", "gone.csv"), "GB70")],
