@@ -49,8 +49,12 @@ class Specification:
         return "\n".join(part for part in (model_summary(self.model), render_text(self.warnings)) if part)
 
     def check(self) -> tuple[Diagnostic, ...]:
-        """The warnings; errors were raised when the model was loaded."""
-        return self.warnings
+        """The warnings, on what no data could tell among them; errors were raised when the model was loaded."""
+        from gbspec.passes.examine import examine
+
+        findings = Findings(self.warnings)
+        examine(self.model, findings)
+        return tuple(findings)
 
     def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str:
         """The model in a form of `gbspec compile --emit`, written to `path` where one is given.
@@ -249,10 +253,11 @@ def load(path: str | Path) -> Specification:
 def check(path: str | Path) -> tuple[Diagnostic, ...]:
     """Everything that is found in a model file, errors and warnings, in the order of the text; nothing is raised."""
     from gbspec.diagnostics import UserError
+    from gbspec.passes.examine import examine
 
     findings = Findings()
     try:
-        driver.load_model(path, findings)
+        examine(driver.load_model(path, findings), findings)
     except UserError as error:
         findings.extend(error.diagnostics)
     return tuple(findings)

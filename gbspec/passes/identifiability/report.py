@@ -20,7 +20,7 @@ MOST_OPERATIONS = 20_000
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
 """Warnings on a constant that say already why it cannot be learned: never used, only compared with."""
 
-BUDGET = 1.5
+BUDGET = 2.0
 """Seconds of processor time after which the answer is `undecided`."""
 
 
