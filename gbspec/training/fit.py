@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -144,12 +145,18 @@ def _write_results(
 ) -> None:
     """Completes `fit.json` and writes `history.csv`."""
     ordered = [results[k] for k in sorted(results)]
+    ended = [(member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants)]
+    for member, name, _ in ended:  # the curvature says nothing of a constant that a bound stopped
+        results[member].sd[name] = float("nan")
     record["constants"] = {k.name: _constant(k.name, k.start, ordered) for k in model.learnables}
     record["noise"] = {c.name: float(np.mean([r.noise[c.name] for r in ordered])) for c in model.channels}
     record["members"] = [
         {"seed": r.seed, "loss": r.loss, "rmse": r.rmse, "seconds": r.seconds, "stages": r.stages} for r in ordered
     ]
-    record["warnings"] = warnings_of(results, options)
+    record["warnings"] = warnings_of(results, options) + [
+        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond are plausible"
+        for member, name, bound in ended
+    ]
     files.write_json(path / files.FIT, record)
     rows = [
         [member, stage, iteration, seconds, loss, *constants]
@@ -174,6 +181,24 @@ def _constant(name: str, start: float, results: list[MemberResult]) -> dict[str,
         "start": start,
         "per_member": values.tolist(),
     }
+
+
+def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Learnable constants that a bound stopped, and the bound: nearer to it than 1e-5 of the range's width.
+
+    Where there is one bound alone, the distance of the start from it stands for the width.
+    """
+    out = []
+    for learnable in model.learnables:
+        low, high = learnable.range.low, learnable.range.high
+        if learnable.name not in constants or high <= low:
+            continue
+        value = constants[learnable.name]
+        for bound in (low, high):
+            width = high - low if math.isfinite(high - low) else abs(learnable.start - bound)
+            if math.isfinite(bound) and abs(value - bound) < 1e-5 * width:
+                out.append((learnable.name, bound))
+    return out
 
 
 def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:

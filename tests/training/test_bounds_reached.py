@@ -1,0 +1,35 @@
+"""A constant that a bound stopped is told, and gets no interval."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import gbspec
+from gbspec.training.fit import at_bounds
+
+TEXT = """\
+model m
+state x in [0, 2]
+learn k = 1 in [0, 2]
+x' = -k*x
+initial x = 1
+observe x
+"""
+
+
+@pytest.mark.parametrize(("k", "wanted"), [(2.0 - 1e-7, [("k", 2.0)]), (1e-6, [("k", 0.0)]), (1.9, []), (0.01, [])])
+def test_what_ended_at_a_bound(tmp_path: Path, k: float, wanted: list[tuple[str, float]]) -> None:
+    (tmp_path / "m.gb").write_text(TEXT)
+    assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted
+
+
+@pytest.mark.parametrize(("rate", "stopped"), [(5.0, True), (1.5, False)])
+def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
+    (tmp_path / "m.gb").write_text(TEXT)
+    rows = "".join(f"{t},{2.718281828 ** (-rate * t)}\n" for t in (0.1, 0.2, 0.4, 0.8))
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
+    assert any("`k` ended at its bound 2" in warning for warning in fit["warnings"]) is stopped
+    assert (fit["constants"]["k"]["interval"] is None) is stopped
