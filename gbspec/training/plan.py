@@ -33,8 +33,8 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "imputed": 6,
         "teacher": 12,
         "half": 3,
-        "blend": 6,
-        "autoregressive": 20,
+        "blend": 4,
+        "autoregressive": 14,
         "least squares": 200,
         "adam": 300,
     },
@@ -134,7 +134,7 @@ class _Planner:
             self._adam(limits["approach"], self._hidden),
             self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
             self._starts("initial states", 1.0),
-            self._newton("teacher forcing", limits["teacher"], self._at(1.0), lambda theta: True, self._prior),
+            self._newton("teacher forcing", self._teacher_limit(), self._at(1.0), lambda theta: True, self._prior),
             self._starts("initial states again", 1.0),
             self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._prior),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
@@ -151,6 +151,11 @@ class _Planner:
         return replace(problem, forcing=imputed_forcing(self.context, problem))
 
     # ---------------------------------------------------------------- decisions
+    def _teacher_limit(self) -> int:
+        """Few iterations where smooth curves already told of noise, under which teacher forcing is inconsistent."""
+        limit = self.limits["teacher"]
+        return min(limit, 4) if self.context.smooth else limit
+
     def _hidden(self, theta: Array) -> bool:
         """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
         return not self.context.points.equations or not self.options.warm_start

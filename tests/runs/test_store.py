@@ -1,0 +1,140 @@
+"""The run directory: files written whole, damage told as a diagnostic, members and their mean."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.diagnostics import UserError
+from gbspec.runs import files, open_run
+from gbspec.training import TrainOptions, train
+from tests.training.conftest import URP, model_of, urp_data
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("runs") / "run"
+    options = TrainOptions(members=2, method="gradient-matching")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.training.warm_start.REGRESSION_STEPS", 50)
+        train(model_of(URP), urp_data(4, 2.0, 6), options, path)
+    return path
+
+
+@pytest.fixture
+def run(made: Path, tmp_path: Path) -> Path:
+    """A copy that a test may damage."""
+    return Path(shutil.copytree(made, tmp_path / "run"))
+
+
+def test_opens_with_model_members_and_mean(made: Path) -> None:
+    run = open_run(made)
+    assert run.model == model_of(URP)
+    assert run.numbers == (0, 1) and run.best in run.numbers
+    x = np.array([0.5, 1.5])
+
+    def predict(module: object) -> np.ndarray:
+        return module.rhs(0.0, x, [0.3]).numpy()  # type: ignore[attr-defined, no-any-return]
+
+    each = [predict(run.member(k)) for k in (0, 1)]
+    assert np.allclose(run.mean(predict), np.mean(each, axis=0), rtol=1e-12)
+    assert np.allclose(run.spread(predict), np.std(each, axis=0), rtol=1e-9)
+    assert run.max_step == run.member(1).info["max_step"]
+    assert len(run.history()) >= 4
+
+
+def test_the_written_module_stands_alone(made: Path) -> None:
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("written_by_training", made / "model.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    loaded = module.SmallUrp.load(made, 1)
+    assert np.array_equal(loaded.weights["constants"], open_run(made).member(1).weights["constants"])
+
+
+def codes(caught: pytest.ExceptionInfo[UserError]) -> list[str]:
+    return [d.code for d in caught.value.diagnostics]
+
+
+def test_a_foreign_directory(tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        open_run(tmp_path)
+    assert codes(caught) == ["GB851"]
+
+
+@pytest.mark.parametrize("damage", ["", "{", "[1, 2]", '{"name": "npm package"}'])
+def test_a_damaged_fit(run: Path, damage: str) -> None:
+    (run / "fit.json").write_text(damage)
+    with pytest.raises(UserError) as caught:
+        open_run(run)
+    assert codes(caught) == ["GB852"]
+
+
+def test_everything_missing_is_told_at_once(run: Path) -> None:
+    (run / "model.gb").unlink()
+    (run / "fit.json").write_text("{")
+    with pytest.raises(UserError) as caught:
+        open_run(run)
+    assert codes(caught) == ["GB852", "GB852"]
+
+
+def test_weights_cut_short_or_of_another_model(run: Path) -> None:
+    weights = run / "members" / "0" / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:100])
+    with pytest.raises(UserError) as caught:
+        open_run(run).member(0)
+    assert codes(caught) == ["GB853"]
+    (run / "model.gb").write_text(URP.replace("mlp(12, 12)", "mlp(9)"))
+    with pytest.raises(UserError) as caught:
+        open_run(run).member(1)
+    assert codes(caught) == ["GB853"]
+
+
+def test_members_that_are_not_there(run: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        open_run(run).member(7)
+    assert codes(caught) == ["GB854"]
+    shutil.rmtree(run / "members")
+    with pytest.raises(UserError) as caught:
+        open_run(run)
+    assert codes(caught) == ["GB853"]
+
+
+def test_files_are_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "fit.json"
+    files.write_json(path, {"a": 1.0})
+
+    def fail(*_: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        files.write_json(path, {"a": 2.0})
+    assert json.loads(path.read_text()) == {"a": 1.0}
+    assert [p.name for p in tmp_path.iterdir()] == ["fit.json"]
+
+
+def test_json_keeps_order_full_precision_and_no_nan(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    files.write_json(path, {"z": np.float64(0.1) + 0.2, "a": [np.nan, np.inf, np.int64(3)], "m": np.arange(2.0)})
+    text = path.read_text()
+    assert json.loads(text) == {"z": 0.30000000000000004, "a": [None, None, 3], "m": [0.0, 1.0]}
+    assert list(json.loads(text)) == ["z", "a", "m"]
+
+
+def test_checkpoints_come_back_bit_by_bit(tmp_path: Path) -> None:
+    path = tmp_path / "c.safetensors"
+    arrays = {"a": np.random.default_rng(0).standard_normal((3, 2)), "scalar": np.array(0.1), "none": np.zeros((0, 4))}
+    files.write_tensors(path, arrays, {"stage": 3, "names": ["ä", "b"]})
+    back, remarks = files.read_tensors(path)
+    assert all(np.array_equal(back[k], v) and back[k].shape == v.shape for k, v in arrays.items())
+    assert remarks == {"stage": 3, "names": ["ä", "b"]}
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(ValueError, match="damaged"):
+        files.read_tensors(path)

@@ -1,0 +1,160 @@
+"""Bounds, least-squares steps, curves, elimination and initial states, each on its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Trajectories
+from gbspec.ir.model import Learnable, Range
+from gbspec.training.bounds import Bijections
+from gbspec.training.context import build_context
+from gbspec.training.initial_states import refit_starts
+from gbspec.training.jacobian import linearise
+from gbspec.training.levenberg import NormalEquations, huber, huber_weights
+from gbspec.training.options import TrainOptions
+from gbspec.training.packing import pack
+from gbspec.training.preparation import prepare
+from gbspec.training.problem import scaling_of
+from gbspec.training.splines import fit_curves
+from gbspec.training.unroll import solve
+from gbspec.training.warm_start import eliminate
+from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
+
+RANGES = [Range(0, 50), Range(low=0.0), Range(high=3.0), Range(), Range(-2, -1)]
+
+
+@given(st.sampled_from(RANGES), st.floats(-30, 30))
+def test_bounds_hold_whatever_the_optimiser_does(range_: Range, u: float) -> None:
+    bijections = Bijections.of((Learnable("k", start=-1.5 if range_.high < 0 else 1.0, range=range_),))
+    value = float(bijections.to_natural(torch.tensor([u], dtype=torch.float64))[0])
+    assert range_.low <= value <= range_.high
+
+
+@given(st.sampled_from(RANGES), st.floats(-1.5, 1.5))
+def test_bijections_invert_and_differentiate(range_: Range, u: float) -> None:
+    bijections = Bijections.of((Learnable("k", start=-1.5 if range_.high < 0 else 1.0, range=range_),))
+
+    def natural(x: float) -> float:
+        return float(bijections.to_natural(torch.tensor([x], dtype=torch.float64))[0])
+
+    assert bijections.from_natural(np.array([natural(u)]))[0] == pytest.approx(u, abs=1e-7)
+    slope = (natural(u + 1e-6) - natural(u - 1e-6)) / 2e-6
+    assert bijections.derivative(np.array([u]))[0] == pytest.approx(slope, rel=1e-6, abs=1e-9)
+
+
+def test_a_start_on_its_bound_is_moved_inside() -> None:
+    bijections = Bijections.of((Learnable("k", start=0.0, range=Range(0, 10)),))
+    assert np.isfinite(
+        bijections.from_natural(
+            np.array(
+                [
+                    0.0,
+                ]
+            )[None]
+        )
+    ).all()
+
+
+@pytest.mark.parametrize("ridge", [0.0, 0.02])
+@pytest.mark.parametrize("many", [False, True])
+def test_steps_solve_the_damped_normal_equations(ridge: float, many: bool) -> None:
+    """Both forms (dual with few residuals, primal with many) against the dense equations."""
+    model = model_of(URP.replace("mlp(12, 12)", "mlp(3)")) if many else model_of(URP)
+    problem, parameters, theta = problem_of(model, urp_data(6, 4.0, 1), 0.2)
+    system = linearise(problem, parameters, theta)
+    residuals = system.residuals.numpy()
+    weights = huber_weights(residuals, 0.2)
+    equations = NormalEquations(system, parameters, weights, ridge, theta)
+    assert equations.dual is not many
+    J = system.dense(parameters).numpy() * np.sqrt(weights)[:, None]
+    penalised = np.arange(parameters.size) < parameters.n_weights
+    damping = 0.05
+    matrix = J.T @ J + damping * np.eye(parameters.size) + ridge * np.diag(penalised)
+    expected = -np.linalg.solve(matrix, J.T @ (residuals * np.sqrt(weights)) + ridge * penalised * theta)
+    assert np.allclose(equations.step(damping), expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
+    vector = np.random.default_rng(0).standard_normal(parameters.size)
+    solved = np.linalg.solve(matrix, vector)
+    assert np.allclose(equations.invert(vector, damping), solved, rtol=1e-6, atol=1e-8 * np.abs(solved).max())
+    freedom = float(np.trace(J @ np.linalg.solve(matrix, J.T)))
+    assert equations.degrees_of_freedom(damping, 0) == pytest.approx(freedom, rel=0.2)
+
+
+def test_huber_is_quadratic_then_linear() -> None:
+    r = np.array([0.05, -3.0])
+    assert huber(r, 0.1) == pytest.approx(0.5 * 0.05**2 + 0.1 * (3 - 0.05))
+    assert huber(np.array([np.nan]), 0.1) == np.inf
+    assert huber_weights(r, 0.1) == pytest.approx([1.0, 0.1 / 3])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 40])
+@pytest.mark.parametrize("smooth", [False, True])
+def test_curves_of_any_number_of_points(count: int, smooth: bool) -> None:
+    model = model_of(URP)
+    times = np.linspace(1.0, 2.0, count)
+    values = np.column_stack([np.sin(3 * times), np.full(count, 2.0)])
+    data = Trajectories((trajectory("a", 0.0, times, values, [0.3]),), ("x1", "x2"))
+    for curve in fit_curves(model, data, smooth).items[0]:
+        if count < 2:
+            assert curve is None
+            continue
+        assert curve is not None
+        assert np.isfinite(curve.extended(np.array([-5.0, 1.5, 50.0]))).all()
+        assert np.isfinite(curve.slope(times)).all()
+
+
+def test_monotone_data_get_a_monotone_curve() -> None:
+    times = np.array([0.0, 1.0, 1.1, 5.0, 9.0])
+    values = np.column_stack([np.array([0.0, 0.0, 1.0, 1.0, 1.0])] * 2)
+    data = Trajectories((trajectory("a", 0.0, times, values, [0.3]),), ("x1", "x2"))
+    curve = fit_curves(model_of(URP), data).items[0][0]
+    assert curve is not None
+    assert (np.diff(curve.value(np.linspace(0, 9, 200))) >= -1e-12).all()
+
+
+def test_elimination_finds_constants_without_knowing_the_function() -> None:
+    model = model_of(URP)
+    context = build_context(model, load_module(model), urp_data(10, 6.0, 7), TrainOptions(), 0)
+    bijections = Bijections.of(model.learnables)
+    found = eliminate(model, context.module, context.points, bijections.from_natural(np.array([5.0, 1.0])))
+    natural = bijections.to_natural(torch.from_numpy(found.constants)).numpy()
+    assert natural == pytest.approx([11, 3], rel=0.05)
+
+
+def test_outputs_are_scaled_by_what_the_slopes_ask_for() -> None:
+    prepared = prepare(model_of(URP), load_module(model_of(URP)), urp_data(6, 4.0, 7), TrainOptions(), 0)
+    scale = prepared.parameters.fixed["network.phi.output_scale"][0]
+    assert 0.05 < scale < 1.0, "the rate varies by about 0.2"
+    low, high = (prepared.parameters.fixed[f"network.phi.input_{end}"] for end in ("low", "high"))
+    assert (low < high).all() and low[2] >= 0.2 and high[2] <= 0.5
+
+
+def test_refitted_starts_never_fit_worse() -> None:
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(5, 3.0, 2), 0.1)
+    before = solve(problem, parameters, theta)
+    after = solve(problem, parameters, refit_starts(problem, parameters, theta, 0))
+    assert np.sum(after**2) < np.sum(before**2)
+    moved = parameters.with_starts(theta, np.full((5, 2), 9.0))
+    assert moved[parameters.n_shared] == 0.0, "a start that is given does not move"
+
+
+def test_stated_noise_sets_relative_weights() -> None:
+    model = model_of(
+        URP.replace("observe x1", "observe x1 noise normal(0.01)").replace("observe x2", "observe x2 noise normal(0.1)")
+    )
+    data = urp_data(4, 3.0, 2)
+    scaling = scaling_of(model, pack(data, model, 0.1), data)
+    assert scaling.channel[1] / scaling.channel[0] == pytest.approx(10)
+    plain = scaling_of(model_of(URP), pack(data, model, 0.1), data)
+    spread = [np.nanstd(np.concatenate([item.values[:, i] for item in data.items])) for i in range(2)]
+    assert plain.channel == pytest.approx(spread)
+
+
+def test_log_normal_residuals_are_of_logarithms() -> None:
+    problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(), 0.2)
+    assert problem.scaling.log.tolist() == [False, False, True]
+    assert np.isfinite(solve(problem, parameters, theta)).all()
