@@ -103,7 +103,8 @@ def _attempt(
     if demands.lower is not None and demands.upper is not None and not prover.positive(demands.upper - demands.lower):
         raise Refused(
             "GB607",
-            f"the upper bound `{shown(demands.upper)}` is not proved to lie above the lower bound `{shown(demands.lower)}`",
+            f"the upper bound `{shown(demands.upper)}` is not proved to lie above the lower bound"
+            f" `{shown(demands.lower)}`",
             [c for c in unknown.contracts if c.kind in ("lower", "upper")],
             "bound the constants in them: `learn k in [1, 2]`",
         )

@@ -7,9 +7,10 @@ each unit then depends on the arguments as its kind says, provided that the unit
 their inputs.
 
 Units whose kind names a direction get monotone activations: some bend upwards, some downwards, some level off (Runje
-and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023), in thirds. Where there are units of such kinds
-alone, in more than one layer, layers that bend and layers that level off take turns instead: as good, and faster, for
-then a layer has one activation. Units of other kinds keep the network's own activation.
+and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023). In a single layer there are thirds of each.
+In several layers, each has one activation for all such units, which costs less and fits as well: where other units
+stand beside them all layers bend, else layers that bend and layers that level off take turns. Other units keep the
+network's own activation.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from gbspec.ir.forms import Block, Layout, Shape
 TURNED = str.maketrans("+-", "-+")
 SHAPES: tuple[Shape, ...] = ("free", "convex", "concave", "saturating")
 _THIRDS: tuple[Shape, ...] = ("convex", "concave", "saturating")
-_TURNS: tuple[tuple[Shape, ...], ...] = (("convex", "concave"), ("saturating",))
+_BENDS: tuple[Shape, ...] = ("convex", "concave")
+_LEVELS: tuple[Shape, ...] = ("saturating",)
 
 
 class TooNarrow(Exception):  # noqa: N818 - an answer, told to the user with the place of the network
@@ -44,8 +46,11 @@ def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | 
     needed = sum(share for _, share in groups)
     if any(width < len(groups) for width in hidden):
         raise TooNarrow(len(groups))
-    turns = len(hidden) > 1 and all(monotone(kind) for kind, _ in groups)
-    layers = (_blocks(groups, needed, width, _TURNS[i % 2] if turns else _THIRDS) for i, width in enumerate(hidden))
+    mixed = any(not monotone(kind) for kind, _ in groups)
+    layers = []
+    for i, width in enumerate(hidden):
+        shapes = _THIRDS if len(hidden) == 1 else _BENDS if mixed or i % 2 == 0 else _LEVELS
+        layers.append(_blocks(groups, needed, width, shapes))
     return Layout(tuple(layers), tuple(kinds), gates)
 
 

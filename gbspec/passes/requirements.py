@@ -279,7 +279,8 @@ class _Translation:
         if product and not two_sided and not (inside_lower and inside_upper):
             raise Refused(
                 "GB605",
-                f"the bound cannot be kept: `{shown(base)}` is not proved to lie within it, so no factor `nn` near 1 does",
+                f"the bound cannot be kept: `{shown(base)}` is not proved to lie within it, so no factor `nn` near 1"
+                " keeps it there",
                 bounds,
                 self._ranges_help() or "choose a postulate that keeps the bound by itself",
             )
@@ -290,8 +291,8 @@ class _Translation:
             if not (kept and at_end):
                 raise Refused(
                     "GB607",
-                    f"`zero at {self.symbols[zero.argument].name} = {shown(zero.value)}` together with this bound has no"
-                    f" construction for the postulate `{shown(self.postulate)}`",
+                    f"`zero at {self.symbols[zero.argument].name} = {shown(zero.value)}` together with this bound has"
+                    f" no construction for the postulate `{shown(self.postulate)}`",
                     (zero.contract, *bounds),
                     "write the postulate as a product, `f*nn`, with an `f` that vanishes there and keeps the bounds",
                 )

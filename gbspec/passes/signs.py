@@ -178,24 +178,26 @@ class Prover:
             return False
         if polynomial.total_degree() > 12 or len(polynomial.gens) > 6:
             return False
-        numerator = polynomial.as_expr()
-        fresh = []
-        for i, generator in enumerate(polynomial.gens):
+        # Generators count as independent, each in its interval: that allows more than there is, so a proof stays one.
+        stand_ins = [sympy.Dummy(f"g{i}", real=True) for i in range(len(polynomial.gens))]
+        numerator = polynomial.as_expr(*stand_ins)
+        fresh, left = [], []
+        for i, (generator, stand_in) in enumerate(zip(polynomial.gens, stand_ins, strict=True)):
             interval = enclosure(generator, self.box)
             if interval is None:
                 return False
             free = sympy.Dummy(f"p{i}", nonnegative=True)
             shifted = _shifted(interval, free)
             if shifted is None:
+                left.append(stand_in)
                 continue
             value, denominator = shifted
             degree = polynomial.degree(generator)
-            numerator = sympy.expand(numerator.xreplace({generator: value / denominator}) * denominator**degree)
+            numerator = sympy.expand(numerator.xreplace({stand_in: value / denominator}) * denominator**degree)
             numerator = sympy.expand(sympy.cancel(numerator)) if denominator != 1 else numerator
             fresh.append(free)
             if self._budget.spent:
                 return False
-        left = [g for g in polynomial.gens if numerator.has(g)]
         result = sympy.Poly(numerator, *fresh, *left) if fresh or left else None
         if result is None:
             return bool(numerator > 0 if strict else numerator >= 0)

@@ -30,6 +30,8 @@ PROVED = [
     (100 - u**2, False),
     (u**2 - 2 * u + sympy.Rational(11, 10), True),
     (sympy.log(1 + u), False),
+    (g + sympy.tanh(g), False),
+    (g**2 * sympy.tanh(g) + g * sympy.exp(-g), False),
     (sympy.Max(u - 5, 0), False),
     (sympy.Abs(g - 3) + K, True),
     (sympy.tanh(u) - sympy.tanh(u) ** 3, False),
