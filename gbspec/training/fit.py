@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -11,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 import gbspec
 from gbspec.backends.module import generate, load_module
@@ -20,6 +20,7 @@ from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
+from gbspec.training.levenberg import use_threads
 from gbspec.training.options import TrainOptions
 from gbspec.training.parallel import fit_members
 from gbspec.training.progress import Progress, Silent
@@ -48,8 +49,8 @@ def train(
     path = Path(directory)
     record = _record(model, trajectories, options)
     _prepare(path, model, record, options)
-    threads = options.threads or 1
-    torch.set_num_threads(threads)
+    threads = options.threads or max(1, (os.cpu_count() or 1) // options.workers)
+    use_threads(threads)
     results: dict[int, MemberResult] = {}
     module = load_module(model)
     try:

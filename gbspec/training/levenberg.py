@@ -11,14 +11,28 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy import linalg
+import torch
 
 from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import Linearised
 from gbspec.training.parameters import Parameters
 
+LARGE = 1000
+"""Matrices of at least this size are factored by all threads (everything else in training is too small to gain)."""
 PROBES = 12
 """Random vectors in the estimate of a trace; its relative error is about sqrt(2 / (PROBES * trace))."""
+
+
+class _Threads:
+    """How many threads factor large matrices in this process."""
+
+    large = 1
+
+
+def use_threads(count: int) -> None:
+    """Sets the threads of this process: one for tensors, which are small in training, `count` for large matrices."""
+    torch.set_num_threads(1)
+    _Threads.large = count
 
 
 def huber(residuals: Array, delta: float) -> float:
@@ -35,6 +49,29 @@ def huber_weights(residuals: Array, delta: float) -> Array:
     """Weights of iteratively reweighted least squares for Huber's function (Huber 1981)."""
     size = np.abs(residuals)
     return np.asarray(np.where(size <= delta, 1.0, delta / np.maximum(size, 1e-300)), dtype=np.float64)
+
+
+class Cholesky:
+    """A factored symmetric positive definite matrix [n, n] (torch's LAPACK is several times faster than scipy's).
+
+    Raises LinAlgError where the matrix is not positive definite to rounding.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(_Threads.large if len(matrix) >= LARGE else before)
+        try:
+            factor, info = torch.linalg.cholesky_ex(torch.from_numpy(matrix))
+        finally:
+            torch.set_num_threads(before)
+        if int(info) != 0:
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+        self.factor = factor
+
+    def solve(self, right: Array) -> Array:
+        """The solution of A x = right; `right` is [n] or [n, k]."""
+        columns = torch.from_numpy(np.ascontiguousarray(right.reshape(len(right), -1)))
+        return np.asarray(torch.cholesky_solve(columns, self.factor).numpy().reshape(right.shape), dtype=np.float64)
 
 
 class NormalEquations:
@@ -97,7 +134,7 @@ class NormalEquations:
     def respond(self, target: Array, damping: float) -> Array:
         """-(J^T J + D)^-1 J^T target [size]."""
         if self.dual:
-            y = linalg.cho_solve(self._dual_factor(damping), target, check_finite=False)
+            y = self._dual_factor(damping).solve(target)
             return np.asarray(-self.transposed(y) / self._diagonal(damping), dtype=np.float64)
         return -self._primal(self.transposed(target), damping)
 
@@ -107,7 +144,7 @@ class NormalEquations:
             return self._primal(vector, damping)
         diagonal = self._diagonal(damping)
         scaled = vector / diagonal
-        y = linalg.cho_solve(self._dual_factor(damping), self.times(scaled), check_finite=False)
+        y = self._dual_factor(damping).solve(self.times(scaled))
         return np.asarray(scaled - self.transposed(y) / diagonal, dtype=np.float64)
 
     def degrees_of_freedom(self, damping: float, seed: int) -> float:
@@ -116,7 +153,7 @@ class NormalEquations:
         probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
         if self.dual:
             # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
-            solved = linalg.cho_solve(self._dual_factor(damping), probes.T, check_finite=False)
+            solved = self._dual_factor(damping).solve(probes.T)
             return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES
         return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
 
@@ -129,21 +166,28 @@ class NormalEquations:
             if self._grams is None:
                 self._grams = self._form_grams()
             of_weights, of_rest = self._grams
-            matrix = of_weights / (damping + self.ridge)
-            matrix += of_rest / damping
+            if self.ridge:
+                matrix = of_weights / (damping + self.ridge)
+                matrix += of_rest / damping
+            else:
+                matrix = of_weights / damping
             matrix[np.diag_indices_from(matrix)] += 1.0
-            factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-            self._factor = factor, (damping, self.ridge)
+            self._factor = Cholesky(matrix), (damping, self.ridge)
         return self._factor[0]
 
     def _form_grams(self) -> tuple[Array, Array]:
+        """Gram matrices of the weights' columns and of all others; their sum and nothing where there is no ridge."""
         weights = self.shared[:, : self.parameters.n_weights]
         constants = self.shared[:, self.parameters.n_weights :]
         rest = constants @ constants.T
         for rows in self.groups:
             block = self.local[rows]
             rest[np.ix_(rows, rows)] += block @ block.T
-        return weights @ weights.T, rest
+        gram = weights @ weights.T
+        if self.ridge:
+            return gram, rest
+        gram += rest
+        return gram, np.zeros((0, 0))
 
     def _primal(self, gradient: Array, damping: float) -> Array:
         """(J^T J + D)^-1 g, the trajectories' blocks eliminated."""
@@ -152,7 +196,7 @@ class NormalEquations:
         g_shared, g_local = gradient[:ns].copy(), gradient[ns:].reshape(-1, nl)
         for inverse, cross, g in zip(inverses, crosses, g_local, strict=True):
             g_shared -= cross @ (inverse @ g)
-        x = linalg.cho_solve(factor, g_shared, check_finite=False)
+        x = factor.solve(g_shared)
         blocks = [v @ (g - c.T @ x) for v, g, c in zip(inverses, g_local, crosses, strict=True)]
         return np.concatenate([x, *blocks])
 
@@ -175,6 +219,5 @@ class NormalEquations:
             wide = [c @ np.linalg.cholesky(0.5 * (v + v.T)) for c, v in zip(crosses, inverses, strict=True)]
             joined = np.concatenate(wide, axis=1)
             matrix -= joined @ joined.T
-        factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-        self._factor = (factor, inverses, crosses), (damping, self.ridge)
+        self._factor = (Cholesky(matrix), inverses, crosses), (damping, self.ridge)
         return self._factor[0]

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError
 
 from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import linearise
@@ -136,7 +135,7 @@ def _try_step(equations: NormalEquations, damping: float) -> Array:
     """The step; a step of NaN (which no objective accepts) where the equations are singular to rounding."""
     try:
         return equations.step(damping)
-    except (LinAlgError, np.linalg.LinAlgError):
+    except np.linalg.LinAlgError:
         return np.full(equations.parameters.size, np.nan)
 
 

@@ -75,7 +75,10 @@ class TrainOptions:
     )
     threads: int | None = field(
         default=None,
-        metadata={"help": "Threads of each worker for tensors (1 if not given: they are small).", "metavar": "N"},
+        metadata={
+            "help": "Threads of each worker; the number of cores over that of workers if not given.",
+            "metavar": "N",
+        },
     )
 
     @property

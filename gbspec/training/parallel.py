@@ -11,13 +11,12 @@ from queue import Empty, Queue
 from threading import Event
 from typing import Any
 
-import torch
-
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir.model import Model
 from gbspec.runs import files
+from gbspec.training.levenberg import use_threads
 from gbspec.training.member import Interrupted, fit_member, uninterrupted
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Update
@@ -175,7 +174,7 @@ def _work(
     stop: Event,
 ) -> MemberResult:
     """One member, in a worker. An interruption comes back as an unfinished result: the weights are written."""
-    torch.set_num_threads(threads)
+    use_threads(threads)
     place = files.member_directory(directory, member)
     try:
         return fit_member(model, load_module(model), trajectories, options, member, place, _Sender(queue), stop.is_set)
