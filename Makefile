@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 TORCH := $(shell sed -n 's/^\(torch==[^ ]*\).*/\1/p' constraints.txt)
-# An index to take torch from, e.g. https://download.pytorch.org/whl/cpu, where the default one would bring CUDA libraries.
+# An index of CPU builds to take torch from, where the default one would bring CUDA libraries.
 TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 export OMP_NUM_THREADS ?= 1

@@ -12,7 +12,7 @@ from typing import cast
 
 import sympy
 
-from gbspec.diagnostics import Findings, Source
+from gbspec.diagnostics import Findings
 from gbspec.ir import model as ir
 from gbspec.ir.model import Expr, symbol, unknown_function
 from gbspec.lower.contracts import contract_values, lower_contracts
@@ -26,7 +26,6 @@ from gbspec.semantics.processes import Term
 from gbspec.semantics.sites import truth_parameters
 from gbspec.semantics.table import Kind
 from gbspec.syntax import ast
-from gbspec.syntax.formatter import format_text
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
@@ -173,13 +172,13 @@ class _Lowering:
         )
 
     def _text(self) -> str:
-        """The text of the file itself where it extends none; else what it and its bases come to, formatted."""
+        """The text of the file itself where it extends none; else the statements that it and its bases come to."""
         items = self._checked.source
         sources = {item.statement.span.source for item in items}
         if len(sources) == 1 and not any(s.extends for s in self._checked.all(ast.ModelStatement)):
             return sources.pop().text
-        joined = "\n".join(item.text.rstrip() for item in items) + "\n"
-        return format_text(Source(items[0].statement.span.source.path, joined))
+        # Not formatted: that would parse it twice more, and every check of a model would wait for it.
+        return "\n".join(item.text.rstrip() for item in items) + "\n"
 
     def _number(self, node: ast.Expression | None) -> float | None:
         return self._checked.numbers.value(node)

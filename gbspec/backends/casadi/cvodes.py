@@ -23,7 +23,7 @@ URP at the ignited cycle, 1e-2 keeps the global error at 10 time units below the
 FINEST = 1e-14
 """No local tolerance below this: rounding would make the error control stall."""
 
-STEPS = {"adams": 20_000, "bdf": 50_000}
+STEPS = {"adams": 20_000, "bdf": 200_000}
 """Steps between two outputs after which Adams' methods give way to BDF (the problem is stiff), and BDF gives up."""
 
 KEPT = 512
