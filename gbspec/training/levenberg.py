@@ -88,6 +88,7 @@ class NormalEquations:
         self.local = system.local.numpy() * root[:, None]
         self.residuals = system.residuals.numpy() * root
         self.owner = system.owner.numpy()
+        self.root = root
         self.ridge = ridge
         self.penalised = np.zeros(parameters.size)
         self.penalised[: parameters.n_weights] = 1.0
