@@ -2,7 +2,7 @@
 
     python benchmarks/check_time.py [--repeats 15] [MODEL ...]
 
-Each figure is the processor and the wall time of a whole process; prints medians and the median ratio of neighbouring runs.
+Each figure is the time of a whole process; prints medians and the median ratio of neighbouring runs.
 """
 
 from __future__ import annotations

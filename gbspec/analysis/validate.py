@@ -14,7 +14,7 @@ from gbspec.analysis.metrics import ChannelErrors, channel_errors, finite, sprea
 from gbspec.analysis.predict import Prediction, mean_prediction
 from gbspec.analysis.step_check import StepCheck, step_check
 from gbspec.analysis.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
-from gbspec.diagnostics import UserError
+from gbspec.diagnostics import ComputationError, UserError
 
 if TYPE_CHECKING:
     from gbspec.data.cases import Case, MetricsOptions
@@ -204,6 +204,9 @@ def _against_truth(
             "the model was not compared with its truth, since it is not known where: "
             + "; ".join(diagnostic.message for diagnostic in error.diagnostics)
         )
+        return None
+    except ComputationError as error:
+        warnings.append(f"the model was not compared with its truth: {error.what}")
         return None
     for name, norm in {"solution": found.solution, "right-hand side": found.rhs, **found.functions}.items():
         if norm.failed:

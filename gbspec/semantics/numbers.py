@@ -178,10 +178,10 @@ class Numbers:
                 _bounds_span(statement),
                 label=f"above {low:g} and below {high:g}",
             )
-        elif statement.start is None and not (math.isfinite(low) and math.isfinite(high)):
+        elif statement.start is None and not (math.isfinite(low) or math.isfinite(high)):
             self.findings.error(
                 "GB226",
-                f"`{name.text}` has neither a start nor two bounds, so learning would not know where to begin",
+                f"`{name.text}` has neither a start nor a bound, so learning would not know where to begin",
                 name.span,
                 help=f"write `learn {name.text} = 1` or `learn {name.text} in [0, 10]` with sensible numbers",
             )
@@ -242,7 +242,14 @@ def _bounds_span(statement: ast.LearnStatement) -> Span:
 
 
 def default_start(low: float, high: float) -> float:
-    """Where a learnable without a start begins: the middle of its bounds, or of their logarithms if far apart."""
+    """Where a learnable without a start begins: the middle of its bounds, or of their logarithms if far apart.
+
+    With one bound, at its side by its own size (by 1 if that is less): 1 for `> 0`.
+    """
+    if not math.isfinite(high):
+        return low + max(1.0, abs(low))
+    if not math.isfinite(low):
+        return high - max(1.0, abs(high))
     if low > 0 and high / low >= GEOMETRIC_FROM:
         return math.sqrt(low) * math.sqrt(high)
     return low + (high - low) / 2

@@ -253,6 +253,17 @@ def test_without_data_or_truth_there_is_only_the_member(write_run: Callable[...,
 
 
 # ---------------------------------------------------------------------- the step
+def test_a_truth_that_cannot_be_sampled_is_a_warning_beside_the_errors_on_data(
+    write_run: Callable[..., Run], urp_instance: Any, urp_data: Trajectories
+) -> None:
+    run = write_run(model_of("urp_gb2"), urp_instance)
+    everywhere = SimulateOptions(trajectories=2, span=1.0, dt=0.5, reject="x1 > -1")
+    found = validate(run, urp_data, sampling=everywhere, metrics=FEW)
+    assert found.truth is None
+    assert found.channels
+    assert any("not compared with its truth" in warning for warning in found.warnings)
+
+
 def test_a_step_that_is_too_large_is_told(urp_data: Trajectories) -> None:
     small, large = nearly_true(), nearly_true()
     large.info["max_step"] = 0.6

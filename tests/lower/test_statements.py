@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -93,7 +94,10 @@ def test_lets_are_written_out_where_only_constants_may_stand() -> None:
     assert model.states[0].initial.value == 2 * y + 1
 
 
-@pytest.mark.parametrize(("low", "high", "start"), [(0, 10, 5), (1, 10, 5.5), (1, 10000, 100), (-4, 2, -1)])
+@pytest.mark.parametrize(
+    ("low", "high", "start"),
+    [(0, 10, 5), (1, 10, 5.5), (1, 10000, 100), (-4, 2, -1), (0, inf, 1), (20, inf, 40), (-inf, 0, -1), (-inf, -3, -6)],
+)
 def test_default_start(low: float, high: float, start: float) -> None:
     assert default_start(low, high) == pytest.approx(start)
 
@@ -105,3 +109,8 @@ def test_default_start(low: float, high: float, start: float) -> None:
 def test_unit_text(unit: str, text: str) -> None:
     model = model_of(f"model m\nstate x : {unit}\nx' = -x\nobserve x\n")
     assert model.states[0].unit == text
+
+
+def test_one_bound_is_enough_to_start_from() -> None:
+    model = model_of("model m\nstate x\nlearn k > 0\nx' = -k*x\nobserve x\n")
+    assert model.learnables[0].start == 1.0
