@@ -50,6 +50,8 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
     },
 }
 """Most iterations of each stage by effort."""
+LARGEST = 4 * 1024**3
+"""Above this size of the Jacobian in bytes the second-order stages give way to Adam on minibatches of trajectories."""
 NOISE = 0.01
 """Above this typical residual after teacher forcing (in deviations of the data) the data count as noisy."""
 FEW = 600
@@ -123,6 +125,8 @@ class _Planner:
     def _automatic(self) -> list[Planned]:
         """The recipe: see the module's documentation of the stages."""
         limits = self.limits
+        if 8 * self.values * self.parameters.n_shared > LARGEST:
+            return [self._starts("initial states", self.blend), self._adam(limits["adam"], lambda theta: True)]
         if self.options.forcing != "teacher":
             first, last = self._at(1.0), self._at(self.blend)
             return [

@@ -15,7 +15,7 @@ import torch
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
-from gbspec.training import TrainOptions, Update, train
+from gbspec.training import TrainOptions, Update, plan, train
 from tests.training.conftest import URP, model_of, trajectory, urp_data, urp_rhs
 
 
@@ -130,6 +130,14 @@ def test_options_give_a_finite_fit(more: dict[str, object], tmp_path: Path) -> N
     assert math.isfinite(run.fit["members"][0]["loss"])
     low, high = 0.0, 50.0
     assert low < run.member().weights["constants"][0] < high
+
+
+def test_too_much_for_a_jacobian_goes_by_minibatches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbspec.training.plan.LARGEST", 1000)
+    monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 3)  # type: ignore[arg-type]
+    recorder = Recorder()
+    train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(effort="low", batch_size=2), tmp_path / "run", recorder)
+    assert [u.stage for u in recorder.updates] == ["warm start", "initial states", "adam", "adam", "adam"]
 
 
 def test_members_differ_and_repeat(tmp_path: Path) -> None:
