@@ -1,0 +1,1 @@
+"""Measurements that the README quotes, one command each; see benchmarks/README.md."""
