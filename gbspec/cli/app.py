@@ -29,6 +29,7 @@ COMMANDS = {
     "profile": "gbspec.cli.commands.profile",
     "plot": "gbspec.cli.commands.plot",
     "report": "gbspec.cli.commands.report",
+    "study": "gbspec.cli.commands.study",
     "demo": "gbspec.cli.commands.demo",
 }
 """Name of each command and the module whose `run` it is, in the order in which the help lists them."""

@@ -20,7 +20,7 @@ from gbspec.data.sampling import Box, SimulateOptions
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
 
 FILE = "cases.toml"
-KEYS = ("title", "model", "sampling", "metrics", "training", "published")
+KEYS = ("title", "model", "data", "sampling", "metrics", "training", "published")
 Scalar = str | int | float | bool
 
 
@@ -59,21 +59,28 @@ class MetricsOptions:
 
 @dataclass(frozen=True)
 class TrainingDefaults:
-    """How a case is trained: values for flags of `gbspec train`, by their names with underscores."""
+    """How a case is trained: values for flags of `gbspec train`, by their names with underscores.
+
+    `members` is how many fits a study makes of the case, each with a seed of its own.
+    """
 
     max_step: float | None = None
     effort: str = "normal"
-    members: int = 1
+    members: int = 10
     more: Mapping[str, Scalar] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case: a model, its sampling, metrics and training, and what was `published` for it (metric to number)."""
+    """One case: a model, its sampling, metrics and training, and what was `published` for it (metric to number).
+
+    `data` is a table to be read where there is one; else data are simulated as `sampling` says.
+    """
 
     name: str
     title: str
     model: Path | None
+    data: Path | None = None
     sampling: SimulateOptions = field(default_factory=SimulateOptions)
     metrics: MetricsOptions = field(default_factory=MetricsOptions)
     training: TrainingDefaults = field(default_factory=TrainingDefaults)
@@ -158,6 +165,7 @@ class _Reader:
             name=base.name,
             title=self.text(entry, "title", base.title),
             model=self.model(self.text(entry, "model", base.name)) if base.name else None,
+            data=self.data(self.text(entry, "data", "")) or base.data,
             sampling=self.sampling(self.table(entry, "sampling"), base.sampling),
             metrics=overlay(base.metrics, self.table(entry, "metrics"), self.within("metrics")),
             training=self.training(self.table(entry, "training"), base.training),
@@ -193,6 +201,14 @@ class _Reader:
             if candidate.is_file():
                 return candidate
         self.report("GB742", "model", f"names no file: there is no `{name}.gb` beside the cases")
+        return None
+
+    def data(self, name: str) -> Path | None:
+        """The case's table, by its path from the folder of the cases; None without `data`."""
+        candidate = self.path.parent / name
+        if not name or candidate.is_file():
+            return candidate if name else None
+        self.report("GB742", "data", f"names no file: there is no `{name}` beside the cases")
         return None
 
     def table(self, entry: Mapping[str, Any], key: str) -> dict[str, Any]:

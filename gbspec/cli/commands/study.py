@@ -1,0 +1,76 @@
+"""`gbspec study CASES -o DIR`: fits the cases of a `cases.toml` many times and sets the errors beside the published."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.report.text import number
+from gbspec.study.options import StudyOptions
+
+
+@command(
+    "study",
+    "gbspec study urp -o urp_study",
+    "gbspec study urp bf -o both --members 3 --workers 2",
+    "gbspec study urp:URP_GB2 -o noisy --noise 0.05 --effort high",
+    "gbspec study my_folder/cases.toml -o my_study --case A --case B",
+)
+def run(
+    output: Output,
+    cases: Annotated[
+        list[str],
+        typer.Argument(help="A cases.toml, or a folder of shipped models; `urp:A,B` takes some.", metavar="CASES..."),
+    ],
+    to: Annotated[str, typer.Option("--output", "-o", help="The directory of the study.", metavar="DIR")],
+    options: StudyOptions,
+) -> None:
+    """Fit the cases of a `cases.toml` several times and write their errors beside the published ones.
+
+    The directory gets `table.md`, `results.csv` (a row a member) and `study.json`, anew after each member. The same
+    command continues a study that was stopped; members that are finished are not fitted again.
+    """
+    from gbspec.study.runner import run_study
+    from gbspec.study.tasks import Task, study_of
+
+    study = study_of(cases, options)
+    root = directory(to)
+
+    def told(task: Task, record: dict[str, Any], done: int, total: int) -> None:
+        output.say(f"[{done}/{total}] {task.name}: {line(record)}")
+
+    wanted = shlex.join(["gbspec", *sys.argv[1:]])
+    summary = run_study(study, root, options, wanted, told)
+    output.say(f"wrote {root / 'table.md'}")
+    output.summary((root / "table.md").read_text(encoding="utf-8").rstrip("\n"))
+    output.document(summary)
+
+
+def directory(to: str) -> Path:
+    """The study's directory; raises `UserError` (GB802, GB806) where it is something else."""
+    root = Path(to)
+    if root.exists() and not root.is_dir():
+        message = f"`{to}` is a file; a study is a directory"
+        raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
+    if root.is_dir() and any(root.iterdir()) and not (root / "study.json").is_file():
+        message = f"`{to}` exists already and is no study"
+        raise UserError([Diagnostic("GB806", message, None, help="choose another name")])
+    return root
+
+
+def line(record: dict[str, Any]) -> str:
+    """What a member reached, in a line."""
+    if record.get("failure"):
+        return f"failed: {record['failure']}"
+    errors = [f"{name} {number(entry['L2'], 3)}" for name, entry in record["errors"].items()]
+    if not errors:
+        errors = [f"{name} nrmse {number(value, 3)}" for name, value in record["nrmse"].items()]
+    warned = ["step warned"] if record["step_warning"] else []
+    return ", ".join([*errors, *warned, f"CPU {record['cpu_seconds']:.0f} s"])

@@ -1,0 +1,49 @@
+"""The options of a study: one frozen dataclass from which flags and help derive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.training.options import Effort
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """What `gbspec study` does with the cases; where an option is None the case says."""
+
+    case: tuple[str, ...] = field(
+        default=(), metadata={"help": "A case of those named (repeatable); all of them.", "metavar": "CASE"}
+    )
+    members: int | None = field(
+        default=None,
+        metadata={"help": "Fits of each case, every one of data and weights of its own; as the case says, else 10."},
+    )
+    seed: int = field(default=0, metadata={"help": "Seed of the first member; member K uses SEED + K."})
+    effort: Effort | None = field(default=None, metadata={"help": "Effort of every case; as the case says."})
+    noise: float | None = field(
+        default=None, metadata={"help": "Noise of simulated data, relative to each channel; as the case says."}
+    )
+    workers: int = field(default=1, metadata={"help": "Number of processes that fit members side by side."})
+    threads: int = field(default=1, metadata={"help": "Threads of each worker."})
+    keep_runs: bool = field(default=False, metadata={"help": "Keep each member's run directory and table."})
+    table_only: bool = field(
+        default=False, metadata={"help": "Fit nothing: write the tables of what has been fitted so far."}
+    )
+
+    def check(self) -> None:
+        """Raises `UserError` (GB814) with every value that makes no sense."""
+        wrong = [
+            ("members", self.members, self.members is None or self.members >= 1, "at least 1"),
+            ("seed", self.seed, self.seed >= 0, "zero or more"),
+            ("noise", self.noise, self.noise is None or 0 <= self.noise < float("inf"), "zero or more"),
+            ("workers", self.workers, self.workers >= 1, "at least 1"),
+            ("threads", self.threads, self.threads >= 1, "at least 1"),
+        ]
+        found = [
+            Diagnostic("GB814", f"`--{name} {value}` must be {expected}", None)
+            for name, value, holds, expected in wrong
+            if not holds
+        ]
+        if found:
+            raise UserError(found)

@@ -1,0 +1,133 @@
+"""Runs the tasks of a study, each in a process of its own, and writes the tables anew after each.
+
+A process of its own keeps the CPU time of a member apart, and lets the study survive one that is killed for lack of
+memory. Finished members have a record and are never fitted again; an unfinished one goes on from its checkpoint.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.study.member import Place, fit_member, read_record
+from gbspec.study.options import StudyOptions
+from gbspec.study.tables import write_tables
+from gbspec.study.tasks import Study, Task
+
+POLL = 0.2
+"""Seconds between looks at the workers."""
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+Told = Callable[[Task, dict[str, Any], int, int], None]
+"""Called with a finished task, its record, and how many of how many are done."""
+
+
+def run_study(study: Study, root: Path, options: StudyOptions, command: str, told: Told) -> dict[str, Any]:
+    """Fits what is not fitted yet (nothing with `--table-only`) and writes the tables; gives `study.json`'s content.
+
+    Raises UserError (GB820) where the directory holds a study with other settings, ComputationError where the process
+    of a member died, KeyboardInterrupt after telling the workers to save.
+    """
+    place = Place(root)
+    tasks = study.tasks()
+    check_settings(tasks, place)
+    waiting = [] if options.table_only else [task for task in tasks if read_record(place.record(task)) is None]
+    done = len(tasks) - len(waiting)
+    summary = write_tables(study, place, command)
+
+    def finished(task: Task) -> None:
+        nonlocal done, summary
+        done += 1
+        summary = write_tables(study, place, command)
+        told(task, read_record(place.record(task)) or {}, done, len(tasks))
+
+    if waiting:
+        _fit(waiting, place, options, finished)
+    return summary
+
+
+def check_settings(tasks: list[Task], place: Place) -> None:
+    """Raises UserError (GB820) where finished members of a case were fitted with other settings."""
+    settings: dict[str, str] = {}
+    for task in tasks:
+        record = read_record(place.record(task))
+        if record is None:
+            continue
+        now = settings.setdefault(task.case.name, task.settings)
+        if record["settings"] != now or record["seed"] != task.seed:
+            message = f"the study in `{place.root}` was begun with other settings of the case `{task.case.name}`"
+            advice = "name another directory with `-o`, or give the options (and the case) as they were"
+            raise UserError([Diagnostic("GB820", message, None, help=advice)])
+
+
+def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Callable[[Task], None]) -> None:
+    """Keeps `--workers` processes busy until all tasks have a record."""
+    running: dict[BaseProcess, Task] = {}
+    lost: list[Task] = []
+    rest = list(waiting)
+    try:
+        while rest or running:
+            while rest and len(running) < options.workers:
+                task = rest.pop(0)
+                running[_start(task, place, options)] = task
+            for process in [one for one in running if not one.is_alive()]:
+                task = running.pop(process)
+                process.join()
+                if read_record(place.record(task)) is not None:
+                    finished(task)
+                else:
+                    lost.append(task)
+            time.sleep(POLL)
+    except KeyboardInterrupt:
+        _interrupt(list(running))
+        raise
+    if lost:
+        names = ", ".join(task.name for task in lost)
+        raise ComputationError(
+            f"the process of {names} ended without a result",
+            remedy="perhaps for lack of memory: use fewer `--workers`; the same command continues the study",
+        )
+
+
+def _start(task: Task, place: Place, options: StudyOptions) -> BaseProcess:
+    """A new process for a task, with the threads of a worker."""
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(options.threads)))
+    try:
+        spawn = multiprocessing.get_context("spawn")
+        process = spawn.Process(target=_work, args=(task, place, options.threads, options.keep_runs))
+        process.start()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+    return process
+
+
+def _work(task: Task, place: Place, threads: int, keep: bool) -> None:
+    """One member, in its process, which leaves the terminal's process group: the parent alone hears Ctrl-C."""
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()
+    try:
+        fit_member(task, place, threads, keep)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _interrupt(processes: list[BaseProcess]) -> None:
+    """Tells the workers to save what they reached, and waits for them."""
+    for process in processes:
+        if process.is_alive() and process.pid is not None:
+            os.kill(process.pid, signal.SIGINT)
+    for process in processes:
+        process.join()

@@ -1,0 +1,197 @@
+"""The tables of a study: `table.md` beside the paper's numbers, `results.csv` with a row a member, `study.json`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gbspec.data.cases import Case
+from gbspec.files import write_text
+from gbspec.runs import files
+from gbspec.study.member import NORMS, Place, read_record
+from gbspec.study.tasks import Study
+
+METRICS = {"solution": "solution", "rhs": "right-hand side", "functions": "functions", "constants": "constants"}
+"""Metrics of the truth as the records have them, and as the table calls them."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Numbers of several members: a failed one counts as infinite, so it moves median and worst, and voids the mean."""
+
+    mean: float
+    sd: float
+    median: float
+    worst: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """The spread of at least one number."""
+        finite = all(math.isfinite(value) for value in values)
+        ordered = sorted(values)
+        middle = len(ordered) // 2
+        median = ordered[middle] if len(ordered) % 2 else (ordered[middle - 1] + ordered[middle]) / 2
+        mean = statistics.fmean(values) if finite else math.inf
+        sd = statistics.stdev(values) if finite and len(values) > 1 else math.nan
+        return cls(mean, sd, median, ordered[-1])
+
+    def to_json(self) -> dict[str, float]:
+        """Keys mean, sd, median, worst."""
+        return {"mean": self.mean, "sd": self.sd, "median": self.median, "worst": self.worst}
+
+
+def write_tables(study: Study, place: Place, command: str) -> dict[str, Any]:
+    """Writes the three files from the records that are there; gives the content of `study.json`."""
+    records: dict[str, list[dict[str, Any]]] = {case.name: [] for case in study.cases}
+    for task in study.tasks():
+        record = read_record(place.record(task))
+        if record is not None:
+            records[task.case.name].append(record)
+    summary = summarise(study, records, command)
+    place.root.mkdir(parents=True, exist_ok=True)
+    files.write_json(place.root / "study.json", summary)
+    write_text(place.root / "results.csv", results(records))
+    write_text(place.root / "table.md", markdown(summary))
+    return summary
+
+
+def summarise(study: Study, records: Mapping[str, Sequence[Mapping[str, Any]]], command: str) -> dict[str, Any]:
+    """The content of `study.json`: spreads over the members that are finished, case by case."""
+    everything = [record for several in records.values() for record in several]
+    return {
+        "command": command,
+        "seed": study.seed,
+        "versions": _versions(everything),
+        "machines": sorted({str(record["machine"]) for record in everything}),
+        "last": max((str(record["finished"]) for record in everything), default=None),
+        "cases": {
+            case.name: _case(case, count, training.effort, records[case.name])
+            for case, count, training in zip(study.cases, study.members, study.training, strict=True)
+        },
+    }
+
+
+def _versions(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+    """Which versions of gbspec and its libraries the members were fitted with."""
+    found: dict[str, set[str]] = {}
+    for record in records:
+        for name, version in record.get("versions", {}).items():
+            found.setdefault(name, set()).add(str(version))
+    return {name: sorted(versions) for name, versions in found.items()}
+
+
+def _case(case: Case, planned: int, effort: str, records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    metrics: dict[str, Any] = {}
+    for metric in METRICS:
+        values = {norm: [_value(record, metric, norm) for record in records] for norm in NORMS}
+        if not any(math.isfinite(value) for value in values["L2"]):
+            values = {}
+        if values or metric in case.published:
+            spreads = {norm: Spread.of(v).to_json() for norm, v in values.items() if any(map(math.isfinite, v))}
+            metrics[metric] = {"published": case.published.get(metric), **spreads}
+    whole = [record for record in records if not record.get("resumed") and "cpu_seconds" in record]
+    cpu = [float(record["cpu_seconds"]) for record in whole]
+    return {
+        "title": case.title,
+        "model": case.model.stem if case.model else None,
+        "members": len(records),
+        "planned": planned,
+        "effort": effort,
+        "noise": case.sampling.noise,
+        "failed": [record["member"] for record in records if record.get("failure")],
+        "step_warnings": [record["member"] for record in records if record.get("step_warning")],
+        "cpu_seconds": {"median": statistics.median(cpu), "most": max(cpu), "members": len(cpu)} if cpu else None,
+        "metrics": metrics,
+    }
+
+
+def _value(record: Mapping[str, Any], metric: str, norm: str) -> float:
+    """A member's number; infinite where the fit failed, or some of the points could not be computed."""
+    entry = record.get("errors", {}).get(metric, {})
+    value = entry.get(norm)
+    return math.inf if value is None or entry.get("failed") else float(value)
+
+
+# ------------------------------------------------------------------------------------------------------- results.csv
+def results(records: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+    """One row a member; cells are empty where there is no number."""
+    columns = [f"{metric}_{norm}" for metric, norm in _COLUMNS]
+    names = sorted({name for several in records.values() for record in several for name in record.get("constants", {})})
+    head = ["case", "member", "seed", "failure", "cpu_seconds", "wall_seconds", "resumed", "step_warning", "loss"]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*head, *columns, *(f"constant_{name}" for name in names)])
+    for case, several in records.items():
+        for record in several:
+            errors = record.get("errors", {})
+            row = [case, record["member"], record["seed"], record.get("failure", "")]
+            row += [record.get(name) for name in ("cpu_seconds", "wall_seconds", "resumed")]
+            row += [bool(record.get("step_warning")), record.get("loss")]
+            row += [errors.get(metric, {}).get(norm) for metric, norm in _COLUMNS]
+            row += [record.get("constants", {}).get(name) for name in names]
+            writer.writerow(["" if cell is None else cell for cell in row])
+    return text.getvalue()
+
+
+_COLUMNS = [(metric, norm) for metric in METRICS for norm in NORMS if metric != "constants" or norm == "L2"]
+"""What a row of results has: of constants one number, the mean relative error."""
+
+
+# ---------------------------------------------------------------------------------------------------------- table.md
+def markdown(summary: Mapping[str, Any]) -> str:
+    """The table for people: errors beside the published ones, then what the fits took and warned of."""
+    versions = ", ".join(f"{name} {'/'.join(several)}" for name, several in summary["versions"].items())
+    lines = [
+        "# Study",
+        "",
+        f"`{summary['command']}`",
+        "",
+        f"Each member has data and initial weights of its own seed, from {summary['seed']} on. Errors are the L2 norms "
+        "of the paper's appendix, of constants the mean relative error; L1 and Linf are in `results.csv`. "
+        "A factor is the published error over this one: above 1 is better than published.",
+        "",
+        "| case | error | published | mean ± sd | median | worst | factor (median) | factor (worst) |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, case in summary["cases"].items():
+        for metric, entry in case["metrics"].items():
+            lines.append(_row(name, metric, entry))
+    lines += [
+        "",
+        "| case | what | members | failed | step warned | CPU s a member: median (most) |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, case in summary["cases"].items():
+        cpu = case["cpu_seconds"]
+        time = f"{cpu['median']:.0f} ({cpu['most']:.0f})" if cpu else ""
+        what = case["title"] + (f"; effort {case['effort']}" if case["effort"] != "normal" else "")
+        what += f"; noise {case['noise']:g}" if case["noise"] else ""
+        counts = f"{case['members']} of {case['planned']} | {len(case['failed'])} | {len(case['step_warnings'])}"
+        lines.append(f"| {name} | {what} | {counts} | {time} |")
+    lines += ["", f"Fitted with {versions or 'nothing yet'}; {', '.join(summary['machines'])}; last {summary['last']}."]
+    return "\n".join(lines) + "\n"
+
+
+def _row(case: str, metric: str, entry: Mapping[str, Any]) -> str:
+    published, ours = entry["published"], entry.get("L2")
+    cells = [case, METRICS[metric], number(published)]
+    if ours is None:
+        return "| " + " | ".join([*cells, "", "", "", "", ""]) + " |"
+    sd = f" ± {number(ours['sd'])}" if math.isfinite(ours["sd"]) else ""
+    mean = number(ours["mean"]) + sd if math.isfinite(ours["mean"]) else "failed"
+    cells += [mean, number(ours["median"]), number(ours["worst"])]
+    for key in ("median", "worst"):
+        cells.append(f"{published / ours[key]:.3g}" if published and math.isfinite(ours[key]) and ours[key] else "")
+    return "| " + " | ".join(cells) + " |"
+
+
+def number(value: float | None) -> str:
+    """Three digits; `failed` where a member failed."""
+    if value is None:
+        return ""
+    return f"{value:.2e}" if math.isfinite(value) else "failed"
