@@ -64,7 +64,6 @@ def first_rows(problem: Problem, count: int) -> Problem:
             "weights",
             "sd",
             "row_inputs",
-            "dose",
         )
     }
     shorter: Packed = replace(packed, t=packed.t[:depth], h=h, inputs=packed.inputs[:depth], steps=steps, **cut)

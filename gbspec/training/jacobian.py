@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gbspec.data.trajectories import Array
+from gbspec.training.doses import SubStep, advance, arrivals
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 from gbspec.training.unroll import Unrolled, measured_residuals, observe_rows, residuals_of, unroll
@@ -82,6 +83,7 @@ class _Sweep:
         with torch.no_grad():
             self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
             self.constants = parameters.constants(self.vector)
+        self.arrivals = arrivals(problem, self.constants)
         for name in parameters.weight_shapes:
             # Only so that every pre-activation is part of the graph; the gradients of the weights are never asked for.
             self.weights[name].requires_grad_()
@@ -289,11 +291,14 @@ class _Sweep:
         for j in range(batch.depth):
             live = batch.live(j)
             steps, who = batch.first[:live] + j, batch.owner[:live]
-            t, h = torch.from_numpy(packed.t[steps, who]), torch.from_numpy(packed.h[steps, who])
-            u = torch.from_numpy(packed.inputs[steps, who])
-            nodes = tuple(u[:, q] for q in range(u.shape[1]))
-            constants = tuple(column[:live] for column in k)
-            state = problem.module._step(problem.ops, t, state, h, c[:live], nodes, constants, networks)
+            step = SubStep(
+                torch.from_numpy(packed.t[steps, who]),
+                torch.from_numpy(packed.h[steps, who]),
+                c[:live],
+                torch.from_numpy(packed.inputs[steps, who]).unbind(1),
+                self.arrivals[:, steps, who] if len(self.arrivals) else None,
+            )
+            state = advance(problem, state, step, [column[:live] for column in k], networks)
             calls.append(len(tape))
             remaining = batch.live(j + 1)
             finished.append(state[remaining:])

@@ -1,7 +1,8 @@
 """Trajectories as arrays to step through: key rows, solver sub-steps packed back to back, resets and doses.
 
-A *key row* is a time at which something is known of a trajectory (a measurement) or done to it (a dose). Between key
-rows the solver takes *sub-steps* no longer than the largest step allowed. Each trajectory's sub-steps follow each other
+A *key row* is a time at which something is known of a trajectory: a measurement. Between key rows the solver takes
+*sub-steps* no longer than the largest step allowed; they begin anew where an input breaks or a dose arrives (where its
+lag is learned: see `doses`). Each trajectory's sub-steps follow each other
 without gaps, so that in step `s` of the batch every trajectory takes its own `s`-th sub-step, whatever its length;
 trajectories that are done take steps of length zero, at the end only. (Waiting for the longest interval of the batch
 at every key row would cost about three times as many steps on irregular data.)
@@ -17,13 +18,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.data.trajectories import Array, Signal, Trajectories, Trajectory
-from gbspec.ir.model import Model
+from gbspec.ir.model import Dose, Model
 from gbspec.ir.tableaus import RK4
 
 Integers = NDArray[np.int64]
 
 NODES = tuple(sorted({float(c) for c in RK4.c}))
 """The distinct nodes of the tableau, at which inputs are needed within a step."""
+
+
+@dataclass(frozen=True)
+class DoseTable:
+    """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much."""
+
+    owner: Integers
+    kind: Integers
+    time: Array
+    amount: Array
+
+    def take(self, indices: Integers) -> DoseTable:
+        """The doses of some of the trajectories, in the order given (repeats allowed)."""
+        found = [np.flatnonzero(self.owner == i) for i in indices]
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *found])
+        owner = np.repeat(np.arange(len(indices)), [len(each) for each in found])
+        return DoseTable(owner.astype(np.int64), self.kind[rows], self.time[rows], self.amount[rows])
 
 
 @dataclass(frozen=True)
@@ -35,7 +53,7 @@ class Packed:
     Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
     trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
     measured), `weights` [R, C] (square root of the count; 0: not measured), `sd` [R, C] (NaN: none given),
-    `row_inputs` [R, n_inputs], `dose` [R, n_states] (added to the state after the row's measurement).
+    `row_inputs` [R, n_inputs]. A dose is added to the state after a measurement at the same time.
     """
 
     t: Array
@@ -52,7 +70,7 @@ class Packed:
     weights: Array
     sd: Array
     row_inputs: Array
-    dose: Array
+    doses: DoseTable
     labels: tuple[str, ...]
     max_step: float
 
@@ -102,7 +120,7 @@ class Packed:
             weights=self.weights[rows],
             sd=self.sd[rows],
             row_inputs=self.row_inputs[rows],
-            dose=self.dose[rows],
+            doses=self.doses.take(index),
             labels=tuple(self.labels[i] for i in index),
         )
 
@@ -182,7 +200,7 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
         weights=rows([plan.weights for plan in plans], channels),
         sd=rows([plan.sd for plan in plans], channels),
         row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
-        dose=rows([plan.dose for plan in plans], len(model.states)),
+        doses=_dose_table(trajectories),
         labels=tuple(item.label for item in trajectories.items),
         max_step=max_step,
     )
@@ -201,14 +219,31 @@ class _Plan:
     weights: Array
     sd: Array
     row_inputs: Array
-    dose: Array
+
+
+def known_lag(dose: Dose, model: Model) -> float | None:
+    """The lag of a dose where it is a number, None where it depends on what is learned or on conditions."""
+    lag = dose.lag.subs({constant.symbol: constant.value for constant in model.constants})
+    return float(lag) if lag.is_number else None
+
+
+def _dose_table(trajectories: Trajectories) -> DoseTable:
+    """The doses of all trajectories."""
+    rows = [
+        (i, kind, time, amount)
+        for i, item in enumerate(trajectories.items)
+        for kind, events in enumerate(item.doses)
+        for time, amount in zip(events.times, events.amounts, strict=True)
+    ]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3])
 
 
 def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Generator | None) -> _Plan:
-    dose_times = [events.times[(events.times >= item.start) & (events.times <= item.end)] for events in item.doses]
-    measured = item.times[item.times >= item.start]
-    keys = np.unique(np.concatenate([measured, *dose_times])) if len(dose_times) else measured
+    keys = item.times[item.times >= item.start]
+    lags = [known_lag(spec, model) for spec in model.doses]
     jumps = [signal.times for signal in item.inputs]
+    jumps += [events.times + lag for events, lag in zip(item.doses, lags, strict=True) if lag is not None]
     inside = [s[(s > item.start) & (s < item.end)] for s in jumps]
     # A breakpoint within rounding of a key time is that key time: no step may be as short as an error of the clock.
     breaks = _distinct(np.concatenate([keys, *inside]), keys, item)
@@ -220,19 +255,11 @@ def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Genera
     arrival = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(counts)])
     row_step = arrival[np.searchsorted(edges, keys)]
     values, weights, sd = (np.full((len(keys), item.values.shape[1]), fill) for fill in (np.nan, 0.0, np.nan))
-    at = np.searchsorted(keys, measured)
     kept = item.times >= item.start
-    values[at], weights[at], sd[at] = item.values[kept], np.sqrt(item.counts[kept]), item.sd[kept]
+    values[:], weights[:], sd[:] = item.values[kept], np.sqrt(item.counts[kept]), item.sd[kept]
     weights[~np.isfinite(values)] = 0.0
-    dose = np.zeros((len(keys), len(model.states)))
-    for spec, events in zip(model.doses, item.doses, strict=True):
-        valid = (events.times >= item.start) & (events.times <= item.end)
-        np.add.at(
-            dose[:, model.state_index[spec.state]], np.searchsorted(keys, events.times[valid]), events.amounts[valid]
-        )
-    return _Plan(
-        t, h, _step_inputs(item, model, t, h), row_step, keys, values, weights, sd, _row_inputs(item, model, keys), dose
-    )
+    inputs, at_rows = _step_inputs(item, model, t, h), _row_inputs(item, model, keys)
+    return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows)
 
 
 def _distinct(times: Array, keys: Array, item: Trajectory) -> Array:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import ComputationError
+from gbspec.training.doses import SubStep, advance, arrivals
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 
@@ -20,7 +21,7 @@ LOG_FLOOR = 1e-3
 
 @dataclass(frozen=True)
 class Unrolled:
-    """`arrival` [R, n_states]: states on arrival at each key row (before resets); `departure`: after them;
+    """`arrival` [R, n_states]: states on arrival at each key row (before resets and doses); `departure`: after resets;
     `initial` [N, n_states]; `residuals` [R, C], 0 where nothing was measured."""
 
     arrival: Tensor
@@ -38,19 +39,16 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     c = torch.from_numpy(packed.condition)
     initial = module._initial(m, parameters.starts(theta), c, k)
-    value, weight, dose = _reset_tables(problem)
-    t, h, inputs = torch.from_numpy(packed.t), torch.from_numpy(packed.h), torch.from_numpy(packed.inputs)
+    value, weight = _reset_tables(problem)
+    steps = _sub_steps(problem, constants)
     before, after = [initial], []
     x = initial
     for s in range(packed.depth + 1):
         if s > 0:
-            nodes = tuple(inputs[s - 1, :, j] for j in range(inputs.shape[2]))
-            x = module._step(m, t[s - 1], x, h[s - 1], c, nodes, k, networks)
+            x = advance(problem, x, steps[s - 1], k, networks)
             before.append(x)
         if weight[s] is not None:
             x = x - weight[s] * (x - value[s])
-        if dose[s] is not None:
-            x = x + dose[s]
         after.append(x)
     step, owner = torch.from_numpy(packed.row_step), torch.from_numpy(packed.row_trajectory)
     arrival = torch.stack(before)[step, owner]
@@ -59,23 +57,31 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     return Unrolled(arrival, departure, initial, residuals)
 
 
-def _reset_tables(problem: Problem) -> tuple[list[Tensor | None], list[Tensor | None], list[Tensor | None]]:
-    """Reset values, reset weights and doses by step and trajectory; None at steps without any."""
+def _sub_steps(problem: Problem, constants: Tensor) -> list[SubStep]:
+    """Every sub-step of all trajectories, with the doses that arrive in it at the constants [N, n_constants]."""
+    packed = problem.packed
+    t, h, inputs = torch.from_numpy(packed.t), torch.from_numpy(packed.h), torch.from_numpy(packed.inputs)
+    c, events = torch.from_numpy(packed.condition), arrivals(problem, constants)
+    return [
+        SubStep(t[s], h[s], c, inputs[s].unbind(1), events[:, s] if len(events) else None) for s in range(packed.depth)
+    ]
+
+
+def _reset_tables(problem: Problem) -> tuple[list[Tensor | None], list[Tensor | None]]:
+    """Reset values and reset weights by step and trajectory; None at steps without any."""
     packed = problem.packed
     shape = (packed.depth + 1, packed.trajectories, len(problem.model.states))
     at = (packed.row_step, packed.row_trajectory)
     tables = []
-    for rows in (problem.forcing.value, problem.forcing.weight, packed.dose):
+    for rows in (problem.forcing.value, problem.forcing.weight):
         table = np.zeros(shape)
         table[at] = rows
         tables.append(table)
-    value, weight, dose = tables
+    value, weight = tables
     used = [bool(table.any()) for table in weight]
-    dosed = [bool(table.any()) for table in dose]
     return (
         [torch.from_numpy(value[s]) if used[s] else None for s in range(shape[0])],
         [torch.from_numpy(weight[s]) if used[s] else None for s in range(shape[0])],
-        [torch.from_numpy(dose[s]) if dosed[s] else None for s in range(shape[0])],
     )
 
 
@@ -158,8 +164,8 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Tensor) -> t
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     c = torch.from_numpy(packed.condition)
     x = module._initial(m, parameters.starts(theta), c, k)
-    value, weight, dose = _reset_tables(problem)
-    t, h, inputs = torch.from_numpy(packed.t), torch.from_numpy(packed.h), torch.from_numpy(packed.inputs)
+    value, weight = _reset_tables(problem)
+    steps = _sub_steps(problem, constants)
     names = [s.name for s in problem.model.states]
     bad = ~torch.isfinite(x)
     if bad.any():
@@ -168,18 +174,16 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Tensor) -> t
         return i, float(packed.start[i]), f"the initial state of {which} is not finite", x[i].numpy()
     for s in range(packed.depth + 1):
         if s > 0:
-            nodes = tuple(inputs[s - 1, :, j] for j in range(inputs.shape[2]))
-            new = module._step(m, t[s - 1], x, h[s - 1], c, nodes, k, networks)
+            step = steps[s - 1]
+            new = advance(problem, x, step, k, networks)
             bad = ~torch.isfinite(new)
             if bad.any():
                 i = int(torch.nonzero(bad.any(-1))[0, 0])
-                rhs = module._rhs(m, t[s - 1], x, c, nodes[0], k, networks)[i]
+                rhs = module._rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
                 return i, float(packed.t[s - 1, i]), _blame(names, rhs, bad[i]), x[i].numpy()
             x = new
         if weight[s] is not None:
             x = x - weight[s] * (x - value[s])
-        if dose[s] is not None:
-            x = x + dose[s]
     return None
 
 
