@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
@@ -14,15 +13,14 @@ from typing import Any
 import numpy as np
 
 import gbspec
-from gbspec.backends.module import generate, load_module
+from gbspec.backends.module import generate
 from gbspec.data.trajectories import Trajectories
-from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
-from gbspec.training.levenberg import use_threads
 from gbspec.training.options import TrainOptions
-from gbspec.training.parallel import fit_members
+from gbspec.training.parallel import Job, fit_jobs
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.summary import MemberResult
 
@@ -38,27 +36,65 @@ def train(
 ) -> Run:
     """Fits all members and writes the run directory.
 
-    Raises UserError (GB850 options, GB855 the directory is in use, GB856 nothing to learn from), ComputationError where
-    the estimation fails (what was reached before stays in the directory), and KeyboardInterrupt on SIGINT after writing
-    a run that can be used and resumed.
+    Raises UserError (GB850 options, GB855 the directory is in use, GB856 nothing to learn from, GB860 no cluster),
+    ComputationError where no member could be fitted (what was reached before stays in the directory; members that
+    failed beside others are told as messages), and KeyboardInterrupt on SIGINT after writing a run that can be used and
+    resumed.
     """
-    findings = Findings()
-    options.check(findings)
-    _check_data(trajectories, findings)
-    findings.raise_if_failed()
-    path = Path(directory)
-    record = _record(model, trajectories, options)
-    _prepare(path, model, record, options)
-    threads = options.threads or max(1, (os.cpu_count() or 1) // options.workers)
-    use_threads(threads)
-    results: dict[int, MemberResult] = {}
-    module = load_module(model)
+    shown = progress or Silent()
+    fitting = Fitting(model, trajectories, options, Path(directory), shown)
     try:
-        fit_members(model, module, trajectories, options, path, progress or Silent(), threads, results)
+        fit_jobs(fitting.jobs(), options, shown, fitting.take)
     finally:
-        if results:
-            _write_results(path, model, record, results, options)
-    return Run(path, model, record, tuple(sorted(results)))
+        fitting.write()
+    return fitting.run()
+
+
+class Fitting:
+    """A run directory that is being filled: its jobs, and what became of them.
+
+    Raises UserError where the options, the data or the directory do not allow it.
+    """
+
+    def __init__(
+        self, model: Model, trajectories: Trajectories, options: TrainOptions, path: Path, progress: Progress
+    ) -> None:
+        findings = Findings()
+        options.check(findings)
+        _check_data(trajectories, findings)
+        findings.raise_if_failed()
+        self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
+        self.progress = progress
+        self.record = _record(model, trajectories, options)
+        self.results: dict[int, MemberResult] = {}
+        self.failures: dict[int, ComputationError] = {}
+        _prepare(path, model, self.record, options)
+
+    def jobs(self, first: int = 0) -> list[Job]:
+        """One job a member, numbered from `first` on."""
+        return [
+            Job(self.model, self.trajectories, self.options, member, self.path, first + member)
+            for member in range(self.options.members)
+        ]
+
+    def take(self, job: Job, outcome: MemberResult | ComputationError) -> None:
+        """Files what became of a member."""
+        if isinstance(outcome, ComputationError):
+            self.failures[job.member] = outcome
+            self.progress.message(f"member {job.member} failed: {outcome.what}")
+        else:
+            self.results[job.member] = outcome
+
+    def write(self) -> None:
+        """Writes `fit.json` and `history.csv`, if a member could be fitted."""
+        if self.results:
+            _write_results(self.path, self.model, self.record, self.results, self.options)
+
+    def run(self) -> Run:
+        """The run; raises the first member's ComputationError if none could be fitted."""
+        if self.failures and not self.results:
+            raise self.failures[min(self.failures)]
+        return Run(self.path, self.model, self.record, tuple(sorted(self.results)))
 
 
 def _check_data(trajectories: Trajectories, findings: Findings) -> None:

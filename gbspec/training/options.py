@@ -46,7 +46,20 @@ class TrainOptions:
             "metavar": "FRACTION",
         },
     )
-    workers: int = field(default=1, metadata={"help": "Number of processes that fit members side by side."})
+    workers: int | None = field(
+        default=None,
+        metadata={
+            "help": "Number of processes that fit members side by side; one a core if not given.",
+            "metavar": "N",
+        },
+    )
+    scheduler: str | None = field(
+        default=None,
+        metadata={
+            "help": "Address of a dask scheduler, on whose workers members are fitted: tcp://HOST:PORT.",
+            "metavar": "ADDRESS",
+        },
+    )
     resume: bool = field(default=False, metadata={"help": "Continue an interrupted run where it stopped."})
     forcing: str = field(
         default="teacher",
@@ -64,6 +77,14 @@ class TrainOptions:
     warm_start: bool = field(
         default=True, metadata={"help": "Start from gradient matching on splines; without it from random weights."}
     )
+    output_scale: float = field(
+        default=1.0,
+        metadata={
+            "help": "Factor on the initial weights of the networks' last layers, so on the first slopes without "
+            "`--warm-start`; large ones let a fit lean on its step.",
+            "metavar": "FACTOR",
+        },
+    )
     half_step: bool = field(default=True, metadata={"help": "Finish at half the step (`auto`)."})
     ridge: float | None = field(
         default=None,
@@ -76,7 +97,7 @@ class TrainOptions:
     threads: int | None = field(
         default=None,
         metadata={
-            "help": "Threads of each worker; the number of cores over that of workers if not given.",
+            "help": "Threads of each worker; the number of cores over that of workers if not given (on a cluster 1).",
             "metavar": "N",
         },
     )
@@ -104,10 +125,12 @@ class TrainOptions:
             low = 0 if name == "seed" else 1
             if value is not None and value < low:
                 report(name.replace("_", "-"), value, f"a whole number of at least {low}")
-        for name in ("max_step", "learning_rate"):
+        for name in ("max_step", "learning_rate", "output_scale"):
             value = getattr(self, name)
             if value is not None and not 0 < value < float("inf"):
                 report(name.replace("_", "-"), value, "a positive number")
+        if self.scheduler is not None and not all(self.scheduler.partition("://")):
+            report("scheduler", self.scheduler, "an address such as tcp://host:8786")
         if not 0 <= self.holdout < 1:
             report("holdout", self.holdout, "at least 0 and below 1")
         if self.ridge is not None and not 0 <= self.ridge < float("inf"):
@@ -120,8 +143,8 @@ class TrainOptions:
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
 
     def to_json(self) -> dict[str, Any]:
-        """All options by name, as `fit.json` keeps them (`resume` belongs to a call, not to a run)."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "resume"}
+        """All options by name, as `fit.json` keeps them, but for those that belong to a call and not to a run."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")}
 
 
 def _number(text: str) -> float | None:

@@ -44,7 +44,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
                     "--span", 6, "--dt", 0.5, "--seed", seed, "--noise", 0.02, "--keep-start")  # fmt: skip
         assert made.exit_code == 0, made.stderr
     made = call("train", folder / "hidden.gb", folder / "old.csv", "-o", folder / "run", "--effort", "low", "--quiet",
-                "--members", 2)  # fmt: skip
+                "--members", 2, "--workers", 1)  # fmt: skip
     assert made.exit_code == 0, made.stderr
     yield folder
 

@@ -18,7 +18,7 @@ from tests.training.conftest import URP, model_of, urp_data
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("runs") / "run"
-    options = TrainOptions(members=2, method="gradient-matching")
+    options = TrainOptions(members=2, workers=1, method="gradient-matching")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gbspec.training.warm_start.REGRESSION_STEPS", 50)
         train(model_of(URP), urp_data(4, 2.0, 6), options, path)

@@ -1,0 +1,102 @@
+"""Members on a cluster: a real scheduler with two worker processes, one of which is killed midway."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gbspec.diagnostics import UserError
+from gbspec.runs import open_run
+from gbspec.training import TrainOptions, Update, train
+from tests.training.conftest import URP, model_of, urp_data
+
+distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+
+# Without a warm start, which is cut short in this process but not in the workers.
+OPTIONS = {"members": 3, "warm_start": False, "method": "lm", "epochs": 3, "threads": 1}
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[Any]:
+    """A cluster of two processes of one thread each, which come back when they are killed."""
+    quiet = {"distributed.worker.daemon": False, "distributed.nanny.environ.OMP_NUM_THREADS": 1}
+    with (
+        __import__("dask").config.set(quiet),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+        ) as cluster,
+    ):
+        yield cluster
+
+
+class Killer:
+    """Progress that kills the worker of the first job when this has told of an iteration of its last stage."""
+
+    def __init__(self, cluster: Any) -> None:
+        self.client = distributed.Client(cluster.scheduler_address, set_as_default=False)
+        self.killed: int | None = None
+        self.starts: Counter[int] = Counter()
+        self.told: set[tuple[int, str, int]] = set()
+
+    def update(self, update: Update) -> None:
+        self.starts[update.member] += update.stage == "start"
+        self.told.add((update.member, update.stage, update.iteration))
+        if self.killed is None and update.stage == "lm":
+            pids = self.client.run(os.getpid)
+            for address, keys in self.client.processing().items():
+                if any(str(key).endswith(f"-{update.member}") for key in keys):
+                    self.killed = update.member
+                    os.kill(pids[address], signal.SIGKILL)
+
+    def message(self, text: str) -> None:
+        raise AssertionError(text)
+
+
+def test_a_killed_worker_changes_nothing(scheduler: Any, tmp_path: Path) -> None:
+    model, data = model_of(URP), urp_data(4, 2.0, 6)
+    alone = train(model, data, TrainOptions(**OPTIONS, workers=1), tmp_path / "alone")  # type: ignore[arg-type]
+    killer = Killer(scheduler)
+    options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
+    train(model, data, options, tmp_path / "cluster", killer)
+    killer.client.close()
+    assert killer.killed is not None
+    assert killer.starts == {0: 1, 1: 1, 2: 1}, "the lost member goes on from its checkpoint"
+    assert {(member, "lm", 3) for member in range(3)} <= killer.told
+    run = open_run(tmp_path / "cluster")
+    assert not run.fit["warnings"]
+    for member in range(3):
+        for name, value in alone.member(member).weights.items():
+            assert np.array_equal(run.member(member).weights[name], value), name
+    assert not list((tmp_path / "cluster" / "members").glob(".*")), "nothing is left behind"
+
+
+def test_a_worker_that_does_not_see_the_directory_sends_its_files(
+    scheduler: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What is written under this name, no worker looks for.
+    monkeypatch.setattr("gbspec.training.cluster.TOKEN", ".elsewhere")
+    model, data = model_of(URP), urp_data(4, 2.0, 6)
+    few = OPTIONS | {"members": 1, "epochs": 1}
+    alone = train(model, data, TrainOptions(**few), tmp_path / "alone")  # type: ignore[arg-type]
+    options = TrainOptions(**few, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
+    run = train(model, data, options, tmp_path / "cluster")
+    assert np.array_equal(run.member().weights["constants"], alone.member().weights["constants"])
+    written = {path.name for path in (tmp_path / "cluster" / "members" / "0").iterdir()}
+    assert written == {path.name for path in (tmp_path / "alone" / "members" / "0").iterdir()}
+
+
+def test_no_scheduler_is_the_users_mistake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbspec.training.cluster.PATIENCE", 0.2)
+    model, data = model_of(URP), urp_data(4, 2.0, 6)
+    with pytest.raises(UserError, match=r"GB860.*no scheduler answers at `tcp://127.0.0.1:1`"):
+        train(model, data, TrainOptions(scheduler="tcp://127.0.0.1:1"), tmp_path / "run")
+    with pytest.raises(UserError, match=r"GB850.*--scheduler nowhere"):
+        train(model, data, TrainOptions(scheduler="nowhere"), tmp_path / "other")
+    assert not (tmp_path / "other").exists()
