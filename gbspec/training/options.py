@@ -80,8 +80,8 @@ class TrainOptions:
     output_scale: float = field(
         default=1.0,
         metadata={
-            "help": "Factor on the initial weights of the networks' last layers, so on the first slopes without "
-            "`--warm-start`; large ones let a fit lean on its step.",
+            "help": "Factor on the scale of the networks' outputs, which is that of the data's slopes; with a large "
+            "one a fit can come to lean on its step.",
             "metavar": "FACTOR",
         },
     )

@@ -73,6 +73,7 @@ def _initial(context: Context) -> tuple[Parameters, Array]:
         fixed = network_scales(model, eliminated)
         if context.options.warm_start and np.isfinite(eliminated.constants).all():
             constants = eliminated.constants
-    parameters = context.parameters(fixed)
+    factor = context.options.output_scale
+    parameters = context.parameters({k: factor * v if k.endswith("output_scale") else v for k, v in fixed.items()})
     natural = learnables.to_natural(torch.from_numpy(constants)).numpy() if len(constants) else constants
     return parameters, parameters.vector(context.module.weights, natural)
