@@ -30,7 +30,7 @@ SAVE_EVERY = 5.0
 """Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
 
 TIGHT = 1e-3
-"""A stage whose tolerance is at most this has converged when it ends before its last iteration."""
+"""Stages whose tolerance is at most this are meant to converge; whether one has, its next step tells."""
 
 
 @dataclass
@@ -172,17 +172,16 @@ class _Runner:
             if time.monotonic() - self._saved > SAVE_EVERY:
                 self._save()
         position.marks[planned.name] = position.theta
-        self._uncertainty(stage, position.iteration < stage.total)
+        self._uncertainty(stage)
 
-    def _uncertainty(self, stage: Stage, converged: bool) -> None:
-        """Standard deviations of constants, of the last stage that converged; another vector makes them void."""
+    def _uncertainty(self, stage: Stage) -> None:
+        """Standard deviations of constants, of the last stage that says any; another vector makes them void."""
         position = self.position
         if isinstance(stage, LevenbergMarquardt):
-            # A stage that ends early, while the loss still falls by percents, has no curvature to speak of.
-            tight = stage.options.tolerance <= TIGHT
-            known = converged and tight and bool(self.parameters.shared)
+            # A stage that may end while the loss still falls by percents has no curvature to speak of.
+            known = stage.options.tolerance <= TIGHT and bool(self.parameters.shared)
             position.deviations = stage.deviations(position.state) if known else np.zeros(0)
-        elif not (stage.name == "choice" and not position.notes):
+        elif not np.array_equal(position.theta, position.entry):
             position.deviations = np.zeros(0)
 
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:

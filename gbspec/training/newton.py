@@ -141,7 +141,9 @@ class LevenbergMarquardt:
     def deviations(self, state: State) -> Array:
         """Standard deviations of shared constants (natural values) at a converged state (Gauss-Newton, Laplace).
 
-        The covariance is the noise variance times the inverse of the normal matrix, ridge included.
+        The covariance is the noise variance times the inverse of the normal matrix, ridge included. How far
+        the next undamped step would move a constant is added (in squares); NaN where that is more than the deviation
+        itself: the stage had not come to rest.
         """
         parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
         system = linearise(self.problem_at(0), parameters, theta)
@@ -152,13 +154,14 @@ class LevenbergMarquardt:
         equations = NormalEquations(system, parameters, huber_weights(residuals, delta), ridge, theta)
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
-        out = np.zeros(len(parameters.shared))
+        out, ahead = np.zeros(len(parameters.shared)), _try_step(equations, weak)
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
         for i, slope in enumerate(slopes):
             unit = np.zeros(parameters.size)
             unit[parameters.n_weights + i] = 1.0
             column = float(equations.invert(unit, weak)[parameters.n_weights + i])
-            out[i] = abs(float(slope)) * np.sqrt(max(column, 0.0) * variance)
+            own, move = np.sqrt(max(column, 0.0) * variance), float(ahead[parameters.n_weights + i])
+            out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
         return out
 
 

@@ -142,6 +142,7 @@ class _Planner:
             self._starts("initial states again", 1.0),
             self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._prior),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
+            self._starts("initial states of whole solutions", 0.0, self._noisy),
             self._newton("autoregressive", limits["autoregressive"], self._at(0.0), self._noisy, self._regular),
             Planned("choice", 1, self._choice, lambda theta: "autoregressive" in self.marks),
         ]
@@ -199,13 +200,14 @@ class _Planner:
     # ---------------------------------------------------------------- stages
     def _choice(self, theta: Array) -> Stage:
         earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
-        return Choice(self.context.problem(1.0), self.context.problem(0.0), self.parameters, earlier)
+        context = self.context
+        return Choice(context.problem(1.0), context.problem(0.0), self.parameters, earlier, context.seed)
 
-    def _starts(self, name: str, blend: float) -> Planned:
+    def _starts(self, name: str, blend: float, wanted: Wanted = lambda theta: True) -> Planned:
         def make(theta: Array) -> Stage:
             return InitialStates(name, self.context.problem(blend), self.parameters, self.context.seed)
 
-        return Planned(name, 1, make, lambda theta: bool(self.parameters.start_free.any()))
+        return Planned(name, 1, make, lambda theta: bool(self.parameters.start_free.any()) and wanted(theta))
 
     def _adam(self, epochs: int, wanted: Wanted) -> Planned:
         def make(theta: Array) -> Stage:

@@ -94,18 +94,20 @@ class InitialStates:
 
 
 class Choice:
-    """Keeps the autoregressive fit only if it follows the data at least as well as the fit of single intervals did.
+    """Chooses between the fit of single intervals (teacher forcing) and that of whole solutions (autoregressive).
 
-    Noise of measurement alone makes the errors of prediction over an interval larger than those of the whole solution,
-    since the interval starts from a noisy value. Where the whole solution fits worse, the system itself is disturbed,
-    or the model lacks something: the earlier fit is then the better account of the dynamics. One step.
+    Noise of measurement is treated rightly by the whole solution; where the system itself is disturbed, or the model
+    lacks something, whole solutions may be beyond any fit, and the intervals tell more of the dynamics. So both fits
+    are asked for both errors, initial states refitted for whole solutions, and the smaller product of the two wins:
+    neither error's size matters, only by what factor each fit is better. One step.
     """
 
     name = "choice"
     total = 1
 
-    def __init__(self, teacher: Problem, free: Problem, parameters: Parameters, earlier: Array) -> None:
-        self.teacher, self.free, self.parameters, self.earlier = teacher, free, parameters, earlier
+    def __init__(self, teacher: Problem, free: Problem, parameters: Parameters, earlier: Array, seed: int) -> None:
+        self.teacher, self.free, self.parameters = teacher, free, parameters
+        self.earlier, self.seed = earlier, seed
 
     def begin(self, theta: Array) -> State:
         """Nothing but the vector."""
@@ -113,15 +115,34 @@ class Choice:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """Compares the two."""
-        interval = mean_loss(solve(self.teacher, self.parameters, self.earlier))
-        whole = mean_loss(solve(self.free, self.parameters, state["theta"]))
+        late = state["theta"]
+        interval, whole = self._losses(late, late)
+        note = WHOLE_WORSE if whole > interval else ""
         if whole <= interval:
             return Outcome(state, whole, True)
-        note = (
-            "solutions from the initial states follow the data less well than predictions from one row to the next, "
-            "which were fitted instead: the system may be disturbed, or the model may lack something"
+        refitted = refit_starts(self.free, self.parameters, self.earlier, self.seed)
+        other_interval, other_whole = self._losses(self.earlier, refitted)
+        if _product(other_interval, other_whole) < _product(interval, whole):
+            return Outcome({"theta": refitted}, other_interval, True, f"{note}; the fit of intervals was kept")
+        return Outcome(state, whole, True, note)
+
+    def _losses(self, of_intervals: Array, of_whole: Array) -> tuple[float, float]:
+        """Mean losses over intervals and of whole solutions."""
+        return (
+            mean_loss(solve(self.teacher, self.parameters, of_intervals)),
+            mean_loss(solve(self.free, self.parameters, of_whole)),
         )
-        return Outcome({"theta": self.earlier}, interval, True, note)
+
+
+WHOLE_WORSE = (
+    "solutions from the initial states follow the data less well than predictions from one row to the next: the system "
+    "may be disturbed, or the model may lack something"
+)
+
+
+def _product(interval: float, whole: float) -> float:
+    """Of two losses; infinite if one of them is, whatever the other is."""
+    return interval * whole if np.isfinite([interval, whole]).all() else float("inf")
 
 
 def require_finite(problem: Problem, parameters: Parameters, theta: Array, residuals: Array, stage: str) -> None:
