@@ -18,7 +18,8 @@ says so.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,9 @@ from numpy.typing import NDArray
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.packing import Packed
+
+if TYPE_CHECKING:
+    from gbspec.training.pieces import Schedule
 
 Mask = NDArray[np.bool_]
 
@@ -66,6 +70,13 @@ class Problem:
     def ops(self) -> Any:
         """The arithmetic that the module's expressions are evaluated in (torch)."""
         return torch_arithmetic(self.module)
+
+    @cached_property
+    def schedule(self) -> Schedule:
+        """The sub-steps as the torch graph takes them."""
+        from gbspec.training.pieces import Schedule
+
+        return Schedule(self)
 
     def forced(self, blend: float) -> Problem:
         """The same problem with teacher forcing of strength `blend`: 1 teacher forcing, 0 autoregressive."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,24 +38,30 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
-    c = torch.from_numpy(packed.condition)
-    initial = module._initial(m, parameters.starts(theta), c, k)
-    value, weight = _reset_tables(problem)
-    steps = _sub_steps(problem, constants)
-    before, after = [initial], []
-    x = initial
-    for s in range(packed.depth + 1):
-        if s > 0:
-            x = advance(problem, x, steps[s - 1], k, networks)
-            before.append(x)
-        if weight[s] is not None:
-            x = x - weight[s] * (x - value[s])
-        after.append(x)
-    step, owner = torch.from_numpy(packed.row_step), torch.from_numpy(packed.row_trajectory)
-    arrival = torch.stack(before)[step, owner]
-    departure = torch.stack(after)[step, owner]
+    initial = module._initial(m, parameters.starts(theta), torch.from_numpy(packed.condition), k)
+    schedule = problem.schedule
+    x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
+    passed = torch.cat(_run(problem, x, constants[schedule.owner], schedule.with_doses(problem, constants), networks))
+    arrival = passed[schedule.row]
+    value, weight = torch.from_numpy(problem.forcing.value), torch.from_numpy(problem.forcing.weight)
+    owner = torch.from_numpy(packed.row_trajectory)
     residuals = row_residuals(problem, arrival, constants[owner], networks)
-    return Unrolled(arrival, departure, initial, residuals)
+    return Unrolled(arrival, arrival - weight * (arrival - value), initial, residuals)
+
+
+def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep], networks: Any) -> list[Tensor]:
+    """States of the live pieces at their starts and on arrival after each sub-step, from `x` [P, n_states]."""
+    passed, k = [x], constants.unbind(1)
+    for s, step in enumerate(steps):
+        reset, live = problem.schedule.resets[s], len(step.t)
+        if reset is not None:
+            value, weight = reset
+            x = x - weight * (x - value)
+        if live < len(x):
+            x, k = x[:live], tuple(column[:live] for column in k)
+        x = advance(problem, x, step, k, networks)
+        passed.append(x)
+    return passed
 
 
 def _sub_steps(problem: Problem, constants: Tensor) -> list[SubStep]:
