@@ -1,0 +1,186 @@
+"""All variants of the training step, and the test that they compute the same before any of them is timed."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+
+from benchmarks.harness import pinned
+from benchmarks.workload import Array, Workload
+from gbspec.training.unroll import measured_residuals, unroll
+
+Dtype = Literal["float32", "float64"]
+
+TOLERANCE = {"float64": 1e-9, "float32": 1e-3}
+"""How far a gradient may be from the reference, relative to its norm."""
+
+STEPS_TOLERANCE = 1e-4
+"""The same where a library takes other steps, or another rule of the same order."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A way to compute the step: the module and function that build it, and how it differs.
+
+    `same_steps` is False where its steps are not the workload's own; `forcing` is "AR" where it cannot put measured
+    states in.
+    """
+
+    title: str
+    module: str
+    function: str
+    dtypes: tuple[Dtype, ...] = ("float32", "float64")
+    forcing: Literal["TF", "AR"] = "TF"
+    same_steps: bool = True
+    threads: int = 1
+    slow: bool = False
+
+    def build(self, work: Workload, dtype: Dtype) -> Callable[[], Any]:
+        """The step as a call without arguments; raises ImportError where the library is missing."""
+        library = importlib.import_module(self.module)
+        kind = library.jnp.dtype(dtype) if "jax" in vars(library) else getattr(torch, dtype)
+        return getattr(library, self.function)(work if self.forcing == "TF" else work.autoregressive(), kind)
+
+
+PEERS = "benchmarks.peers."
+
+VARIANTS: Mapping[str, Variant] = {
+    "native": Variant("**gbspec, native kernel**", "benchmarks.own", "native"),
+    "native-2": Variant("**gbspec, native kernel, two cores**", "benchmarks.own", "native_2", threads=2),
+    "graph": Variant("gbspec, torch graph", "benchmarks.own", "graph", ("float64",)),
+    "jax-checkpoint": Variant("JAX `lax.scan` with `jax.checkpoint`", PEERS + "jax_scan", "checkpointed"),
+    "jax": Variant("JAX `lax.scan`", PEERS + "jax_scan", "plain"),
+    "torch": Variant("torch eager, written well", PEERS + "torch_eager", "well_written"),
+    "torch-naive": Variant("torch eager, naive, packed", PEERS + "torch_eager", "naive"),
+    "torch-aligned": Variant(
+        "torch eager, naive, all wait for the longest interval", PEERS + "torch_eager", "aligned", slow=True
+    ),
+    "torchdiffeq-packed": Variant(
+        "torchdiffeq `rk4`, one `odeint` a packed step", PEERS + "torchdiffeq_rk4", "packed_step", same_steps=False
+    ),
+    "torchdiffeq": Variant(
+        "torchdiffeq `rk4`, one `odeint` an interval",
+        PEERS + "torchdiffeq_rk4",
+        "interval",
+        same_steps=False,
+        slow=True,
+    ),
+    "diffrax": Variant("diffrax, one solve, AR", PEERS + "diffrax_solve", "one_solve", forcing="AR"),
+    "diffrax-scan": Variant(
+        "diffrax, scan of solves an interval", PEERS + "diffrax_solve", "scan_of_solves", slow=True
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A variant built for a workload in one precision: `run` is what is timed."""
+
+    name: str
+    dtype: Dtype
+    run: Callable[[], Any]
+
+    @property
+    def variant(self) -> Variant:
+        """What it is."""
+        return VARIANTS[self.name]
+
+    @property
+    def label(self) -> str:
+        """Name and precision, as keys of results."""
+        return f"{self.name} {self.dtype}"
+
+    def gradient(self, work: Workload) -> tuple[float, Array]:
+        """Loss, and the gradient by natural values, of one run."""
+        return natural(self.name, work, self.run())
+
+
+def natural(name: str, work: Workload, result: Any) -> tuple[float, Array]:
+    """Loss and gradient of a variant's result, in float64, by natural values in the workload's order."""
+    loss, gradient = result
+    if VARIANTS[name].module == "benchmarks.own":
+        return float(loss), work.natural(np.asarray(gradient, dtype=np.float64))
+    if isinstance(gradient, dict):
+        from benchmarks.peers.jax_scan import parts
+
+        gradient = parts(gradient)
+    for part in gradient:
+        wanted = str(part.dtype).removeprefix("torch.")
+        if wanted != str(gradient[0].dtype).removeprefix("torch."):
+            raise AssertionError(f"{name} mixes {wanted} with other types")
+    return float(loss), work.flat(gradient)
+
+
+def reference(work: Workload) -> tuple[float, Array]:
+    """Loss and gradient by the generated module's torch graph in float64."""
+    theta = torch.from_numpy(work.theta).requires_grad_()
+    residuals = measured_residuals(work.problem, unroll(work.problem, work.parameters, theta).residuals)
+    loss = 0.5 * (residuals**2).mean()
+    (gradient,) = torch.autograd.grad(loss, theta)
+    return float(loss.detach()), work.natural(gradient.numpy())
+
+
+class DisagreementError(AssertionError):
+    """Two variants do not compute the same."""
+
+
+def build(
+    work: Workload, names: Iterable[str], dtypes: Iterable[Dtype], say: Callable[[str], None] = lambda text: None
+) -> list[Candidate]:
+    """Builds variants and holds each against the reference; those whose library is missing are left out, and told.
+
+    Raises DisagreementError where a loss or gradient is not the reference's.
+    """
+    prepare_jax()
+    references = {"TF": reference(work)}
+    made = []
+    for name in names:
+        variant = VARIANTS[name]
+        if variant.forcing not in references:
+            references[variant.forcing] = reference(work.autoregressive())
+        for dtype in [d for d in dtypes if d in variant.dtypes]:
+            try:
+                with pinned(variant.threads):
+                    candidate = Candidate(name, dtype, variant.build(work, dtype))
+                    found = candidate.gradient(work)
+            except ImportError as error:
+                say(f"{name}: left out: {error} (`pip install .[benchmarks]` brings the peers)")
+                break
+            error = compare(candidate, found, references[variant.forcing])
+            say(f"{candidate.label}: built, gradient within {error:.1e} of the reference")
+            made.append(candidate)
+    return made
+
+
+def compare(candidate: Candidate, found: tuple[float, Array], expected: tuple[float, Array]) -> float:
+    """The larger of the relative errors of loss and gradient; raises DisagreementError where it is too large."""
+    loss, gradient = found
+    error = max(
+        abs(loss - expected[0]) / abs(expected[0]),
+        float(np.linalg.norm(gradient - expected[1]) / np.linalg.norm(expected[1])),
+    )
+    allowed = max(TOLERANCE[candidate.dtype], 0.0 if candidate.variant.same_steps else STEPS_TOLERANCE)
+    if not error <= allowed:
+        raise DisagreementError(f"{candidate.label} is {error:.1e} away from the reference (allowed: {allowed:.0e})")
+    return error
+
+
+def prepare_jax() -> None:
+    """One thread for XLA, and float64 allowed; nothing where jax is not installed."""
+    import os
+
+    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    os.environ.setdefault("XLA_FLAGS", flags)
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    try:
+        import jax
+    except ImportError:
+        return
+    jax.config.update("jax_enable_x64", True)
+    with pinned(1):
+        jax.devices()
