@@ -29,6 +29,7 @@ COMMANDS = {
     "profile": "gbspec.cli.commands.profile",
     "plot": "gbspec.cli.commands.plot",
     "report": "gbspec.cli.commands.report",
+    "crossvalidate": "gbspec.cli.commands.crossvalidate",
     "study": "gbspec.cli.commands.study",
     "demo": "gbspec.cli.commands.demo",
 }

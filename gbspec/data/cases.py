@@ -61,7 +61,7 @@ class MetricsOptions:
 class TrainingDefaults:
     """How a case is trained: values for flags of `gbspec train`, by their names with underscores.
 
-    `members` is how many fits a study makes of the case, each with a seed of its own.
+    `members` is how many fits a study makes of the case, each with a seed of its own; 0: none unless it is named.
     """
 
     max_step: float | None = None

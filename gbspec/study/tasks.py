@@ -22,7 +22,7 @@ from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
 from gbspec.study.options import StudyOptions
 from gbspec.training.options import TrainOptions
 
-SET_BY_THE_STUDY = ("members", "seed", "workers", "threads", "resume")
+SET_BY_THE_STUDY = ("members", "seed", "workers", "threads", "scheduler", "resume")
 """Options of training that a case cannot have, since the study gives them."""
 
 
@@ -86,7 +86,7 @@ def study_of(texts: Sequence[str], options: StudyOptions) -> Study:
     )
     training = tuple(_training(case, options, findings) for case in changed)
     findings.raise_if_failed()
-    members = tuple(options.members or case.training.members for case in changed)
+    members = tuple(options.members or case.training.members or 1 for case in changed)
     return Study(changed, members, training, options.seed)
 
 
@@ -97,7 +97,7 @@ def _chosen(texts: Sequence[str], names: Sequence[str]) -> tuple[Case, ...]:
         place, _, listed = text.partition(":")
         cases = load_cases(cases_file(place))
         wanted = [name for name in listed.split(",") if name]
-        chosen += [cases.case(name) for name in wanted] if wanted else cases.cases
+        chosen += [cases.case(name) for name in wanted] if wanted else _default(cases.cases, names)
     if names:
         pool = Cases(None, Case("", "", None), tuple(chosen))
         chosen = [pool.case(name) for name in names]
@@ -106,6 +106,11 @@ def _chosen(texts: Sequence[str], names: Sequence[str]) -> tuple[Case, ...]:
         message = f"the case `{sorted(twice)[0]}` is named twice"
         raise UserError([Diagnostic("GB820", message, None, help="name it once, or rename one in its `cases.toml`")])
     return tuple(chosen)
+
+
+def _default(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
+    """The cases of a file that are meant where none is named; all of them where `--case` will name some."""
+    return [case for case in cases if names or case.training.members]
 
 
 def cases_file(text: str) -> Path:

@@ -1,0 +1,76 @@
+"""`gbspec crossvalidate MODEL DATA -o DIR`: how well a model predicts data that its fit did not see."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
+from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.study.crossvalidation import SUMMARY, CrossOptions
+from gbspec.training.options import TrainOptions
+
+
+@command(
+    "crossvalidate",
+    "gbspec crossvalidate theophylline theophylline.csv -o left_out",
+    "gbspec crossvalidate hare_lynx hare_lynx.csv -o stretches --over time --folds 5 --members 3",
+    "gbspec crossvalidate my_model.gb data.csv -o folds --folds 5 --window 4",
+)
+def run(
+    output: Output,
+    model: Annotated[str, typer.Argument(help="A model file (.gb).", metavar="MODEL")],
+    data: Annotated[str, typer.Argument(help="A table of measurements.", metavar="DATA")],
+    to: Annotated[str, typer.Option("--output", "-o", help="The directory to write to.", metavar="DIR")],
+    division: CrossOptions,
+    options: TrainOptions,
+    set_values: Settings = None,
+) -> None:
+    """Fit a model several times, each time without a part of the data, and give the errors of predicting that part.
+
+    Parts are whole trajectories (their starts, and constants that each trajectory has for itself, are estimated from
+    their first rows, which are then not judged), or stretches of time (solved from the start that the rest of the
+    trajectory tells). The same command continues where it was stopped.
+    """
+    from gbspec import driver
+    from gbspec.cli.progress import shown
+    from gbspec.study.crossvalidation import crossvalidate
+    from gbspec.study.folds import Fold
+    from gbspec.training import Progress
+
+    findings = Findings()
+    directory = target(to)
+    options.check(findings)
+    findings.raise_if_failed()
+    specified = driver.specified(driver.load_model(model, findings), settings(set_values))
+    measured = driver.read_data(data, specified, findings)
+    output.findings(findings)
+    with ExitStack() as stack:
+
+        def progress(fold: Fold) -> Progress:
+            stack.close()  # the display of the fold before
+            output.say(f"fold {fold.number}: {len(fold.kept)} trajectories, {fold.kept.measurements} values to fit")
+            return stack.enter_context(shown(output))
+
+        found = crossvalidate(specified, measured, directory, options, division, progress)
+    output.say(f"wrote {directory / 'table.md'}")
+    output.summary((directory / "table.md").read_text(encoding="utf-8").rstrip("\n"))
+    output.document(found.to_json())
+
+
+def target(to: str) -> Path:
+    """The directory; raises `UserError` (GB802, GB806) where it is something else than an earlier cross-validation."""
+    directory = Path(to)
+    if directory.exists() and not directory.is_dir():
+        message = f"`{to}` is a file; a cross-validation is a directory"
+        raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
+    begun = (directory / "folds" / "settings.json").is_file() or (directory / SUMMARY).is_file()
+    if directory.is_dir() and any(directory.iterdir()) and not begun:
+        message = f"`{to}` exists already and is no cross-validation"
+        raise UserError([Diagnostic("GB806", message, None, help="choose another name")])
+    return directory

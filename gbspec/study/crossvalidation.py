@@ -1,0 +1,225 @@
+"""Cross-validation: a fit without each fold of the data, judged by what it predicts of that fold.
+
+A directory of a cross-validation holds a run directory for each fold (`folds/K`), what the fold's fit predicted
+(`folds/K.json`, written last, so a fold that has one is finished), and the tables over all of them.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gbspec.analysis.metrics import finite
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.files import write_text
+from gbspec.runs import files
+from gbspec.study.folds import Fold, Over, folds, way
+from gbspec.study.heldout import Errors, Point, errors, held_out
+
+if TYPE_CHECKING:
+    from gbspec.ir.model import Model
+    from gbspec.training import Progress, TrainOptions
+
+SUMMARY = "crossvalidation.json"
+
+
+@dataclass(frozen=True)
+class CrossOptions:
+    """How `gbspec crossvalidate` divides the data and predicts what was left out."""
+
+    folds: int | None = field(
+        default=None,
+        metadata={
+            "help": "Number of folds; up to 20 trajectories each is left out once, else 5.",
+            "metavar": "K",
+        },
+    )
+    over: Over | None = field(
+        default=None,
+        metadata={"help": "Leave out whole trajectories, or stretches of time; time where there is one trajectory."},
+    )
+    window: int | None = field(
+        default=None,
+        metadata={
+            "help": "Measured rows that tell the start of a trajectory left out; a third of them, at least three.",
+            "metavar": "ROWS",
+        },
+    )
+
+    def check(self) -> None:
+        """Raises `UserError` (GB814) where a value makes no sense."""
+        for name, value, least in (("folds", self.folds, 2), ("window", self.window, 1)):
+            if value is not None and value < least:
+                message = f"`--{name} {value}` must be at least {least}"
+                raise UserError([Diagnostic("GB814", message, None)])
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Errors of each fold and of all held-out measurements together; `failures` say which folds have none, and why."""
+
+    model: str
+    over: Over
+    count: int
+    folds: Mapping[int, Mapping[str, Errors]]
+    total: Mapping[str, Errors]
+    failures: Mapping[int, str]
+    points: tuple[Point, ...] = field(repr=False, default=())
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `crossvalidate --json`."""
+        return {
+            "model": self.model,
+            "over": self.over,
+            "folds": [
+                {
+                    "fold": number,
+                    "failure": self.failures.get(number),
+                    "channels": {name: one.to_json() for name, one in self.folds.get(number, {}).items()},
+                }
+                for number in range(self.count)
+            ],
+            "total": {name: one.to_json() for name, one in self.total.items()},
+        }
+
+
+def crossvalidate(
+    model: Model,
+    data: Trajectories,
+    directory: Path,
+    training: TrainOptions,
+    options: CrossOptions,
+    progress: Callable[[Fold], Progress],
+) -> CrossValidation:
+    """Fits the model without each fold and predicts it; finished folds are kept, an interrupted one goes on.
+
+    Raises UserError (GB814, GB820 for a directory of something else, GB821 where the data cannot be divided), and
+    ComputationError where no fold could be fitted.
+    """
+    options.check()
+    over = way(data, options.over)
+    parts = folds(data, over, options.folds, training.seed)
+    _begin(directory, model, data, training, options)
+    spreads = _spreads(data)
+    found: dict[int, list[Point]] = {}
+    failures: dict[int, str] = {}
+    for fold in parts:
+        path = directory / "folds" / f"{fold.number}.json"
+        record = _read(path) or _fitted(model, fold, directory, training, options, progress(fold), path)
+        if record.get("failure"):
+            failures[fold.number] = str(record["failure"])
+        found[fold.number] = [Point(**{"predicted": float("nan"), "sd": float("nan"), **p}) for p in record["points"]]
+    if len(failures) == len(parts):
+        raise ComputationError(
+            f"no fold could be fitted: {failures[0]}", remedy="try `gbspec train` on all of the data"
+        )
+    every = tuple(point for points in found.values() for point in points)
+    each = {number: errors(points, spreads) for number, points in found.items()}
+    made = CrossValidation(model.name, over, len(parts), each, errors(every, spreads), failures, every)
+    _write(directory, made, found)
+    return made
+
+
+def _begin(directory: Path, model: Model, data: Trajectories, training: TrainOptions, options: CrossOptions) -> None:
+    """Writes down what the cross-validation is of, or refuses to continue one of something else (GB820)."""
+    fixed = {name: v for name, v in training.to_json().items() if name not in ("workers", "threads")}
+    parts = [hashlib.sha256(model.text.encode()).hexdigest(), data.sha256, fixed, asdict(options)]
+    settings = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    path = directory / "folds" / "settings.json"
+    before = _read(path)
+    if before is None:
+        files.write_json(path, {"settings": settings, "options": fixed, **asdict(options)})
+    elif before.get("settings") != settings:
+        message = f"`{directory}` was begun with another model, other data or other options"
+        raise UserError([Diagnostic("GB820", message, None, help="name another directory with `-o`")])
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _fitted(
+    model: Model,
+    fold: Fold,
+    directory: Path,
+    training: TrainOptions,
+    options: CrossOptions,
+    progress: Progress,
+    path: Path,
+) -> dict[str, Any]:
+    """Fits without a fold, predicts it, and writes its record."""
+    from gbspec import driver
+
+    place = directory / "folds" / str(fold.number)
+    resumed = replace(training, resume=(place / files.FIT).is_file())
+    record: dict[str, Any] = {"fold": fold.number, "points": []}
+    try:
+        run = driver.train(model, fold.kept, place, resumed, progress)
+        points = held_out(run, fold, options.window)
+        record["points"] = [{k: v for k, v in asdict(p).items() if v == v} for p in points]
+    except ComputationError as error:
+        record["failure"] = " - ".join(part for part in (error.what, error.where) if part)
+    files.write_json(path, record)
+    return record
+
+
+def _spreads(data: Trajectories) -> dict[str, float]:
+    """The deviation of each channel over all of the data."""
+    from gbspec.data.statistics import channel_statistics
+
+    return {one.name: one.scale for one in channel_statistics(data)}
+
+
+# ------------------------------------------------------------------------------------------------------------ tables
+def _write(directory: Path, made: CrossValidation, found: Mapping[int, Sequence[Point]]) -> None:
+    files.write_json(directory / SUMMARY, made.to_json())
+    write_text(directory / "table.md", markdown(made))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["fold", "trajectory", "time", "channel", "measured", "predicted", "sd"])
+    for number, points in found.items():
+        for p in points:
+            numbers = ["" if finite(v) is None else v for v in (p.predicted, p.sd)]
+            writer.writerow([number, p.trajectory, p.time, p.channel, p.measured, *numbers])
+    write_text(directory / "predictions.csv", text.getvalue())
+
+
+def markdown(made: CrossValidation) -> str:
+    """The table for people."""
+    words = {"trajectories": "whole trajectories", "time": "stretches of time"}
+    lines = [
+        f"# Cross-validation of {made.model}",
+        "",
+        f"{made.count} folds of {words[made.over]}; errors on what was left out.",
+        "",
+        "| fold | channel | n | rmse | nrmse | mae | rmse of logarithms | in the 90 % interval |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for number in range(made.count):
+        if number in made.failures:
+            lines.append(f"| {number} | failed: {made.failures[number]} |  |  |  |  |  |  |")
+        lines += [_row(str(number), name, one) for name, one in made.folds.get(number, {}).items()]
+    lines += [_row("all", name, one) for name, one in made.total.items()]
+    lines += [
+        f"\n{one.unsolved} measurements of {name} have no prediction: the solution blew up before them."
+        for name, one in made.total.items()
+        if one.unsolved
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(fold: str, channel: str, one: Errors) -> str:
+    numbers = ["" if finite(v) is None else f"{v:.4g}" for v in (one.rmse, one.nrmse, one.mae, one.rmse_log)]
+    covered = "" if finite(one.covered) is None else f"{100 * one.covered:.0f} %"
+    return "| " + " | ".join([fold, channel, str(one.n), *numbers, covered]) + " |"

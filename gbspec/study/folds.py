@@ -1,0 +1,87 @@
+"""How data are divided for cross-validation: by trajectories, or into stretches of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.diagnostics import Diagnostic, UserError
+
+Over = Literal["trajectories", "time"]
+
+FEW = 20
+"""Up to this many trajectories each is left out once; beyond, there are five folds."""
+FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Fold:
+    """One division of the data. `kept` are fitted; of `whole` the rows marked in `held` [R] each are predicted.
+
+    Over trajectories, `whole` are the trajectories left out, all of their rows held. Over time, `kept` and `whole` are
+    the same trajectories in the same order, `kept` without the held rows but with the same start.
+    """
+
+    number: int
+    over: Over
+    kept: Trajectories
+    whole: Trajectories
+    held: tuple[np.ndarray[tuple[int], np.dtype[np.bool_]], ...]
+
+
+def way(data: Trajectories, over: Over | None) -> Over:
+    """Over what the folds go: trajectories, unless there is a single one (or as asked for)."""
+    return over or ("trajectories" if len(data) > 1 else "time")
+
+
+def folds(data: Trajectories, over: Over, count: int | None, seed: int) -> tuple[Fold, ...]:
+    """The folds. Trajectories are dealt at random; a stretch of time is a run of successive rows of each trajectory.
+
+    Raises UserError (GB821) where the data cannot be divided so.
+    """
+    made = _by_trajectory(data, count, seed) if over == "trajectories" else _by_time(data, count)
+    return tuple(made)
+
+
+def _by_trajectory(data: Trajectories, count: int | None, seed: int) -> Iterator[Fold]:
+    count = count or (len(data) if len(data) <= FEW else FOLDS)
+    if not 2 <= count <= len(data):
+        raise _cannot(f"{len(data)} trajectories cannot be divided into {count} folds", "use `--over time`")
+    dealt = np.random.default_rng([seed, 51]).permutation(len(data)) if count < len(data) else np.arange(len(data))
+    for number in range(count):
+        left_out = sorted(dealt[number::count].tolist())
+        kept = [i for i in range(len(data)) if i not in left_out]
+        whole = data.subset(left_out)
+        held = tuple(np.ones(len(item.times), dtype=bool) for item in whole.items)
+        yield Fold(number, "trajectories", data.subset(kept), whole, held)
+
+
+def _by_time(data: Trajectories, count: int | None) -> Iterator[Fold]:
+    count = count or FOLDS
+    least = min(len(item.times) for item in data.items)
+    if count < 2 or least < 2 * count:
+        raise _cannot(f"a trajectory of {least} rows cannot be divided into {count} stretches", "use fewer `--folds`")
+    for number in range(count):
+        held = tuple(_stretch(len(item.times), number, count) for item in data.items)
+        kept = tuple(_without(item, rows) for item, rows in zip(data.items, held, strict=True))
+        yield Fold(number, "time", replace(data, items=kept), data, held)
+
+
+def _stretch(rows: int, number: int, count: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which rows belong to a stretch: successive ones, as many in each as in the others, give or take one."""
+    edges = np.linspace(0, rows, count + 1).round()
+    index = np.arange(rows)
+    return np.asarray((index >= edges[number]) & (index < edges[number + 1]), dtype=np.bool_)
+
+
+def _without(item: Trajectory, held: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Trajectory:
+    """The trajectory without these rows; it starts when it started, so that its first stretch can be predicted."""
+    return replace(item, **{name: getattr(item, name)[~held] for name in ("times", "values", "counts", "sd")})
+
+
+def _cannot(message: str, help: str) -> UserError:
+    return UserError([Diagnostic("GB821", message, None, help=help)])

@@ -1,0 +1,127 @@
+"""What a run predicts of data that it did not see, and how far off that is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gbspec.analysis.metrics import finite
+from gbspec.data.trajectories import Array
+from gbspec.study.folds import Fold
+
+if TYPE_CHECKING:
+    from gbspec.runs.store import Run
+
+NORMAL_90 = 1.6448536269514722
+"""Half of the width of a normal distribution's 90 % interval, in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement."""
+
+    trajectory: str
+    time: float
+    channel: str
+    measured: float
+    predicted: float
+    sd: float
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors over held-out measurements of one channel; a number that cannot be told is NaN.
+
+    `nrmse` is over the channel's deviation in all data, `rmse_log` of natural logarithms (where all values are
+    positive), `covered` the share inside of the 90 % intervals. `unsolved` measurements have no prediction and are in
+    none of these.
+    """
+
+    n: int
+    rmse: float
+    nrmse: float
+    mae: float
+    rmse_log: float
+    covered: float
+    unsolved: int
+
+    def to_json(self) -> dict[str, object]:
+        """Its numbers by name, null where there is none."""
+        return {name: value if isinstance(value, int) else finite(value) for name, value in asdict(self).items()}
+
+
+def held_out(run: Run, fold: Fold, window: int | None) -> list[Point]:
+    """The predictions of a run for the held rows of its fold.
+
+    Over trajectories: starts and constants of their own are estimated from each trajectory's first rows (`window`),
+    which then count as seen and are left out. Over time: the trajectory is solved from the start that was learned from
+    all its other rows, before and after.
+    """
+    return _trajectories(run, fold, window) if fold.over == "trajectories" else _stretches(run, fold)
+
+
+def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
+    from gbspec.analysis.forecast import forecast
+
+    found = forecast(run, fold.whole, window=window)
+    points = []
+    for item in found.items:
+        seen = np.array([use != "predicted" for use in item.used], dtype=bool)
+        points += _points(item.label, item.times, found.channels, item.measured, item.mean, item.sd, ~seen)
+    return points
+
+
+def _stretches(run: Run, fold: Fold) -> list[Point]:
+    from gbspec.analysis.predict import learned_start, predict
+    from gbspec.backends.casadi.evaluator import Evaluator
+
+    evaluators = [Evaluator(member) for member in run.members]
+    noise = np.array([run.fit.get("noise", {}).get(channel.name) or 0.0 for channel in run.model.channels])
+    points = []
+    for position, (item, rows) in enumerate(zip(fold.whole.items, fold.held, strict=True)):
+        each = [predict(one, run.model, item, learned_start(one, position, item)).channels for one in evaluators]
+        mean = np.mean(each, axis=0)
+        between = np.var(each, axis=0, ddof=1) if len(each) > 1 else np.zeros_like(mean)
+        sd = np.sqrt(between + noise**2)
+        points += _points(item.label, item.times, fold.whole.channels, item.values, mean, sd, rows)
+    return points
+
+
+def _points(
+    label: str, times: Array, channels: Sequence[str], measured: Array, mean: Array, sd: Array, rows: Any
+) -> list[Point]:
+    """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns)."""
+    return [
+        Point(label, float(times[i]), name, float(measured[i, j]), float(mean[i, j]), float(sd[i, j]))
+        for i in np.flatnonzero(rows)
+        for j, name in enumerate(channels)
+        if np.isfinite(measured[i, j])
+    ]
+
+
+def errors(points: Sequence[Point], spreads: Mapping[str, float]) -> dict[str, Errors]:
+    """The errors of each channel that has held-out measurements; `spreads` are the channels' deviations."""
+    found = {}
+    for name, spread in spreads.items():
+        mine = [point for point in points if point.channel == name]
+        solved = [point for point in mine if math.isfinite(point.predicted)]
+        if mine:
+            found[name] = _errors(solved, spread, len(mine) - len(solved))
+    return found
+
+
+def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
+    if not points:
+        return Errors(0, math.nan, math.nan, math.nan, math.nan, math.nan, unsolved)
+    measured, predicted, sd = (np.array([getattr(p, part) for p in points]) for part in ("measured", "predicted", "sd"))
+    error = predicted - measured
+    rmse = float(np.sqrt(np.mean(error**2)))
+    logs = math.nan
+    if (measured > 0).all() and (predicted > 0).all():
+        logs = float(np.sqrt(np.mean(np.log(predicted / measured) ** 2)))
+    inside = float(np.mean(np.abs(error) <= NORMAL_90 * sd))
+    return Errors(len(points), rmse, rmse / spread, float(np.mean(np.abs(error))), logs, inside, unsolved)

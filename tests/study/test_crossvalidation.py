@@ -1,0 +1,118 @@
+"""Cross-validation: how data are divided, what is judged, and the command from end to end."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gbspec.cli.app import build
+from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.diagnostics import UserError
+from gbspec.study.folds import folds, way
+from gbspec.study.heldout import Point, errors
+
+from .conftest import DECAY
+
+
+def data(trajectories: int, rows: int) -> Trajectories:
+    """Trajectories that start at 0 and have their first row at 1; the values tell trajectory and row."""
+    items = []
+    for k in range(trajectories):
+        values = 100.0 * k + np.arange(rows)[:, None]
+        nothing = np.full(values.shape, np.nan)
+        times = np.arange(1.0, rows + 1)
+        items.append(Trajectory(str(k), 0.0, times, values, np.ones_like(values), nothing, np.zeros(0)))
+    return Trajectories(tuple(items), ("N",))
+
+
+def test_few_trajectories_are_left_out_one_by_one() -> None:
+    parts = folds(data(12, 3), "trajectories", None, 0)
+    assert [[item.label for item in part.whole.items] for part in parts] == [[str(k)] for k in range(12)]
+    assert all(len(part.kept) == 11 and part.whole.items[0] not in part.kept.items for part in parts)
+
+
+def test_many_trajectories_are_dealt_to_five_folds() -> None:
+    parts = folds(data(32, 2), "trajectories", None, 0)
+    labels = [[item.label for item in part.whole.items] for part in parts]
+    assert sorted(len(part) for part in labels) == [6, 6, 6, 7, 7]
+    assert sorted(label for part in labels for label in part) == sorted(str(k) for k in range(32))
+    assert labels != [[item.label for item in part.whole.items] for part in folds(data(32, 2), "trajectories", None, 1)]
+
+
+def test_a_single_trajectory_is_cut_into_stretches_and_keeps_its_start() -> None:
+    one = data(1, 21)
+    assert way(one, None) == "time" and way(data(2, 9), None) == "trajectories" and way(data(2, 9), "time") == "time"
+    parts = folds(one, "time", None, 0)
+    held = np.array([part.held[0] for part in parts])
+    assert (held.sum(axis=0) == 1).all() and sorted(held.sum(axis=1)) == [4, 4, 4, 4, 5]
+    for part in parts:
+        rows = np.flatnonzero(part.held[0])
+        assert (np.diff(rows) == 1).all()
+        kept = part.kept.items[0]
+        assert kept.start == 0.0 and set(kept.values[:, 0]) == set(range(21)) - set(rows)
+
+
+@pytest.mark.parametrize(
+    ("trajectories", "rows", "over", "count"), [(3, 5, "trajectories", 4), (1, 5, "time", 3), (1, 9, "trajectories", 2)]
+)
+def test_data_that_cannot_be_divided(trajectories: int, rows: int, over: str, count: int) -> None:
+    with pytest.raises(UserError) as caught:
+        folds(data(trajectories, rows), over, count, 0)  # type: ignore[arg-type]  # one of the two words
+    assert caught.value.diagnostics[0].code == "GB821"
+
+
+def test_errors_by_hand() -> None:
+    points = [Point("1", 0, "N", 1.0, 2.0, 1.0), Point("1", 1, "N", 4.0, 2.0, 1.0), Point("1", 2, "N", 1, math.nan, 1)]
+    (found,) = errors(points, {"N": 0.5, "M": 1.0}).values()
+    assert (found.n, found.unsolved, found.mae, found.covered) == (2, 1, 1.5, 0.5)
+    assert found.rmse == pytest.approx(math.sqrt(2.5)) and found.nrmse == pytest.approx(2 * math.sqrt(2.5))
+    assert found.rmse_log == pytest.approx(math.log(2))
+    assert math.isnan(errors([Point("1", 0, "N", -1.0, 2.0, 1.0)], {"N": 1.0})["N"].rmse_log)
+
+
+def table(path: Path, trajectories: int) -> Path:
+    """Solutions of N' = -N from several starts, every quarter to t = 2: what the model of these tests can express."""
+    rows = [
+        f"{k},{t},{(1 + 0.2 * k) * math.exp(-t)!r}"
+        for k in range(trajectories)
+        for t in np.arange(0, 2.01, 0.25).tolist()
+    ]
+    path.write_text("trajectory,t,N\n" + "\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(("trajectories", "over"), [(3, "trajectories"), (1, "time")])
+def test_the_command_predicts_what_it_left_out(tmp_path: Path, trajectories: int, over: str) -> None:
+    model, out = tmp_path / "decay.gb", tmp_path / "out"
+    model.write_text(DECAY)
+    arguments = ["crossvalidate", str(model), str(table(tmp_path / "t.csv", trajectories)), "-o", str(out), "--json"]
+    arguments += ["--method", "lm", "--epochs", "8", "--no-warm-start", "--threads", "1", "--folds", "3"]
+    result = CliRunner().invoke(build(["crossvalidate"]), arguments)
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["over"] == over and [fold["failure"] for fold in found["folds"]] == [None] * 3
+    total = found["total"]["N"]
+    # trajectories: the first row of each is its start, which is measured; time: every row is in one stretch
+    assert (
+        total["n"] == (3 * 8 if over == "trajectories" else 9) == sum(f["channels"]["N"]["n"] for f in found["folds"])
+    )
+    assert total["unsolved"] == 0 and total["nrmse"] < 0.3
+    assert (out / "predictions.csv").read_text().count("\n") == total["n"] + 1
+    before = (out / "folds" / "0.json").stat().st_mtime_ns
+    (out / "folds" / "1.json").unlink()  # as if it had been stopped there
+    again = CliRunner().invoke(build(["crossvalidate"]), arguments)
+    assert json.loads(again.stdout) == found and (out / "folds" / "0.json").stat().st_mtime_ns == before
+    other = CliRunner().invoke(build(["crossvalidate"]), [*arguments, "--seed", "1"])
+    assert other.exit_code == 1 and "GB820" in other.stderr
+
+
+def test_a_directory_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "decay.gb").write_text(DECAY)
+    arguments = ["crossvalidate", str(tmp_path / "decay.gb"), str(table(tmp_path / "t.csv", 2)), "-o", str(tmp_path)]
+    result = CliRunner().invoke(build(["crossvalidate"]), arguments)
+    assert result.exit_code == 1 and "GB806" in result.stderr

@@ -1,0 +1,77 @@
+"""A study from end to end: finished members are kept, interrupted ones go on, other settings are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from gbspec.cli.app import build
+from gbspec.diagnostics import UserError
+from gbspec.study import member as members
+from gbspec.study.member import Place, fit_member, read_record
+from gbspec.study.options import StudyOptions
+from gbspec.study.runner import check_settings
+from gbspec.study.tasks import Task, study_of
+
+
+def tasks(cases: Path) -> list[Task]:
+    return study_of([str(cases)], StudyOptions()).tasks()
+
+
+def test_a_study_by_its_command_and_again(cases: Path) -> None:
+    out = cases.parent / "out"
+    arguments = ["study", f"{cases}:ONE", "-o", str(out), "--workers", "2", "--json"]
+    first = CliRunner().invoke(build(["study"]), arguments)
+    assert first.exit_code == 0, first.stderr
+    document = json.loads(first.stdout)
+    assert document["cases"]["ONE"]["members"] == 2 and document["cases"]["ONE"]["failed"] == []
+    assert {"solution", "rhs", "functions", "constants"} <= set(document["cases"]["ONE"]["metrics"])
+    assert not (out / "runs").exists() and (out / "table.md").is_file()
+    before = {path: path.read_text() for path in (out / "members" / "ONE").iterdir()}
+    again = CliRunner().invoke(build(["study"]), arguments)
+    assert again.exit_code == 0 and json.loads(again.stdout)["cases"] == document["cases"]
+    assert {path: path.read_text() for path in (out / "members" / "ONE").iterdir()} == before
+    other = CliRunner().invoke(build(["study"]), [*arguments, "--effort", "low"])
+    assert other.exit_code == 1 and "GB820" in other.stderr
+
+
+def test_a_member_is_continued_where_it_was_stopped(cases: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Training ended and the comparison was interrupted: the fit is taken up, not made again."""
+    task, place = tasks(cases)[0], Place(cases.parent / "out")
+    check = members.check
+
+    def interrupted(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(members, "check", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        fit_member(task, place)
+    assert read_record(place.record(task)) is None and place.table(task).is_file()
+    monkeypatch.setattr(members, "check", check)
+    found = fit_member(task, place)
+    assert found["resumed"] and "failure" not in found and found["errors"]["rhs"]["L2"] > 0
+    assert not place.run(task).exists() and not place.table(task).exists()
+    check_settings([task], place)
+    with pytest.raises(UserError) as caught:
+        check_settings([replace(task, seed=9)], place)
+    assert caught.value.diagnostics[0].code == "GB820"
+
+
+def test_what_cannot_be_fitted_is_a_result(cases: Path) -> None:
+    cases.write_text(cases.read_text().replace("initial = { N = [0.5, 2] }", 'reject = ["N > 0"]'))
+    task, place = tasks(cases)[0], Place(cases.parent / "out")
+    found = fit_member(task, place)
+    assert "drawn 200 times" in found["failure"] and read_record(place.record(task)) == found
+
+
+def test_a_directory_of_something_else_is_left_alone(cases: Path) -> None:
+    shutil.copy(cases, cases.parent / "file")
+    for to, code in ((cases.parent, "GB806"), (cases.parent / "file", "GB802")):
+        result = CliRunner().invoke(build(["study"]), ["study", str(cases), "-o", str(to)])
+        assert result.exit_code == 1 and code in result.stderr

@@ -1,0 +1,69 @@
+"""The tables: spreads of members, and numbers beside the published ones."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from gbspec.runs import files
+from gbspec.study.member import Place
+from gbspec.study.options import StudyOptions
+from gbspec.study.tables import Spread, write_tables
+from gbspec.study.tasks import study_of
+
+from .conftest import record
+
+
+def test_a_spread_of_numbers() -> None:
+    found = Spread.of([3.0, 1.0, 2.0])
+    assert (found.mean, found.sd, found.median, found.worst) == (2.0, 1.0, 2.0, 3.0)
+    assert Spread.of([1.0, 3.0]).median == 2.0
+
+
+def test_a_failed_member_is_the_worst_and_voids_the_mean() -> None:
+    found = Spread.of([1.0, math.inf, 2.0])
+    assert (found.mean, found.median, found.worst) == (math.inf, 2.0, math.inf)
+
+
+def test_tables_of_what_is_there(cases: Path) -> None:
+    study = study_of([str(cases)], StudyOptions(members=3))
+    place = Place(cases.parent / "out")
+    one, _, two, *_ = study.tasks()
+    files.write_json(place.record(one), record(0, 1e-3))
+    files.write_json(place.record(two), record(1, 4e-3, step_warning="it leans", resumed=True))
+    summary = write_tables(study, place, "gbspec study here")
+    written = json.loads((place.root / "study.json").read_text())
+    case = written["cases"]["ONE"]
+    assert (case["members"], case["planned"], case["failed"], case["step_warnings"]) == (2, 3, [], [1])
+    assert case["metrics"]["solution"]["L2"] == {"mean": 2.5e-3, "sd": pytest.approx(2.1213e-3, rel=1e-4),
+                                                 "median": 2.5e-3, "worst": 4e-3}  # fmt: skip
+    assert case["metrics"]["constants"] == {"published": 0.1}  # published, but not reached by any member yet
+    assert case["cpu_seconds"] == {"median": 10.0, "most": 10.0, "members": 1}  # the resumed one has not all its time
+    assert written["cases"]["TWO"]["members"] == 0 and summary["command"] == "gbspec study here"
+    text = (place.root / "table.md").read_text()
+    assert "| ONE | solution | 1.00e-02 | 2.50e-03 ± 2.12e-03 | 2.50e-03 | 4.00e-03 | 4 | 2.5 |" in text
+    rows = list(csv.DictReader(io.StringIO((place.root / "results.csv").read_text())))
+    assert [(row["case"], row["member"], row["solution_L1"], row["constant_k"]) for row in rows] == [
+        ("ONE", "0", "0.002", "0.7"),
+        ("ONE", "1", "0.008", "0.7"),
+    ]
+
+
+def test_a_failure_is_told(cases: Path) -> None:
+    study = study_of([f"{cases}:ONE"], StudyOptions(members=2))
+    place = Place(cases.parent / "out")
+    first, second = study.tasks()
+    files.write_json(place.record(first), record(0, 1e-3))
+    failed = {"case": "ONE", "member": 1, "seed": 1, "settings": "", "finished": "2026", "machine": "here",
+              "failure": "it blew up"}  # fmt: skip
+    files.write_json(place.record(second), failed)
+    write_tables(study, place, "gbspec study")
+    text = (place.root / "table.md").read_text()
+    assert "| ONE | solution | 1.00e-02 | failed | failed | failed |  |  |" in text
+    assert "| ONE | the first | 2 of 2 | 1 | 0 | 10 (10) |" in text
+    assert "it blew up" in (place.root / "results.csv").read_text()
