@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.forecast import Forecast
+    from gbspec.analysis.plane_diagram import PlaneDiagram
     from gbspec.analysis.predict import Prediction
-    from gbspec.analysis.system import System
+    from gbspec.analysis.system import Box, System
     from gbspec.analysis.validate import Validation
     from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.sampling import SimulateOptions
@@ -188,11 +189,9 @@ def eigen(
 ) -> Eigen:
     """Eigenvalues of a subject; of a run beside those of its model's truth, where it has one."""
     from gbspec.analysis.eigen import eigen as run
-    from gbspec.analysis.truth_errors import has_reference
 
-    truth = None
-    if source.run is not None and has_reference(source.model):
-        truth = system(reference(source.model))
+    true = truth_of(source)
+    truth = None if true is None else system(true)
     predicted: list[Prediction] = []
     if along is not None:
         from gbspec.analysis.estimate import predictions
@@ -200,6 +199,15 @@ def eigen(
         data = {} if source.run is None else source.run.fit.get("data", {})
         predicted = predictions(source.evaluator, source.model, along, data)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
+
+
+def truth_of(source: Subject) -> Subject | None:
+    """The truth of a run's model with the same values set, None where there is none."""
+    from gbspec.analysis.truth_errors import has_reference
+
+    if source.run is None or not has_reference(source.run.model):
+        return None
+    return reference(source.run.model, source.values)
 
 
 def bifurcate(source: Subject, over: str, low: float, high: float, *, cycles: bool = True) -> Diagram:
@@ -212,11 +220,28 @@ def bifurcate(source: Subject, over: str, low: float, high: float, *, cycles: bo
 
 def true_diagram(source: Subject, over: str, low: float, high: float, *, cycles: bool = True) -> Diagram | None:
     """The same of the truth of a run's model, None where there is none."""
-    from gbspec.analysis.truth_errors import has_reference
+    truth = truth_of(source)
+    return None if truth is None else bifurcate(truth, over, low, high, cycles=cycles)
 
-    if source.run is None or not has_reference(source.run.model):
-        return None
-    return bifurcate(reference(source.run.model, source.values), over, low, high, cycles=cycles)
+
+def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram:
+    """The Hopf and fold curves of a subject in a box of the plane of two of its parameters."""
+    from gbspec.analysis.plane_diagram import bifurcation_plane as run
+
+    return run(system(source), names, boxes)
+
+
+def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram | None:
+    """The same of the truth of a run's model, None where there is none."""
+    truth = truth_of(source)
+    return None if truth is None else bifurcation_plane(truth, names, boxes)
+
+
+def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
+    """The figure of one or several members' curves, beside the truth's."""
+    from gbspec.report.plane import plane
+
+    return plane(diagrams[0], diagrams[1:], truth)
 
 
 def joined(diagrams: Sequence[Diagram]) -> Diagram:

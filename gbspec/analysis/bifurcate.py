@@ -176,15 +176,7 @@ def bifurcate(
     number (GB871), and where the range is none (GB875).
     """
     options = options or BifurcationOptions()
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
-        findings = Findings()
-        findings.error(
-            "GB875",
-            f"`{over}` cannot be varied from {low:.6g} to {high:.6g}",
-            None,
-            help="give two numbers, the lower one first: `--range 0.2 0.5`",
-        )
-        findings.raise_if_failed()
+    require_range(over, low, high)
     family = Family(system, over)
     explorer = _Explorer(SteadyCurve(family, low, high, options.steps), options, progress or (lambda text: None))
     explorer.steady()
@@ -203,6 +195,19 @@ def bifurcate(
         cycles=tuple(explorer.cycles),
         trained=bounds if np.isfinite(bounds).all() else None,
     )
+
+
+def require_range(name: str, low: float, high: float) -> None:
+    """Raises UserError (GB875) unless `low` and `high` are the ends of a range."""
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        findings = Findings()
+        findings.error(
+            "GB875",
+            f"`{name}` cannot be varied from {low:.6g} to {high:.6g}",
+            None,
+            help="give two numbers, the lower one first: `--range 0.2 0.5`",
+        )
+        findings.raise_if_failed()
 
 
 class _Explorer:

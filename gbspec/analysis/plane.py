@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -24,21 +24,24 @@ from gbspec.analysis.compiled import Compiled
 from gbspec.analysis.curve import Curve, CurvePoint, Steps
 from gbspec.analysis.family import Family
 from gbspec.analysis.hopf import critical_pair, normal_form
-from gbspec.analysis.system import System
+from gbspec.analysis.system import Box, System
 
 Array = NDArray[np.float64]
-Box = tuple[float, float]
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]
 
 
 @dataclass(frozen=True)
 class PlanePoint:
-    """A point of a curve: the two parameters, the state [n]; on a Hopf curve the frequency and l1."""
+    """A point of a curve: the two parameters, the state [n]; on a Hopf curve the frequency and l1.
+
+    `outside` names what lies outside of its trained (else plausible) range there.
+    """
 
     values: tuple[float, float]
     state: Array
     frequency: float | None = None
     l1: float | None = None
+    outside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class PlaneCurve:
 
     kind: Literal["hopf", "fold"]
     parameters: tuple[str, str]
+    states: tuple[str, ...]
     points: tuple[PlanePoint, ...]
     special: tuple[tuple[Kind, PlanePoint], ...]
     ends: tuple[str, str]
@@ -55,12 +59,12 @@ class PlaneCurve:
         """Keys type, parameters, points, special, ends."""
 
         def entry(point: PlanePoint) -> dict[str, object]:
-            named = dict(zip(self.parameters, point.values, strict=True))
             return {
-                "values": named,
-                "state": list(map(float, point.state)),
+                "values": dict(zip(self.parameters, point.values, strict=True)),
+                "state": dict(zip(self.states, map(float, point.state), strict=True)),
                 "frequency": point.frequency,
                 "l1": point.l1,
+                "outside": list(point.outside),
             }
 
         return {
@@ -154,6 +158,12 @@ class PlaneFamily:
             Compiled(casadi.Function("third", [x, p, u, v, w], [casadi.jtimes(second, x, w)])),
         )
 
+    def point(self, z: Array, frequency: float | None = None, l1: float | None = None) -> PlanePoint:
+        """The point of a curve at `z`, which begins with the state [n] and ends with both parameters."""
+        state, values = z[: self.size], (float(z[-2]), float(z[-1]))
+        system = self.system.with_values(dict(zip(self.names, values, strict=True)))
+        return PlanePoint(values, state, frequency, l1, system.outside(state))
+
     def lyapunov(self, state: Array, values: Array) -> float:
         """The first Lyapunov coefficient at a Hopf point: state [n], both parameters [2]."""
         first, second, third = self._derivatives
@@ -182,18 +192,17 @@ def fold_curve(
     function = family.fold()
     n = family.size
     scale = np.concatenate([system.scale, np.ones(n), _widths(boxes)])
-    tracer = _Tracer(function, (n, n, 2), scale, boxes, n)
+    tracer = _Tracer(family, function, (n, n, 2), scale, boxes)
 
     def describe(y: Array) -> PlanePoint:
-        z = y * scale
-        return PlanePoint((float(z[-2]), float(z[-1])), z[:n])
+        return family.point(y * scale)
 
     def cusp(point: CurvePoint) -> float:
         # Along the curve both parameters' components of the tangent vanish at a cusp: their projection on the side
         # from which the curve came changes sign there.
         return float(point.tangent[-2:] @ tracer.heading)
 
-    return tracer.both_ways("fold", names, np.concatenate([state, null, values]) / scale, describe, (("cusp", cusp),))
+    return tracer.both_ways("fold", np.concatenate([state, null, values]) / scale, describe, (("cusp", cusp),))
 
 
 def hopf_curve(
@@ -209,7 +218,7 @@ def hopf_curve(
     q = q / complex(reference @ q)
     function = family.hopf(reference)
     scale = np.concatenate([system.scale, np.ones(2 * n), [frequency], _widths(boxes)])
-    tracer = _Tracer(function, (n, n, n, 1, 2), scale, boxes, n)
+    tracer = _Tracer(family, function, (n, n, n, 1, 2), scale, boxes)
 
     def lyapunov(y: Array) -> float:
         z = y * scale
@@ -217,7 +226,7 @@ def hopf_curve(
 
     def describe(y: Array) -> PlanePoint:
         z = y * scale
-        return PlanePoint((float(z[-2]), float(z[-1])), z[:n], float(z[3 * n]), lyapunov(y))
+        return family.point(z, float(z[3 * n]), lyapunov(y))
 
     start = np.concatenate([state, q.real, q.imag, [frequency], values]) / scale
     takens = family.bogdanov_takens(reference)
@@ -227,10 +236,10 @@ def hopf_curve(
         z = b.y * scale if abs(b.y[3 * n]) < abs(a.y[3 * n]) else a.y * scale
         guess = np.concatenate([z[: 2 * n], z[2 * n : 3 * n] / z[3 * n], z[-2:]])
         found = _newton(takens, (n, n, n, 2), guess)
-        return None if found is None else PlanePoint((float(found[-2]), float(found[-1])), found[:n], 0.0)
+        return None if found is None else family.point(found, 0.0)
 
     tracer.frequency, tracer.at_zero = 3 * n, at_zero
-    return tracer.both_ways("hopf", names, start, describe, (("bautin", lambda point: lyapunov(point.y)),))
+    return tracer.both_ways("hopf", start, describe, (("bautin", lambda point: lyapunov(point.y)),))
 
 
 def _newton(function: Compiled, sizes: tuple[int, ...], guess: Array) -> Array | None:
@@ -258,9 +267,9 @@ class _Tracer:
     """Follows the zero set of an extended system inside a box of the two last variables."""
 
     def __init__(
-        self, function: Compiled, sizes: tuple[int, ...], scale: Array, boxes: tuple[Box, Box], states: int
+        self, family: PlaneFamily, function: Compiled, sizes: tuple[int, ...], scale: Array, boxes: tuple[Box, Box]
     ) -> None:
-        self.function, self.scale, self.boxes, self.states = function, scale, boxes, states
+        self.family, self.function, self.scale, self.boxes = family, function, scale, boxes
         self.cuts = list(np.cumsum(sizes))[:-1]
         self.curve = Curve(self._evaluate)
         self.heading = np.zeros(2)
@@ -276,23 +285,24 @@ class _Tracer:
     def both_ways(
         self,
         kind: Literal["hopf", "fold"],
-        names: tuple[str, str],
         start: Array,
         describe: Callable[[Array], PlanePoint],
         tests: tuple[tuple[Kind, Callable[[CurvePoint], float]], ...],
     ) -> PlaneCurve:
         """The curve through a point in both directions."""
+        names, states = self.family.names, self.family.system.states
         derivative = self._evaluate(start)[1]
         tangent = np.linalg.svd(derivative)[2][-1]
         point = self.curve.point(start, tangent)
         if point is None:
-            return PlaneCurve(kind, names, (), (), ("no point of the curve at the start",) * 2)
+            return PlaneCurve(kind, names, states, (), (), ("no point of the curve at the start",) * 2)
         ahead, special, end = self._follow(point, tests)
         back = CurvePoint(point.y, -point.tangent, point.derivative)
         behind, before, start_end = self._follow(back, tests) if end != "closed" else ([point], [], end)
         return PlaneCurve(
             kind,
             names,
+            states,
             tuple(describe(one.y) for one in behind[:0:-1] + ahead),
             tuple((name, one if isinstance(one, PlanePoint) else describe(one.y)) for name, one in before + special),
             (start_end, end),
@@ -313,8 +323,11 @@ class _Tracer:
                 if test(before) * test(point) < 0.0:
                     located = self.curve.locate(before, length, test, 1e-11)
                     special.extend([(name, located)] if located is not None else [])
-            if not self._inside(point.y):
-                return points, special, "range"
+            at_edge = self._edge(before, point, length)
+            if at_edge is not None:
+                return [*points, at_edge], special, "range"
+            if not self.family.system.admissible((point.y * self.scale)[: self.family.size]):
+                return points, special, "a state falls below its range"
             points.append(point)
             if np.any(np.abs(point.tangent[-2:]) > 1e-3):
                 self.heading = point.tangent[-2:]
@@ -325,6 +338,19 @@ class _Tracer:
             before = point
         return points, special, "no step converged"
 
-    def _inside(self, y: Array) -> bool:
-        values = (y * self.scale)[-2:]
-        return all(low <= value <= high for value, (low, high) in zip(values, self.boxes, strict=True))
+    def _edge(self, before: CurvePoint, point: CurvePoint, length: float) -> CurvePoint | None:
+        """Where a step leaves the box, None where it stays inside."""
+        size = len(self.scale)
+        for i, (low, high) in zip((size - 2, size - 1), self.boxes, strict=True):
+            value = point.y[i] * self.scale[i]
+            if not low <= value <= high:
+                end = (low if value < low else high) / self.scale[i]
+                if before.y[i] == end:
+                    return before
+                return self.curve.locate(before, length, partial(_beyond, i, end)) or before
+        return None
+
+
+def _beyond(index: int, end: float, point: CurvePoint) -> float:
+    """How far a variable of a point is beyond an end."""
+    return float(point.y[index] - end)

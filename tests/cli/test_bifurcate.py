@@ -32,3 +32,26 @@ def test_another_heat_of_reaction_moves_them(here: Path, document: Run) -> None:
     moved = document("bifurcate", "urp_gb2", *arguments, "--set", "B=11.5")
     values = [point["value"] for point in moved["special"] if point["type"] == "hopf"]
     assert values[0] < 0.2802749 - 1e-3
+
+
+def test_hopf_and_fold_curves_in_a_plane(here: Path, gbspec: Run) -> None:
+    """The Hopf points of the reactor turn subcritical above B = 11.01585."""
+    plane = ("--and", "B", "--and-range", 10, 12)
+    result = gbspec("bifurcate", "urp_gb2", "--over", "Da", "--range", 0.2, 0.5, *plane, "-o", "p.svg", "--json")
+    assert result.exit_code == 0, result.stderr
+    made = json.loads(result.stdout)
+    assert (made["parameters"], made["ranges"]) == (["Da", "B"], [[0.2, 0.5], [10.0, 12.0]])
+    (curve,) = made["curves"]
+    assert curve["type"] == "hopf"
+    (bautin,) = curve["special"]
+    assert (bautin["type"], bautin["values"]["B"]) == ("bautin", pytest.approx(11.01585, abs=2e-6))
+    assert "Bautin point" in Path("p.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    "wrong", [("--and", "B"), ("--and-range", 8, 14), ("--and", "B", "--and-range", 8, 14, "--cycles")]
+)
+def test_options_of_a_plane_that_do_not_go_together(here: Path, gbspec: Run, wrong: tuple[object, ...]) -> None:
+    result = gbspec("bifurcate", "urp_gb2", "--over", "Da", "--range", 0.2, 0.5, *wrong)
+    assert result.exit_code == 1
+    assert "GB814" in result.stderr

@@ -1,7 +1,9 @@
-"""`gbspec bifurcate MODEL|RUN`: steady states, Hopf points and limit cycles over one parameter."""
+"""`gbspec bifurcate MODEL|RUN`: steady states, Hopf points and limit cycles over one parameter, or a plane of two."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,19 +14,27 @@ from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcate import Diagram
+    from gbspec.driver import Subject
+
+Ends = tuple[float, float]
 
 
 @command(
     "bifurcate",
     "gbspec bifurcate urp_gb2 --over Da --range 0.2 0.5 --cycles -o truth.png",
     "gbspec bifurcate my_run --over beta --range 2 4 --set Da=0.35 --members all --json",
+    "gbspec bifurcate my_run --over Da --range 0.05 0.6 --and B --and-range 8 14 -o plane.png",
 )
 def run(
     output: Output,
     source: Annotated[str, typer.Argument(help="A model with a truth, or a run.", metavar="MODEL|RUN")],
     over: Annotated[str, typer.Option("--over", help="A condition, input or constant to vary.", metavar="NAME")],
-    ends: Annotated[tuple[float, float], typer.Option("--range", help="From where to where.", metavar="LO HI")],
+    ends: Annotated[Ends, typer.Option("--range", help="From where to where.", metavar="LO HI")],
+    second: Annotated[
+        str | None,
+        typer.Option("--and", help="Vary this too: Hopf and fold curves in the plane of both.", metavar="NAME"),
+    ] = None,
+    second_ends: Annotated[Ends | None, typer.Option("--and-range", help="Its range.", metavar="LO HI")] = None,
     set_values: Settings = None,
     cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
     members: Annotated[
@@ -35,34 +45,80 @@ def run(
     """Follow steady states over a parameter: branches, stability, folds, Hopf points, and the cycles they lead to."""
     from gbspec import driver
     from gbspec.diagnostics import Findings
-    from gbspec.report.style import form_of, save
+    from gbspec.report.style import form_of
 
+    _require_plane(second, second_ends, cycles=cycles)
     if to is not None:
         form_of(to)
     findings, values = Findings(), settings(set_values)
     with output.console().status("following branches"):
         if driver.is_run(source):
             opened = driver.open_run(source)
-            subjects = [
-                driver.learned(opened, values, member) for member in chosen(members, opened.numbers, opened.best)
-            ]
+            numbers = chosen(members, opened.numbers, opened.best)
+            subjects = [driver.learned(opened, values, member) for member in numbers]
         else:
             subjects = [driver.subject(source, values, findings)]
         output.findings(findings)
-        found: list[Diagram] = [driver.bifurcate(subject, over, *ends, cycles=cycles) for subject in subjects]
-        if to is not None:
-            truth = driver.true_diagram(subjects[0], over, *ends, cycles=cycles)
-            save(driver.diagram_figure(found, truth), to)
-            output.say(f"wrote {to}")
+        if second is None or second_ends is None:
+            found = _branches(subjects, over, ends, to, cycles=cycles)
+        else:
+            found = _plane(subjects, (over, second), (ends, second_ends), to)
+    if to is not None:
+        output.say(f"wrote {to}")
+    output.document(found.document)
+    output.result(found.text)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the command says."""
+
+    document: dict[str, object]
+    text: str
+
+
+def _branches(subjects: Sequence[Subject], over: str, ends: Ends, to: str | None, *, cycles: bool) -> _Found:
+    """Diagrams over one parameter, one a member, drawn beside the truth's."""
+    from gbspec import driver
+    from gbspec.report.style import save
+
+    found = [driver.bifurcate(subject, over, *ends, cycles=cycles) for subject in subjects]
+    if to is not None:
+        truth = driver.true_diagram(subjects[0], over, *ends, cycles=cycles)
+        save(driver.diagram_figure(found, truth), to)
     shown = driver.joined(found)
-    output.document(shown.to_json())
-    output.result(str(shown))
+    return _Found(shown.to_json(), str(shown))
+
+
+def _plane(subjects: Sequence[Subject], names: tuple[str, str], boxes: tuple[Ends, Ends], to: str | None) -> _Found:
+    """Curves in the plane of two parameters, one set a member, drawn beside the truth's."""
+    from gbspec import driver
+    from gbspec.report.style import save
+
+    found = [driver.bifurcation_plane(subject, names, boxes) for subject in subjects]
+    if to is not None:
+        save(driver.plane_figure(found, driver.true_plane(subjects[0], names, boxes)), to)
+    others = {"members": [one.to_json() for one in found[1:]]} if len(found) > 1 else {}
+    return _Found({**found[0].to_json(), **others}, "\n".join(map(str, found)))
+
+
+def _require_plane(second: str | None, ends: Ends | None, *, cycles: bool) -> None:
+    """Raises `UserError` (GB814) where the options of a plane do not go together."""
+    if (second is None) != (ends is None):
+        message, help = "`--and` and `--and-range` belong together", "write both: `--and B --and-range 8 14`"
+    elif second is not None and cycles:
+        message = "`--cycles` has no meaning in a plane of two parameters"
+        help = "leave `--cycles` out, or draw cycles over one parameter without `--and`"
+    else:
+        return
+    raise UserError([Diagnostic("GB814", message, None, help=help)])
 
 
 def chosen(members: str, numbers: tuple[int, ...], best: int) -> tuple[int, ...]:
     """The members meant by `--members`. Raises `UserError` (GB814)."""
     if members == "all":
-        return numbers
+        # The best comes first: its points are the ones that get intervals.
+        return (best, *(number for number in numbers if number != best))
     if members == "best":
         return (best,)
     if members.isdigit():
