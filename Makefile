@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint format environment clean
+.PHONY: demo test lint format environment benchmarks clean
 
 demo: $(STAMP)
 	$(BIN)/gbspec demo
@@ -28,6 +28,15 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 environment: $(STAMP)
+
+# Best on a machine that does nothing else; about a quarter of an hour. The results are written to benchmarks/results/.
+benchmarks: $(STAMP)
+	$(PIP) install --quiet -c constraints.txt -e '.[benchmarks]'
+	$(BIN)/python -m benchmarks.step
+	$(BIN)/python -m benchmarks.growth
+	$(BIN)/python -m benchmarks.startup
+	$(BIN)/python -m benchmarks.accuracy
+	$(BIN)/python -m benchmarks.plot
 
 # torch comes first and by its exact version, so that a CPU wheel at hand is taken; the rest is then resolved against it.
 $(STAMP): pyproject.toml constraints.txt
