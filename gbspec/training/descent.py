@@ -12,6 +12,7 @@ from gbspec.training.moments import Moments, one_cycle
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
+from gbspec.training.priors import Priors, priors_at
 from gbspec.training.problem import Problem
 from gbspec.training.stages import Outcome, State, mean_loss, require_finite, scalar
 from gbspec.training.unroll import measured_residuals, solve, unroll
@@ -80,6 +81,8 @@ class Adam:
         """One pass over all trajectories."""
         problem, parameters = self.problem_at(iteration), self.parameters
         theta = state["theta"]
+        measured = int((problem.packed.weights > 0).sum())
+        priors = priors_at(problem, parameters, theta)
         moments = Moments(state["first"], state["second"], int(scalar(state, "updates")))
         order = np.random.default_rng([self.seed, 61, iteration]).permutation(parameters.trajectories)
         batch = self.options.batch_size
@@ -91,6 +94,7 @@ class Adam:
             if not np.isfinite(value) or not np.isfinite(gradient).all():
                 require_finite(problem, parameters, theta, np.array([np.nan]), self.name)
             gradient /= max(int((part.packed.weights > 0).sum()), 1)
+            gradient += priors.gradient(theta) / max(measured, 1)
             rate = one_cycle(moments.updates + 1, total, self.options.learning_rate)
             moments, step = moments.advance(gradient, rate)
             theta = theta + step
@@ -120,7 +124,9 @@ class LimitedMemory:
     def step(self, state: State, iteration: int) -> Outcome:
         """One quasi-Newton step."""
         problem, theta = self.problem_at(iteration), state["theta"]
-        value, gradient = loss_and_gradient(problem, self.parameters, theta, self.batch)
+        priors = priors_at(problem, self.parameters, theta)
+        count = max(int((problem.packed.weights > 0).sum()), 1)
+        value, gradient = self._objective(problem, priors, count, theta)
         require_finite(problem, self.parameters, theta, np.array([value, *gradient]), self.name)
         direction = -self._apply(state, gradient)
         slope = float(gradient @ direction)
@@ -130,19 +136,24 @@ class LimitedMemory:
         for _ in range(30):
             trial = theta + length * direction
             residuals = solve(problem, self.parameters, trial)
-            if mean_loss(residuals) <= value + 1e-4 * length * slope:
+            reached = mean_loss(residuals) + priors.penalty(trial) / count
+            if reached <= value + 1e-4 * length * slope:
                 break
             length *= 0.5
         else:
-            return Outcome(state, value, True)
-        _, new_gradient = loss_and_gradient(problem, self.parameters, trial, self.batch)
+            return Outcome(state, value - priors.penalty(theta) / count, True)
+        _, new_gradient = self._objective(problem, priors, count, trial)
         s, y = trial - theta, new_gradient - gradient
         steps, changes = state["steps"], state["changes"]
         if float(s @ y) > 1e-12 * float(y @ y):
             steps, changes = np.vstack([steps, s])[-MEMORY:], np.vstack([changes, y])[-MEMORY:]
-        loss = mean_loss(residuals)
         after: State = {"theta": trial, "steps": steps, "changes": changes}
-        return Outcome(after, loss, value - loss <= 1e-9 * max(value, 1e-300))
+        return Outcome(after, mean_loss(residuals), value - reached <= 1e-9 * max(value, 1e-300))
+
+    def _objective(self, problem: Problem, priors: Priors, count: int, theta: Array) -> tuple[float, Array]:
+        """The mean loss and the priors' penalty, with their gradient."""
+        value, gradient = loss_and_gradient(problem, self.parameters, theta, self.batch)
+        return value + priors.penalty(theta) / count, gradient + priors.gradient(theta) / count
 
     @staticmethod
     def _apply(state: State, gradient: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.training.packing import NODES, Integers, known_lag
+from gbspec.training.packing import NODES, Integers
 
 if TYPE_CHECKING:
     from gbspec.training.problem import Problem
@@ -77,7 +77,6 @@ def advance(problem: Problem, x: Tensor, step: SubStep, k: Sequence[Tensor], net
         return _part(problem, x, step, None, None, k, networks)
     terms = problem.module._doses(problem.ops, step.condition, k)
     doses, model = problem.packed.doses, problem.model
-    known = [known_lag(dose, model) is not None for dose in model.doses]
     begin = torch.zeros_like(step.h)
     for layer in step.events:
         for kind, (fraction, lag) in enumerate(terms):
@@ -85,7 +84,7 @@ def advance(problem: Problem, x: Tensor, step: SubStep, k: Sequence[Tensor], net
             if not mine.any():
                 continue
             given = torch.from_numpy(mine)
-            if not known[kind]:
+            if not doses.known[kind]:
                 # The sub-steps begin where doses of a known lag arrive; for others, time passes first.
                 arrival = torch.where(given, torch.from_numpy(doses.time[layer]) + lag - step.t, begin)
                 x = _part(problem, x, step, begin, arrival, k, networks)

@@ -15,8 +15,9 @@ from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import linearise
 from gbspec.training.packing import Integers, Packed
 from gbspec.training.parameters import Parameters
-from gbspec.training.problem import Forcing, Problem
-from gbspec.training.unroll import unroll
+from gbspec.training.priors import LEAST_NOISE, Priors
+from gbspec.training.problem import Forcing, Problem, typical
+from gbspec.training.unroll import solve, unroll
 
 POLISH_STEPS = 12
 HUBER = 0.3
@@ -33,6 +34,10 @@ def refit_starts(
     if not parameters.start_free.any():
         return theta
     window = first_rows(problem, _influence(problem))
+    if window.scaling.noise is None:
+        # One noise throughout, so that losses with priors can be compared.
+        noise = max(typical(solve(window, parameters, theta)), LEAST_NOISE)
+        window = replace(window, scaling=replace(window.scaling, noise=noise if np.isfinite(noise) else 0.0))
     best, losses = theta, _trajectory_losses(window, parameters, theta)
     starts = _starts(parameters, theta)
     width = parameters.start_free * parameters.start_scale * radius
@@ -99,6 +104,9 @@ def _trajectory_losses(problem: Problem, parameters: Parameters, theta: Array) -
     rho = np.where(np.isfinite(rho), rho, np.inf)
     losses = np.zeros(problem.packed.trajectories)
     np.add.at(losses, problem.packed.row_trajectory, rho)
+    priors = Priors.of(problem, parameters, np.zeros(0))
+    if len(priors):
+        np.add.at(losses, priors.owner, 0.5 * priors.rows(theta) ** 2)
     return losses
 
 
@@ -139,9 +147,10 @@ def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Arra
     damping = np.full(n, 1e-2)
     for _ in range(POLISH_STEPS):
         system = linearise(problem, parameters, theta, only_local=True)
-        residuals = system.residuals.numpy()
-        if len(system.owner) == 0 or not np.isfinite(residuals).all():
+        if len(system.owner) == 0 or not np.isfinite(system.residuals.numpy()).all():
             break
+        system = Priors.of(problem, parameters, np.zeros(0)).with_rows(system, theta)
+        residuals = system.residuals.numpy()
         size = np.abs(residuals)
         weight = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, 1e-300))
         local, owner = system.local.numpy(), system.owner.numpy()

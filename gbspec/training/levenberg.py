@@ -70,6 +70,8 @@ class Cholesky:
 
     def solve(self, right: Array) -> Array:
         """The solution of A x = right; `right` is [n] or [n, k]."""
+        if not len(right):
+            return right
         columns = torch.from_numpy(np.ascontiguousarray(right.reshape(len(right), -1)))
         return np.asarray(torch.cholesky_solve(columns, self.factor).numpy().reshape(right.shape), dtype=np.float64)
 

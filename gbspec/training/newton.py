@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.jacobian import linearise
+from gbspec.training.jacobian import Linearised, linearise
 from gbspec.training.levenberg import NormalEquations, huber, huber_weights
 from gbspec.training.parameters import Parameters
+from gbspec.training.priors import Priors
 from gbspec.training.problem import Problem
 from gbspec.training.stages import Outcome, State, mean_loss, require_finite, scalar
 from gbspec.training.unroll import solve
@@ -75,23 +76,25 @@ class LevenbergMarquardt:
         problem, theta = self.problem_at(iteration), state["theta"]
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
         system = linearise(problem, self.parameters, theta)
-        residuals = system.residuals.numpy()
-        require_finite(problem, self.parameters, theta, residuals, self.name)
-        delta = self.threshold(residuals)
-        equations = NormalEquations(system, self.parameters, huber_weights(residuals, delta), ridge, theta)
+        require_finite(problem, self.parameters, theta, system.residuals.numpy(), self.name)
+        delta = self.threshold(system.residuals.numpy())
+        fit = _Fit(problem, self.parameters, system, theta, delta)
+        residuals, count = fit.residuals, fit.count
+        equations = NormalEquations(fit.system, self.parameters, fit.weights, ridge, theta)
 
         def objective(r: Array, at: Array) -> float:
-            return huber(r, delta) + 0.5 * ridge * float(np.sum(equations.penalised * at**2))
+            penalty = ridge * float(np.sum(equations.penalised * at**2)) + fit.balance * float(np.sum(r[count:] ** 2))
+            return huber(r[:count], delta) + 0.5 * penalty
 
         value = objective(residuals, theta)
         for _ in range(ATTEMPTS):
             step = _try_step(equations, damping)
             trial = theta + step
-            new_residuals = solve(problem, self.parameters, trial)
+            new_residuals = fit.solved(trial)
             new = objective(new_residuals, trial)
-            bent = trial + self._bend(problem, theta, residuals, step, equations, damping)
+            bent = trial + self._bend(fit, theta, step, equations, damping)
             if not np.array_equal(bent, trial):
-                bent_residuals = solve(problem, self.parameters, bent)
+                bent_residuals = fit.solved(bent)
                 bent_value = objective(bent_residuals, bent)
                 if bent_value < new:
                     trial, new_residuals, new = bent, bent_residuals, bent_value
@@ -100,10 +103,10 @@ class LevenbergMarquardt:
             damping *= 4
         else:
             kept = state | {"damping": np.array(damping), "small": np.array(2.0)}
-            return Outcome(kept, mean_loss(residuals), True)
+            return Outcome(kept, mean_loss(residuals[:count]), True)
         gain = (value - new) / max(equations.predicted_decrease(step), 1e-300)
         if self.options.evidence:
-            ridge = _evidence(equations, residuals, delta, trial, ridge, iteration)
+            ridge = _evidence(equations, residuals[:count], delta, trial, ridge, iteration)
         # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
         damping *= float(np.clip(1 - (2 * gain - 1) ** 3, 0.2, 2.0))
         small = small + 1 if (value - new) < self.options.tolerance * max(value, 1e-300) else 0.0
@@ -113,27 +116,19 @@ class LevenbergMarquardt:
             "ridge": np.array(ridge),
             "small": np.array(small),
         }
-        return Outcome(after, mean_loss(new_residuals), small >= 2)
+        return Outcome(after, mean_loss(new_residuals[:count]), small >= 2)
 
-    def _bend(
-        self,
-        problem: Problem,
-        theta: Array,
-        residuals: Array,
-        step: Array,
-        equations: NormalEquations,
-        damping: float,
-    ) -> Array:
+    def _bend(self, fit: _Fit, theta: Array, step: Array, equations: NormalEquations, damping: float) -> Array:
         """Half the geodesic acceleration along a step (Transtrum and Sethna 2012), zero where it is not a correction.
 
         The second derivative of the residuals along the step is taken by a difference; in narrow curved valleys, in
         which damped steps must be short, following the curve allows much longer ones.
         """
-        ahead = solve(problem, self.parameters, theta + DIFFERENCE * step)
+        ahead = fit.solved(theta + DIFFERENCE * step)
         if not np.isfinite(ahead).all() or not np.isfinite(step).all():
             return np.zeros_like(step)
         root = equations.root
-        second = 2 / DIFFERENCE * (root * (ahead - residuals) / DIFFERENCE - equations.times(step))
+        second = 2 / DIFFERENCE * (root * (ahead - fit.residuals) / DIFFERENCE - equations.times(step))
         bend = 0.5 * equations.respond(second, damping)
         small = 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step))
         return bend if small else np.zeros_like(step)
@@ -141,17 +136,19 @@ class LevenbergMarquardt:
     def deviations(self, state: State) -> Array:
         """Standard deviations of shared constants (natural values) at a converged state (Gauss-Newton, Laplace).
 
-        The covariance is the noise variance times the inverse of the normal matrix, ridge included. How far
+        The covariance is the noise variance times the inverse of the normal matrix, priors and ridge included. How far
         the next undamped step would move a constant is added (in squares); NaN where that is more than the deviation
         itself: the stage had not come to rest.
         """
         parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
-        system = linearise(self.problem_at(0), parameters, theta)
+        problem = self.problem_at(0)
+        system = linearise(problem, parameters, theta)
         residuals = system.residuals.numpy()
         if not np.isfinite(residuals).all():
             return np.full(len(parameters.shared), np.nan)
         delta = self.threshold(residuals)
-        equations = NormalEquations(system, parameters, huber_weights(residuals, delta), ridge, theta)
+        fit = _Fit(problem, parameters, system, theta, delta)
+        equations = NormalEquations(fit.system, parameters, fit.weights, ridge, theta)
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
         out, ahead = np.zeros(len(parameters.shared)), _try_step(equations, weak)
@@ -163,6 +160,29 @@ class LevenbergMarquardt:
             own, move = np.sqrt(max(column, 0.0) * variance), float(ahead[parameters.n_weights + i])
             out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
         return out
+
+
+class _Fit:
+    """The residuals of the `count` measured values and, below them, the rows of the priors, around one vector.
+
+    Where Huber's function weighs measurements down, priors count for as much less as the measurements do on average.
+    """
+
+    def __init__(
+        self, problem: Problem, parameters: Parameters, system: Linearised, theta: Array, delta: float
+    ) -> None:
+        measured = system.residuals.numpy()
+        weights = huber_weights(measured, delta)
+        self.problem, self.parameters, self.count = problem, parameters, len(measured)
+        self.priors = Priors.of(problem, parameters, measured)
+        self.system = self.priors.with_rows(system, theta)
+        self.residuals: Array = self.system.residuals.numpy()
+        self.balance = float(weights.mean()) if len(weights) else 1.0
+        self.weights: Array = np.concatenate([weights, np.full(len(self.priors), self.balance)])
+
+    def solved(self, theta: Array) -> Array:
+        """All rows at another vector."""
+        return np.concatenate([solve(self.problem, self.parameters, theta), self.priors.rows(theta)])
 
 
 def _try_step(equations: NormalEquations, damping: float) -> Array:

@@ -29,19 +29,23 @@ NODES = tuple(sorted({float(c) for c in RK4.c}))
 
 @dataclass(frozen=True)
 class DoseTable:
-    """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much."""
+    """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much.
+
+    `known`: for each of the model's doses whether its lag is a number, so that sub-steps begin where it arrives.
+    """
 
     owner: Integers
     kind: Integers
     time: Array
     amount: Array
+    known: tuple[bool, ...]
 
     def take(self, indices: Integers) -> DoseTable:
         """The doses of some of the trajectories, in the order given (repeats allowed)."""
         found = [np.flatnonzero(self.owner == i) for i in indices]
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *found])
         owner = np.repeat(np.arange(len(indices)), [len(each) for each in found])
-        return DoseTable(owner.astype(np.int64), self.kind[rows], self.time[rows], self.amount[rows])
+        return DoseTable(owner.astype(np.int64), self.kind[rows], self.time[rows], self.amount[rows], self.known)
 
 
 @dataclass(frozen=True)
@@ -163,7 +167,8 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
     With `rng`, the sub-steps of an interval are of random lengths (none above `max_step`): a learned right-hand side
     then cannot come to rely on one particular step.
     """
-    plans = [_plan(item, model, max_step, rng) for item in trajectories.items]
+    lags = [_known_lag(dose, model) for dose in model.doses]
+    plans = [_plan(item, model, max_step, rng, lags) for item in trajectories.items]
     depth = max((len(plan.h) for plan in plans), default=0)
     count, n_inputs = len(plans), len(model.inputs)
     t, h = np.zeros((depth, count)), np.zeros((depth, count))
@@ -200,7 +205,7 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
         weights=rows([plan.weights for plan in plans], channels),
         sd=rows([plan.sd for plan in plans], channels),
         row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
-        doses=_dose_table(trajectories),
+        doses=_dose_table(trajectories, lags),
         labels=tuple(item.label for item in trajectories.items),
         max_step=max_step,
     )
@@ -221,13 +226,16 @@ class _Plan:
     row_inputs: Array
 
 
-def known_lag(dose: Dose, model: Model) -> float | None:
+Lags = list[float | None]
+
+
+def _known_lag(dose: Dose, model: Model) -> float | None:
     """The lag of a dose where it is a number, None where it depends on what is learned or on conditions."""
     lag = dose.lag.subs({constant.symbol: constant.value for constant in model.constants})
     return float(lag) if lag.is_number else None
 
 
-def _dose_table(trajectories: Trajectories) -> DoseTable:
+def _dose_table(trajectories: Trajectories, lags: Lags) -> DoseTable:
     """The doses of all trajectories."""
     rows = [
         (i, kind, time, amount)
@@ -236,12 +244,12 @@ def _dose_table(trajectories: Trajectories) -> DoseTable:
         for time, amount in zip(events.times, events.amounts, strict=True)
     ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3])
+    known = tuple(lag is not None for lag in lags)
+    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], known)
 
 
-def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Generator | None) -> _Plan:
+def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Generator | None, lags: Lags) -> _Plan:
     keys = item.times[item.times >= item.start]
-    lags = [known_lag(spec, model) for spec in model.doses]
     jumps = [signal.times for signal in item.inputs]
     jumps += [events.times + lag for events, lag in zip(item.doses, lags, strict=True) if lag is not None]
     inside = [s[(s > item.start) & (s < item.end)] for s in jumps]

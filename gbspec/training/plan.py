@@ -12,9 +12,9 @@ from gbspec.training.context import Context
 from gbspec.training.descent import Adam, LimitedMemory
 from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
-from gbspec.training.problem import Problem
+from gbspec.training.problem import Problem, typical
 from gbspec.training.search import Search
-from gbspec.training.stages import Choice, InitialStates, Stage, imputed_forcing, typical
+from gbspec.training.stages import Choice, InitialStates, Stage, imputed_forcing
 from gbspec.training.unroll import solve
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {

@@ -14,7 +14,8 @@ from gbspec.training.bounds import Bijections
 from gbspec.training.context import Context, build_context
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters, Weights
-from gbspec.training.stages import imputed_forcing, mean_loss, typical
+from gbspec.training.problem import typical
+from gbspec.training.stages import imputed_forcing, mean_loss
 from gbspec.training.unroll import solve
 from gbspec.training.warm_start import eliminate, network_scales, regress_slopes
 

@@ -49,11 +49,16 @@ class Forcing:
 
 @dataclass(frozen=True)
 class Scaling:
-    """How residuals are formed: `log` [C] (of logarithms), `row_scale` [R, C], `channel` [C] (the channel's scale)."""
+    """How residuals are formed: `log` [C] (of logarithms), `row_scale` [R, C], `channel` [C] (the channel's scale).
+
+    `noise` is the standard deviation of the noise in units of the residuals; None where a channel does not state its
+    own.
+    """
 
     log: Mask
     row_scale: Array
     channel: Array
+    noise: float | None = None
 
 
 @dataclass(frozen=True)
@@ -151,7 +156,14 @@ def scaling_of(model: Model, packed: Packed, trajectories: Trajectories) -> Scal
     own = np.isfinite(packed.sd) & (packed.sd > 0)
     if own.any():
         row_scale = np.where(own, np.where(own, packed.sd, 1.0) / level, row_scale)
-    return Scaling(log, row_scale, channel_scale)
+    return Scaling(log, row_scale, channel_scale, level if known.all() and level > 0 else None)
+
+
+def typical(residuals: Array) -> float:
+    """1.4826 times the median absolute residual (the deviation, if they were normal); infinite if one is not finite."""
+    if not np.isfinite(residuals).all():
+        return float("inf")
+    return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
 
 
 def _spread(trajectories: Trajectories, channel: int, log: bool) -> float:

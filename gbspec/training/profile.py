@@ -30,7 +30,8 @@ from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions, noise_v
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.plan import FIRST_RIDGE
-from gbspec.training.stages import typical
+from gbspec.training.priors import Priors, standardised
+from gbspec.training.problem import typical
 from gbspec.training.unroll import solve
 
 THRESHOLD = 2.705543454095404
@@ -216,8 +217,18 @@ class _Profiler:
         if parameters.n_shared or parameters.free[parameters.n_shared :].any():
             theta, converged = self._refit(context, parameters, start)
         residuals = solve(context.problem(0.0), parameters, theta)
-        penalty = self.ridge * float(np.sum(theta[: parameters.n_weights] ** 2))
+        penalty = self.ridge * float(np.sum(theta[: parameters.n_weights] ** 2)) + self._priors(context, theta, value)
         return _Fitted(value, theta, 0.5 * (float(residuals @ residuals) + penalty), converged)
+
+    def _priors(self, context: Context, theta: Array, value: float) -> float:
+        """Twice the penalty of all priors, that of the constant itself among them, in units of squared residuals."""
+        problem = context.problem(0.0)
+        problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(self.variance)))
+        others = 2 * Priors.of(problem, context.parameters(self._fixed()), np.zeros(0)).penalty(theta)
+        own = next(k.prior for k in self.model.learnables if k.name == self.name)
+        if own is None:
+            return others
+        return others + self.variance * float(standardised(own, torch.tensor(value, dtype=torch.float64))) ** 2
 
     def others(self, one: _Fitted) -> dict[str, float]:
         """The other learned constants of a fit (of those that each trajectory has, the mean)."""

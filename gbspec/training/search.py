@@ -9,6 +9,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.levenberg import huber
 from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
+from gbspec.training.priors import Priors
 from gbspec.training.problem import Problem
 from gbspec.training.stages import Outcome, State, mean_loss
 from gbspec.training.unroll import explain_failure, solve
@@ -38,7 +39,8 @@ class Search:
         if not np.isfinite(ranked[0][0]):
             raise explain_failure(self.problem, self.parameters, state["theta"], self.name)
         best = min((self._improve(candidates[i]) for _, i in ranked[:KEPT]), key=lambda found: found[0])
-        return Outcome({"theta": best[1]}, best[0], True)
+        loss = mean_loss(solve(self.problem, self.parameters, best[1]))
+        return Outcome({"theta": best[1]}, loss, True)
 
     def _candidates(self, theta: Array) -> list[Array]:
         parameters = self.parameters
@@ -58,19 +60,26 @@ class Search:
         return out
 
     def _loss(self, theta: Array) -> float:
-        return huber(solve(self.problem, self.parameters, theta), 1.0)
+        residuals = solve(self.problem, self.parameters, theta)
+        return huber(residuals, 1.0) + self._penalty(theta, residuals)
+
+    def _penalty(self, theta: Array, residuals: Array) -> float:
+        """What the priors add to half the sum of squares."""
+        return (
+            Priors.of(self.problem, self.parameters, residuals).penalty(theta) if np.isfinite(residuals).all() else 0.0
+        )
 
     def _improve(self, theta: Array) -> tuple[float, Array]:
         options = LevenbergOptions(robust=False, tolerance=1e-3, damping=1e-1)
         stage = LevenbergMarquardt(self.name, IMPROVEMENTS, lambda i: self.problem, self.parameters, options)
         state = stage.begin(theta)
-        loss = mean_loss(solve(self.problem, self.parameters, theta))
         for i in range(IMPROVEMENTS):
             try:
                 outcome = stage.step(state, i)
             except ComputationError:
                 return float("inf"), theta
-            state, loss = outcome.state, outcome.loss
+            state = outcome.state
             if outcome.done:
                 break
-        return loss, state["theta"]
+        residuals = solve(self.problem, self.parameters, state["theta"])
+        return mean_loss(residuals) + self._penalty(state["theta"], residuals) / max(len(residuals), 1), state["theta"]

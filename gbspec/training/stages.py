@@ -55,13 +55,6 @@ def mean_loss(residuals: Array) -> float:
     return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
 
 
-def typical(residuals: Array) -> float:
-    """1.4826 times the median absolute residual (the deviation, if they were normal); infinite if one is not finite."""
-    if not np.isfinite(residuals).all():
-        return float("inf")
-    return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
-
-
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:
     """Every state replaced by its curve at every key row within the curve's span."""
     packed = problem.packed

@@ -22,6 +22,7 @@ from gbspec.training.bounds import Bijections
 from gbspec.training.collocation import FreeOutputs, Points, evaluate_rhs
 from gbspec.training.moments import Moments, one_cycle
 from gbspec.training.parameters import Parameters, Weights
+from gbspec.training.priors import spread_of
 
 ELIMINATION_STEPS = 30
 REGRESSION_STEPS = 1000
@@ -63,6 +64,7 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
     target = torch.from_numpy(points.slope)
     damping, best = 1e-2, np.inf
     width = np.median(np.abs(points.slope[:, equations]) / scale) if count else 1.0
+    centre, deviation = _prior_of_constants(model, start)
 
     def residuals(u: Array, outputs: Array, derivatives: bool) -> tuple[Array, Array, Array]:
         k = _constants_at(model, torch.from_numpy(u), count).detach().requires_grad_(derivatives)
@@ -93,8 +95,8 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
         w = 1.0 / (1.0 + (r / (3 * spread)) ** 2)
         value = float(np.log1p((r / (3 * spread)) ** 2).sum())
         # Points of one curve are not independent: the prior counts against the measurements that lie behind them.
-        prior = count / points.measurements * (spread / PRIOR) ** 2
-        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - start)
+        prior = count / points.measurements * (spread / deviation) ** 2
+        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - centre)
         new_r, _, _ = residuals(u + du, outputs + do, False)
         new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
         if new < value:
@@ -109,12 +111,26 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
     return Eliminated(u, outputs, tuple(free.arguments))
 
 
+def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
+    """Centres and deviations of the constants in trainable units [n]: as declared, else `PRIOR` around `start`."""
+    centre, deviation = start.copy(), np.full(len(start), PRIOR)
+    bijections = Bijections.of(model.learnables)
+    declared = np.array([0.0 if k.prior is None else k.prior.location for k in model.learnables])
+    at = bijections.from_natural(declared)
+    slope = np.abs(bijections.derivative(at))
+    for i, learnable in enumerate(model.learnables):
+        if learnable.prior is not None and slope[i] > 0:
+            width = spread_of(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
+            centre[i], deviation[i] = at[i], width / slope[i]
+    return centre, deviation
+
+
 def _eliminated_step(
-    r: Array, jac_o: Array, jac_k: Array, w: Array, damping: float, prior: float, offset: Array
+    r: Array, jac_o: Array, jac_k: Array, w: Array, damping: float, prior: Array, offset: Array
 ) -> tuple[Array, Array]:
     """The Gauss-Newton step of constants [n] and free outputs [M, Q]; outputs are eliminated point by point.
 
-    `prior` is the precision of the constants' prior, `offset` [n] their distance from its centre.
+    `prior` [n] is the precision of the constants' prior, `offset` [n] their distance from its centre.
     """
     q = jac_o.shape[2]
     weighted = jac_o * w[:, :, None]
@@ -130,7 +146,7 @@ def _eliminated_step(
     g_k = np.einsum("pek,pe->k", jac_k * w[:, :, None], r) - np.einsum("pik,pi->k", h_ok, solved_g)
     if not len(g_k):
         return np.zeros(0), -solved_g
-    du = -np.linalg.solve(h_kk + (damping + prior) * np.eye(len(g_k)), g_k + prior * offset)
+    du = -np.linalg.solve(h_kk + np.diag(damping + prior), g_k + prior * offset)
     do = -solved_g - np.einsum("pik,k->pi", solved_k, du)
     return du, do
 
