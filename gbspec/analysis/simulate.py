@@ -162,6 +162,28 @@ class _Draws:
         )
 
 
+def true_starts(evaluator: Solver, model: Model, options: SimulateOptions) -> Array:
+    """The states [trajectories, n] in which the trajectories of `simulate` with the same options start.
+
+    That is where the first row is, unless the model says when trajectories start. Raises as `simulate` does.
+    """
+    findings = Findings()
+    box, reject = boxes(model, options, findings), regions(options.reject, model, findings)
+    findings.raise_if_failed()
+    draws = _Draws(evaluator, model, options, box, reject, None)
+    starts = []
+    for i in range(options.trajectories):
+        drawn = draws.solved(i, Tally()).plan
+        x0 = evaluator.initial(drawn.x0, drawn.condition)
+        if drawn.begins > drawn.start:
+            times = np.array([drawn.begins])
+            x0 = evaluator.integrate(
+                x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
+            )[-1]
+        starts.append(x0)
+    return np.array(starts)
+
+
 def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ...] = ()) -> Solved | Region:
     """The solution of a plan, or the region that it entered.
 

@@ -20,7 +20,8 @@ from gbspec.data.sampling import Box, SimulateOptions
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
 
 FILE = "cases.toml"
-KEYS = ("title", "model", "data", "sampling", "metrics", "training", "published")
+KEYS = ("title", "model", "data", "sampling", "metrics", "training", "published", "tables")
+TABLES = ("eigenvalues", "initial-states")
 Scalar = str | int | float | bool
 
 
@@ -74,7 +75,8 @@ class TrainingDefaults:
 class Case:
     """One case: a model, its sampling, metrics and training, and what was `published` for it (metric to number).
 
-    `data` is a table to be read where there is one; else data are simulated as `sampling` says.
+    `data` is a table to be read where there is one; else data are simulated as `sampling` says. `tables` names what a
+    study tells besides the errors: `eigenvalues` and `initial-states`, at and of the trajectories' starts.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Case:
     metrics: MetricsOptions = field(default_factory=MetricsOptions)
     training: TrainingDefaults = field(default_factory=TrainingDefaults)
     published: Mapping[str, float] = field(default_factory=dict)
+    tables: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,7 @@ class _Reader:
             metrics=overlay(base.metrics, self.table(entry, "metrics"), self.within("metrics")),
             training=self.training(self.table(entry, "training"), base.training),
             published=overlay(_Published(), {"values": self.table(entry, "published")}, self.within("")).values,
+            tables=self.tables(entry.get("tables", list(base.tables))),
         )
 
     def sampling(self, entry: dict[str, Any], base: SimulateOptions) -> SimulateOptions:
@@ -202,6 +206,13 @@ class _Reader:
                 return candidate
         self.report("GB742", "model", f"names no file: there is no `{name}.gb` beside the cases")
         return None
+
+    def tables(self, given: object) -> tuple[str, ...]:
+        """The tables that a case asks for."""
+        if isinstance(given, list) and all(name in TABLES for name in given):
+            return tuple(given)
+        self.report("GB742", "tables", f"must be a list of {' and '.join(map(repr, TABLES))}, not {given!r}")
+        return ()
 
     def data(self, name: str) -> Path | None:
         """The case's table, by its path from the folder of the cases; None without `data`."""

@@ -113,6 +113,7 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
         "constants": {name: entry["value"] for name, entry in run.fit["constants"].items()},
         "max_step": run.max_step,
         **found,
+        **starts(run, data, task),
         "versions": {"gbspec": run.fit["gbspec"], **run.fit["versions"]},
     }
 
@@ -147,6 +148,17 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
         "step_warning": found.step_check.warning,
         "warnings": [*run.fit["warnings"], *found.warnings],
     }
+
+
+def starts(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
+    """The tables on starts that the case asks for, by what is known of simulated data."""
+    if not task.case.tables or task.case.data is not None:
+        return {}
+    from gbspec.study.starts import Starts
+
+    known = Starts.of(run, data, replace(task.case.sampling, seed=task.seed))
+    asked = {"eigenvalues": known.eigenvalues, "initial-states": known.initial_states}
+    return {name.replace("-", "_"): make() for name, make in asked.items() if name in task.case.tables}
 
 
 def truth_norms(found: Validation) -> dict[str, Mapping[str, float | int]]:

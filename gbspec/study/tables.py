@@ -14,6 +14,7 @@ from gbspec.data.cases import Case
 from gbspec.files import write_text
 from gbspec.runs import files
 from gbspec.study.member import NORMS, Place, read_record
+from gbspec.study.start_tables import joined, sections
 from gbspec.study.tasks import Study
 
 METRICS = {"solution": "solution", "rhs": "right-hand side", "functions": "functions", "constants": "constants"}
@@ -107,6 +108,7 @@ def _case(case: Case, planned: int, effort: str, records: Sequence[Mapping[str, 
         "step_warnings": [record["member"] for record in records if record.get("step_warning")],
         "cpu_seconds": {"median": statistics.median(cpu), "most": max(cpu), "members": len(cpu)} if cpu else None,
         "metrics": metrics,
+        **joined(records),
     }
 
 
@@ -173,6 +175,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         what += f"; noise {case['noise']:g}" if case["noise"] else ""
         counts = f"{case['members']} of {case['planned']} | {len(case['failed'])} | {len(case['step_warnings'])}"
         lines.append(f"| {name} | {what} | {counts} | {time} |")
+    lines += sections(summary["cases"])
     lines += ["", f"Fitted with {versions or 'nothing yet'}; {', '.join(summary['machines'])}; last {summary['last']}."]
     return "\n".join(lines) + "\n"
 

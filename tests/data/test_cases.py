@@ -120,6 +120,9 @@ WRONG = [
     ("[case]\nx = 3\n", "GB742", "`case.x` must be a table"),
     ("[case.none]\n", "GB742", "`case.none.model` names no file"),
     ("[case.cell]\ntitle = 3\n", "GB742", "`case.cell.title`"),
+    ("[case.cell]\ntables = ['spectra']\n", "GB742", "`case.cell.tables`"),
+    ("[case.cell]\ntables = 'eigenvalues'\n", "GB742", "`case.cell.tables`"),
+    ("[case.cell]\ndata = 'none.csv'\n", "GB742", "`case.cell.data`"),
     ("[case.cell.published]\nrhs = 'good'\n", "GB742", "a number"),
     ("[case.cell.sampling]\nspan = 0\n", "GB742", "`case.cell.sampling.span`"),
 ]

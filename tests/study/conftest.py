@@ -42,6 +42,7 @@ model = "decay"
 published = { solution = 1e-2, constants = 1e-1 }
 
 [case.TWO]
+tables = ["eigenvalues", "initial-states"]
 title = "the second"
 model = "decay"
 sampling = { noise = 0.1 }

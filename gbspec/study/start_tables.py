@@ -1,0 +1,95 @@
+"""The tables on starts: eigenvalues there beside the paper's kind of table, and how far learned starts are off."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+SPECTRA = ("true", "learned_at_true", "learned")
+
+
+def joined(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What the members of a case say of starts together; empty where the case asks for none.
+
+    Spectra are the first member's; distances and differences the median over members of their medians, and the worst
+    of their worst.
+    """
+    found: dict[str, Any] = {}
+    spectra = [record["eigenvalues"] for record in records if "eigenvalues" in record]
+    if spectra:
+        first = {name: spectra[0][name] for name in ("trajectory", *SPECTRA)}
+        errors = {
+            name: [statistics.median(column) for column in zip(*(one[name] for one in spectra), strict=True)]
+            for name in ("error_at_true", "error")
+        }
+        found["eigenvalues"] = {"members": len(spectra), **first, **errors}
+    starts = [record["initial_states"] for record in records if "initial_states" in record]
+    if starts:
+        rows = {name: [one["states"][name] for one in starts] for name in starts[0]["states"]}
+        rows |= {name: [one[name] for one in starts] for name in ("fast", "slow")}
+        found["initial_states"] = {name: _together(several) for name, several in rows.items()}
+    return found
+
+
+def _together(several: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    learned = [one for one in several if one["n"]]
+    if not learned:
+        return {"n": 0, "median": None, "worst": None}
+    return {
+        "n": sum(one["n"] for one in learned),
+        "median": statistics.median(one["median"] for one in learned),
+        "worst": max(one["worst"] for one in learned),
+    }
+
+
+def sections(cases: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """The lines of `table.md` on starts, for the cases that have them."""
+    lines: list[str] = []
+    for name, case in cases.items():
+        if "eigenvalues" in case:
+            lines += _eigenvalues(name, case["eigenvalues"])
+        if "initial_states" in case:
+            lines += _initial_states(name, case["initial_states"])
+    return lines
+
+
+def _eigenvalues(case: str, found: Mapping[str, Any]) -> list[str]:
+    lines = [
+        "",
+        f"## {case}: eigenvalues at the start",
+        "",
+        f"Of the first member, at the start of trajectory {found['trajectory']}; beside them the distance to the true "
+        f"ones in the complex plane, as the median over trajectories, and that over {found['members']} members.",
+        "",
+        "| | true, true start | learned, true start | learned, learned start "
+        "| distance, true start | distance, learned start |",
+        "|---|---|---|---|---|---|",
+    ]
+    for rank, values in enumerate(zip(*(found[name] for name in SPECTRA), strict=True)):
+        shown = [_complex(*value) for value in values]
+        distances = [f"{found[name][rank]:.2g}" for name in ("error_at_true", "error")]
+        lines.append("| " + " | ".join([str(rank + 1), *shown, *distances]) + " |")
+    return lines
+
+
+def _complex(real: float, imaginary: float) -> str:
+    sign = "+" if imaginary > 0 else "-"
+    return f"{real:.5f}" + (f" {sign} {abs(imaginary):.5f}i" if imaginary else "")
+
+
+def _initial_states(case: str, found: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    lines = [
+        "",
+        f"## {case}: learned initial states",
+        "",
+        "Distance to the true start in deviations of the true starts, where the state was not measured at the start; "
+        "along the fast directions (which die out before the next measurement) and the slow ones.",
+        "",
+        "| | n | median | worst |",
+        "|---|---|---|---|",
+    ]
+    for name, one in found.items():
+        numbers = ["" if one[key] is None else f"{one[key]:.3g}" for key in ("median", "worst")]
+        lines.append("| " + " | ".join([name, str(one["n"]), *numbers]) + " |")
+    return lines

@@ -1,0 +1,121 @@
+"""Where trajectories start, as it truly was and as it was learned, and the eigenvalues there (paper, discussion).
+
+A start that is off along directions that die out before the next measurement does no harm, and no data can tell it;
+so the difference is split into a fast part and a slow one. It is measured in deviations of the true starts, D; with J
+the true Jacobian at the true start, the modes of D^-1 J D that fall below 1/e within the mean interval between
+measurements span the fast part, the others the slow one. States that were measured at the start are right there by
+construction and are not counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gbspec.analysis.predict import input_values, learned_start, needed
+from gbspec.analysis.simulate import true_starts
+from gbspec.analysis.steady import ordered_eigenvalues
+from gbspec.analysis.truth_errors import truth_evaluator, truth_model
+from gbspec.data.trajectories import Array
+
+if TYPE_CHECKING:
+    from gbspec.data.sampling import SimulateOptions
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.runs.store import Run
+
+Spectra = np.ndarray[tuple[int, int], np.dtype[np.complex128]]
+
+
+@dataclass(frozen=True)
+class Starts:
+    """The starts [N, n] of all trajectories, true and learned, and what is needed to compare them."""
+
+    run: Run
+    data: Trajectories
+    interval: float
+    truth: Any
+    learned: Any
+    true: Array
+    found: Array
+
+    @classmethod
+    def of(cls, run: Run, data: Trajectories, sampling: SimulateOptions) -> Starts:
+        """Of the first member of a run on simulated data. Raises ComputationError where the truth cannot be solved."""
+        from gbspec.backends.casadi.evaluator import Evaluator
+
+        truth, learned = truth_evaluator(run.model), Evaluator(run.member(run.numbers[0]))
+        true = true_starts(truth, truth_model(run.model), sampling)
+        found = np.array([learned_start(learned, i, item).state for i, item in enumerate(data.items)])
+        return cls(run, data, sampling.dt, truth, learned, true, found)
+
+    def eigenvalues(self) -> dict[str, Any]:
+        """Spectra of the first trajectory's start, and the median distances to the truth over all trajectories.
+
+        `true` are the truth's at the true start, by falling real part, `learned_at_true` and `learned` what was learned
+        at the true and at the learned start, each beside the true one that it is nearest to (the assignment of least
+        total distance); `error_at_true` and `error` [n] are the distances.
+        """
+        true = self._spectra(self.truth, self.true)
+        at_true = matched(self._spectra(self.learned, self.true), true)
+        learned = matched(self._spectra(self.learned, self.found), true)
+        named = {"true": true, "learned_at_true": at_true, "learned": learned}
+        return {
+            "trajectory": self.data.items[0].label,
+            **{name: [[float(v.real), float(v.imag)] for v in one[0]] for name, one in named.items()},
+            "error_at_true": np.median(np.abs(at_true - true), axis=0).tolist(),
+            "error": np.median(np.abs(learned - true), axis=0).tolist(),
+        }
+
+    def _spectra(self, evaluator: Any, states: Array) -> Spectra:
+        return np.array([ordered_eigenvalues(self._jacobian(evaluator, i, state)) for i, state in enumerate(states)])
+
+    def _jacobian(self, evaluator: Any, index: int, state: Array) -> Array:
+        item = self.data.items[index]
+        inputs = input_values(self.run.model, item, np.array([item.start]))[0]
+        return np.asarray(evaluator.jacobian_at(item.start, state, item.condition, inputs), dtype=np.float64)
+
+    def initial_states(self) -> dict[str, Any]:
+        """How far learned starts are off, in deviations of the true ones: medians, and the worst.
+
+        `states` by state, over the trajectories in which it was not measured at the start (`n` of them); `fast` and
+        `slow` along these directions, over the trajectories in which any was not.
+        """
+        scale = self.true.std(axis=0)
+        scale = np.where(scale > 0, scale, 1.0)
+        off = (self.found - self.true) / scale
+        free = np.zeros(off.shape, dtype=bool)
+        for i, item in enumerate(self.data.items):
+            free[i, list(needed(self.run.model, item))] = True
+        split = np.array([self._split(i, off[i], scale) for i in np.flatnonzero(free.any(axis=1)).tolist()]).reshape(
+            -1, 2
+        )
+        states = {state.name: _middle(np.abs(off[free[:, k], k])) for k, state in enumerate(self.run.model.states)}
+        return {"states": states, "fast": _middle(split[:, 0]), "slow": _middle(split[:, 1])}
+
+    def _split(self, index: int, off: Array, scale: Array) -> tuple[float, float]:
+        """The lengths of the fast and the slow part of a difference [n] (in deviations)."""
+        jacobian = self._jacobian(self.truth, index, self.true[index]) * scale / scale[:, None]
+        values, vectors = np.linalg.eig(jacobian)
+        parts = vectors * np.linalg.solve(vectors, off.astype(complex))
+        fast = values.real * self.interval < -1.0
+        return float(np.linalg.norm(parts[:, fast].sum(axis=1))), float(np.linalg.norm(parts[:, ~fast].sum(axis=1)))
+
+
+def matched(spectra: Spectra, reference: Spectra) -> Spectra:
+    """Each row of eigenvalues in the order of the reference's row, by the assignment of least total distance."""
+    from scipy.optimize import linear_sum_assignment
+
+    rows = []
+    for values, wanted in zip(spectra, reference, strict=True):
+        _, order = linear_sum_assignment(np.abs(wanted[:, None] - values[None, :]))
+        rows.append(values[order])
+    return np.array(rows)
+
+
+def _middle(values: Array) -> dict[str, Any]:
+    """Number, median and largest of some values; null without any."""
+    if not len(values):
+        return {"n": 0, "median": None, "worst": None}
+    return {"n": len(values), "median": float(np.median(values)), "worst": float(values.max())}

@@ -1,0 +1,84 @@
+"""Starts: true ones against solutions by hand, spectra in the order of the truth's, and the tables of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec import driver
+from gbspec.analysis.simulate import simulate, true_starts
+from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.backends.module.loader import load_module
+from gbspec.data.sampling import SimulateOptions
+from gbspec.diagnostics import Findings
+from gbspec.passes.truth import with_truth
+from gbspec.study.member import Place, fit_member
+from gbspec.study.options import StudyOptions
+from gbspec.study.start_tables import joined, sections
+from gbspec.study.starts import matched
+from gbspec.study.tasks import study_of
+
+LINEAR = """\
+model linear "Two modes"
+state a in [0, 2] = 1
+state b in [0, 2] = 1
+learn k = 0.5 in [0.1, 2]
+a' = -k*a
+b' = -3*b
+observe a
+observe b
+truth k = 0.7
+"""
+
+
+def test_true_starts_are_where_the_first_row_is(tmp_path: Path) -> None:
+    (tmp_path / "linear.gb").write_text(LINEAR)
+    known = with_truth(driver.load_model(tmp_path / "linear.gb", Findings()))
+    evaluator = Evaluator(load_module(known)())
+    options = SimulateOptions(trajectories=5, span=2.0, dt=0.3, sampling="gamma", seed=3)
+    measured, starts = simulate(evaluator, known, options), true_starts(evaluator, known, options)
+    np.testing.assert_allclose([item.values[0] for item in measured.items], starts, rtol=1e-8)
+    noisy = simulate(evaluator, known, replace(options, noise=0.5))
+    assert [list(item.times) for item in noisy.items] == [list(item.times) for item in measured.items]
+    kept = true_starts(evaluator, known, replace(options, keep_start=True, initial={"a": (1.5, 1.5), "b": (0.5, 0.5)}))
+    assert kept == pytest.approx(np.tile([1.5, 0.5], (5, 1)))
+
+
+def test_eigenvalues_stand_beside_the_nearest_true_ones() -> None:
+    true = np.array([[-1.0 + 0j, -2.0 + 1j, -2.0 - 1j]])
+    found = matched(np.array([[-2.1 - 1j, -2.1 + 1j, -0.9 + 0j]]), true)
+    assert found.tolist() == [[-0.9 + 0j, -2.1 + 1j, -2.1 - 1j]]
+
+
+def test_a_member_tells_of_its_starts_where_its_case_asks(cases: Path) -> None:
+    cases.write_text(cases.read_text().replace("noise = 0.1", "sampling = 'gamma', channels = 'own-clock'"))
+    (task,) = study_of([f"{cases}:TWO"], StudyOptions()).tasks()
+    found = fit_member(task, Place(cases.parent / "out"))
+    spectra, starts = found["eigenvalues"], found["initial_states"]
+    # one state: the eigenvalue is the derivative of the right-hand side, -k - 0.6*N at the true start
+    assert [imaginary for _, imaginary in spectra["true"]] == [0.0]
+    assert -0.7 - 0.6 * 2 < spectra["true"][0][0] < -0.7
+    assert spectra["error"][0] > 0
+    assert starts["states"]["N"] == {"n": 0, "median": None, "worst": None}  # its first row measures it
+    table = "\n".join(sections({"TWO": joined([found])}))
+    assert "## TWO: eigenvalues at the start" in table and "| N | 0 |  |  |" in table
+
+
+def test_members_are_joined_by_their_medians() -> None:
+    def record(error: float, median: float) -> dict[str, object]:
+        starts = {"n": 2, "median": median, "worst": 2 * median}
+        spectra = {"trajectory": "1", "true": [[-1.0, 0.5]], "learned_at_true": [[-1, 0.4]], "learned": [[-1, 0.0]]}
+        return {
+            "eigenvalues": {**spectra, "error_at_true": [error], "error": [2 * error]},
+            "initial_states": {"states": {"N": starts}, "fast": starts, "slow": {"n": 0, "median": None}},
+        }
+
+    found = joined([record(0.1, 1.0), record(0.5, 3.0), record(0.2, 2.0), {"failure": "none"}])
+    assert (found["eigenvalues"]["error_at_true"], found["eigenvalues"]["error"]) == ([0.2], [0.4])
+    assert found["initial_states"]["N"] == {"n": 6, "median": 2.0, "worst": 6.0}
+    text = "\n".join(sections({"C": found}))
+    assert "| 1 | -1.00000 + 0.50000i | -1.00000 + 0.40000i | -1.00000 | 0.2 | 0.4 |" in text
+    assert "| slow | 0 |  |  |" in text and joined([{}]) == {}
