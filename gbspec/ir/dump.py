@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from sympy.core.numbers import Float
 from sympy.printing.str import StrPrinter
 
+from gbspec.ir.arrays import Array, Family
 from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
 
 
@@ -128,8 +129,21 @@ def _mathematics(model: Model) -> list[str]:
         ),
     )
     lines += _section("doses", (f"{d.state} times {written(d.fraction)} lag {written(d.lag)}" for d in model.doses))
+    lines += _section("arrays", (line for array in model.arrays for line in _array(array)))
+    lines += _section("families", map(_family, model.families))
     claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)
     return lines + _section("claims", claims)
+
+
+def _array(array: Array) -> Iterable[str]:
+    yield f"{array.name}[{array.first}..{array.last}] from state {array.position}"
+    for index, value in array.ends:
+        yield f"{array.name}[{index}] = {written(value)}"
+
+
+def _family(family: Family) -> str:
+    running = "" if family.index is None else f" for {family.index} from {family.first}"
+    return f"{family.vector} {family.begin} to {family.begin + family.count - 1}: {written(family.value)}{running}"
 
 
 def _section(title: str, entries: Iterable[str]) -> list[str]:

@@ -9,7 +9,7 @@ listed in an order in which each depends only on earlier ones; `Model.inlined` r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from itertools import pairwise
@@ -18,6 +18,7 @@ from typing import Literal, TypeAlias
 import sympy
 
 from gbspec.diagnostics import Span
+from gbspec.ir.arrays import Array, Element, Family, Vector, runs
 from gbspec.ir.forms import Form, Layout
 
 Expr: TypeAlias = sympy.Expr
@@ -303,6 +304,9 @@ class Model:
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()
+    arrays: tuple[Array, ...] = ()
+    families: tuple[Family, ...] = ()
+    """Short forms of entries of the vectors above, which are written out all the same (see `gbspec.ir.arrays`)."""
     text: str = ""
     """The model as one `.gb` text, `extends` resolved; what a run directory keeps."""
     allowed: tuple[tuple[str, str | None], ...] = ()
@@ -322,6 +326,34 @@ class Model:
     def state_index(self) -> Mapping[str, int]:
         """Index of each state by name."""
         return {state.name: i for i, state in enumerate(self.states)}
+
+    def runs(self, vector: Vector) -> Iterator[Family | int]:
+        """The entries of a vector in order: families, and places of those that stand for themselves."""
+        sizes = {"channels": len(self.channels), "intermediates": len(self.intermediates)}
+        return runs(self.families, vector, sizes.get(vector, len(self.states)))
+
+    def equations(self, vector: Vector | Literal["closures"]) -> list[tuple[Expr, Expr]]:
+        """Left and right sides for a reader: of a family once, with an `Element` on the left; of `closures` the ends.
+
+        Left are the names of states, channels or intermediates; channels that are states as they are, and starts that
+        are not expressed, are left out.
+        """
+        if vector == "closures":
+            return [(Element(a.symbol, sympy.Integer(k)), value) for a in self.arrays for k, value in a.ends]
+        if vector in ("channels", "intermediates"):
+            entries = [(item.symbol, item.value) for item in getattr(self, vector)]
+        else:
+            values = self.balances if vector == "balances" else [s.initial.value for s in self.states]
+            entries = [(s.symbol, value) for s, value in zip(self.states, values, strict=True)]
+        found: list[tuple[Expr, Expr]] = []
+        for run in self.runs(vector):
+            if isinstance(run, int):
+                found.append(entries[run])
+            elif run.index is None:
+                found.append((entries[run.begin][0], run.value))
+            else:
+                found.append((Element(symbol(run.array), run.index), run.value))
+        return [(left, right) for left, right in found if right is not None and (vector != "channels" or left != right)]
 
     @cached_property
     def unknown_names(self) -> frozenset[str]:

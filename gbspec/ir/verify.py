@@ -21,6 +21,7 @@ def verify(model: Model) -> None:
     _names(model)
     _networks(model)
     _expressions(model)
+    _families(model)
     _numbers(model)
 
 
@@ -98,6 +99,29 @@ def _expressions(model: Model) -> None:
         _require(dose.state in model.state_index, f"a dose into `{dose.state}`")
         for part in (dose.fraction, dose.lag):
             check(f"the dose into `{dose.state}`", part, constants | conditions, applies=False)
+
+
+def _families(model: Model) -> None:
+    """Arrays and families lie within their vectors, overlap nowhere, and use what is declared."""
+    arrays = {array.symbol: array for array in model.arrays}
+    for array in model.arrays:
+        names = [state.name for state in model.states[array.position : array.position + array.count]]
+        _require(tuple(names) == array.names, f"the array `{array.name}`")
+    known = {symbol(n) for n in (model.time.name, *model.constant_names)} | set(arrays)
+    for group in (model.states, model.conditions, model.inputs, model.intermediates):
+        known |= {item.symbol for item in group}
+    values = [(f"a family of {f.vector}", f.value, {f.index}) for f in model.families]
+    values += [(f"an end of `{a.name}`", value, set()) for a in model.arrays for _, value in a.ends]
+    for what, value, more in values:
+        strangers = sorted(map(str, value.free_symbols - known - more))
+        _require(not strangers, f"{what} uses {strangers}")
+        applied = {a.func.__name__ for a in value.atoms(AppliedUndef)}
+        _require(applied <= model.unknown_names, f"{what} applies {sorted(applied - model.unknown_names)}")
+    for vector in {family.vector for family in model.families}:
+        places = [k for f in model.families if f.vector == vector for k in range(f.begin, f.begin + f.count)]
+        covered = sum(1 if isinstance(run, int) else run.count for run in model.runs(vector))
+        size = len({"channels": model.channels, "intermediates": model.intermediates}.get(vector, model.states))
+        _require(len(set(places)) == len(places) and covered == size, f"families of {vector} overlap")
 
 
 def _numbers(model: Model) -> None:

@@ -78,10 +78,14 @@ def conditional(condition: Expr, then: Expr, otherwise: Expr) -> Expr:
 
 Naming = Callable[[ast.Name], Expr]
 Calling = Callable[[ast.Call, Sequence[Expr]], Expr]
+Indexing = Callable[[ast.Index, Expr], Expr]
 
 
-def build(node: ast.Expression, naming: Naming, calling: Calling) -> Expr:
-    """An expression in sympy; `naming` and `calling` say what names and calls other than elementary functions mean."""
+def build(node: ast.Expression, naming: Naming, calling: Calling, indexing: Indexing | None = None) -> Expr:
+    """An expression in sympy; `naming` and `calling` say what names and calls other than elementary functions mean.
+
+    So does `indexing` of elements of arrays, where they are not names already.
+    """
 
     def combine(part: ast.Expression, values: list[Expr]) -> Expr:
         match part:
@@ -107,6 +111,8 @@ def build(node: ast.Expression, naming: Naming, calling: Calling) -> Expr:
                 return _ELEMENTARY[function.text](*values)
             case ast.Call():
                 return calling(part, values)
+            case ast.Index() if indexing is not None:
+                return indexing(part, values[0])
             case ast.Index(array=array, index=ast.Number(text=text)):  # on the command line; in a file it is a name
                 return naming(ast.Name(part.span, f"{array.text}_{text}"))
             case ast.Index():

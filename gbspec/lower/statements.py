@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 import sympy
@@ -17,6 +18,7 @@ from gbspec.ir import model as ir
 from gbspec.ir.model import Expr, symbol, unknown_function
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.expressions import build, is_finite, power
+from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
 from gbspec.semantics import unknowns
 from gbspec.semantics.checked import Checked
@@ -46,7 +48,7 @@ class _Lowering:
         self._nets: dict[str, Expr] = {}
         self._stoichiometry: dict[str, tuple[tuple[str, Expr], ...]] = {}
         self._fixed_lets: dict[sympy.Symbol, Expr] = {}
-        self._intermediates: list[ir.Intermediate] = []
+        self._short = ShortForms(checked, self._build)
 
     # ----------------------------------------------------------------------------------------------------- expressions
 
@@ -69,7 +71,7 @@ class _Lowering:
         def calling(call: ast.Call, arguments: Sequence[Expr]) -> Expr:
             return self._call(call, tuple(arguments))
 
-        return build(node, naming, calling)
+        return build(node, naming, calling, self._short.indexing)
 
     def _name(self, name: str, formals: Mapping[str, Expr]) -> Expr:
         if name in formals:
@@ -84,7 +86,11 @@ class _Lowering:
         name = call.function.text
         if name == "net":
             state = call.arguments[0]
+            if isinstance(state, ast.Index):
+                return self._net(self._short.name_of(state, self._build(state.index, {})))
             return self._net(state.text if isinstance(state, ast.Name) else "")
+        if name == "sum":
+            return self._short.total(call)
         statement = self._table[name].statement
         if not isinstance(statement, ast.FunctionStatement):
             return unknown_function(name)(*arguments)
@@ -140,7 +146,7 @@ class _Lowering:
         """The whole model."""
         head = next(self._checked.all(ast.ModelStatement), None)
         networks, functions = self._unknowns()
-        return ir.Model(
+        model = ir.Model(
             name=head.name.text if head is not None else "model",
             title=string(head.title) if head is not None else "",
             time=self._time(),
@@ -170,6 +176,17 @@ class _Lowering:
             text=self._text(),
             allowed=self._checked.allowed,
         )
+        return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
+
+    def _with_short_forms(self, model: ir.Model) -> ir.Model:
+        """The model with what its text says of whole arrays."""
+        states = places_of([s.name for s in model.states])
+        channels = places_of([c.name for c in model.channels])
+        intermediates = places_of([i.name for i in model.intermediates])
+        families = self._short.families(
+            {"balances": states, "starts": states, "channels": channels, "intermediates": intermediates}
+        )
+        return replace(model, arrays=self._short.arrays(states), families=families)
 
     def _text(self) -> str:
         """The text of the file itself where it extends none; else the statements that it and its bases come to."""

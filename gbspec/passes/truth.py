@@ -52,6 +52,8 @@ def with_truth(model: Model) -> Model:
         balances=tuple(put(b) for b in model.balances),
         channels=tuple(dataclasses.replace(c, value=put(c.value)) for c in model.channels),
         claims=tuple(dataclasses.replace(c, value=put(c.value), rate=put(c.rate)) for c in model.claims),
+        arrays=tuple(dataclasses.replace(a, ends=tuple((i, put(v)) for i, v in a.ends)) for a in model.arrays),
+        families=tuple(dataclasses.replace(f, value=put(f.value)) for f in model.families),
         truth_constants=(),
         truth_functions=(),
     )

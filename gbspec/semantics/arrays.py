@@ -7,7 +7,7 @@ What an index means is decided here, so that all later checks see names only. An
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -41,16 +41,23 @@ class Array:
         return f"{self.name}_{index}" if index >= 0 else f"{self.name}_m{-index}"
 
 
-def expand(merged: Merged, findings: Findings) -> Merged:
-    """The statements with arrays written out; without arrays they are returned as they are."""
+def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, Array]]:
+    """The statements with arrays written out, and the arrays; without arrays they are returned as they are."""
     indexed = [
         i.statement
         for i in merged.items
         if isinstance(i.statement, ast.StateStatement) and i.statement.declarator.first
     ]
     if not indexed and not any(_mentions_index(item.statement) for item in merged.items):
-        return merged
+        return merged, {}
     return _Expansion(merged, findings).run(indexed)
+
+
+def running_index(target: ast.Name | ast.Index, constants: Container[str]) -> str | None:
+    """The running index of a statement for every element: a bare name that is no constant."""
+    if isinstance(target, ast.Index) and isinstance(target.index, ast.Name) and target.index.text not in constants:
+        return target.index.text
+    return None
 
 
 def _mentions_index(statement: ast.Statement) -> bool:
@@ -85,16 +92,17 @@ class _Expansion:
         self._values = self._constants()
         self._declared = {n.text: n for i in merged.items for n in declared(i.statement)}
 
-    def run(self, indexed: list[ast.StateStatement]) -> Merged:
+    def run(self, indexed: list[ast.StateStatement]) -> tuple[Merged, dict[str, Array]]:
         for statement in indexed:
             self._declare(statement)
         for item in self._merged.items:
             if isinstance(item.statement, ast.ClosureStatement):
                 self._close(item.statement)
         items = [new for item in self._merged.items for new in self._written_out(item)]
-        return dataclasses.replace(
+        expanded = dataclasses.replace(
             self._merged, items=tuple(items), arrays=frozenset(self._unsure), in_indices=frozenset(self._named)
         )
+        return expanded, self._arrays
 
     def _constants(self) -> dict[str, float]:
         """Values of the constants, as far as they can be told; what is wrong with others is found later."""
@@ -214,7 +222,7 @@ class _Expansion:
                 self._no_array(name)
                 return []
             return [self._rewritten(item, {})] if name.text not in self._unsure else []
-        loop = self._loop(target)
+        loop = running_index(target, self._values)
         if loop is None and isinstance(target, ast.Index):
             index = self._whole(target.index, "an index")
             if index is None or not self._exists(array, index, target):
@@ -222,16 +230,6 @@ class _Expansion:
             return [self._element(item, array, index, {})]
         bound = [{loop: i} if loop else {} for i in range(array.first, array.last + 1)]
         return [self._element(item, array, array.first + k, values) for k, values in enumerate(bound)]
-
-    def _loop(self, target: ast.Name | ast.Index) -> str | None:
-        """The running index of a statement for every element: a bare name that is no constant."""
-        if (
-            isinstance(target, ast.Index)
-            and isinstance(target.index, ast.Name)
-            and target.index.text not in self._values
-        ):
-            return target.index.text
-        return None
 
     def _exists(self, array: Array, index: int, node: ast.Node) -> bool:
         if array.first <= index <= array.last:

@@ -45,12 +45,12 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     """
     local = Findings()
     read = merge(file, local, load)
-    merged = arrays.expand(read, local)
+    merged, found = arrays.expand(read, local)
     names = table.build(merged.items, local)
     accepted = allow.allowed(merged.items, names, local, merged)
     checked = _check(merged, names, accepted, local)
     if checked is not None:
-        checked = dataclasses.replace(checked, source=read.items)
+        checked = dataclasses.replace(checked, source=read.items, arrays=found)
     findings.extend(d for d in local if not allow.is_accepted(d, accepted))
     return None if findings.failed else checked
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from gbspec.semantics.allow import Allowed
+from gbspec.semantics.arrays import Array
 from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.processes import Term
@@ -35,6 +36,7 @@ class Checked:
     allowed: Allowed
     source: tuple[Item, ...] = ()
     """The statements as they are written, arrays not written out."""
+    arrays: Mapping[str, Array] = field(default_factory=dict)
 
     def all(self, kind: type[S]) -> Iterator[S]:
         """The statements of one kind, in the order of the model."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import sympy
 
 import gbspec
 from gbspec.backends.latex import equations
 from gbspec.backends.latex.equations import expression, name
-from gbspec.ir.model import Contract, Declared, Model, Range, Unknown
+from gbspec.ir.model import Contract, Declared, Model, Range, State, Unknown
 
 _HEAD = r"""\documentclass[a4paper]{article}
 \usepackage{amsmath}
@@ -41,7 +42,7 @@ def document(model: Model) -> str:
         _unknowns(model),
         _aligned("Measured", equations.observations(model)),
         _aligned("Starts", equations.starts(model)),
-        _table("States", ("range", "start"), ((s, (_range(s.range), _number(s.start))) for s in model.states)),
+        _table("States", ("range", "start"), ((s, (_range(s.range), _number(s.start))) for s in _states(model))),
         _table(
             "Conditions", ("range", "default"), ((c, (_range(c.range), _number(c.default))) for c in model.conditions)
         ),
@@ -55,6 +56,17 @@ def document(model: Model) -> str:
         r"\end{document}",
     ]
     return "\n".join(part for part in parts if part) + "\n"
+
+
+def _states(model: Model) -> list[State]:
+    """The states, of an array one that stands for all of its elements."""
+    heads = {array.position: array for array in model.arrays}
+    inside = {array.position + k for array in model.arrays for k in range(1, array.count)}
+    return [
+        replace(state, name=f"{heads[k].name}_{heads[k].first}..{heads[k].last}") if k in heads else state
+        for k, state in enumerate(model.states)
+        if k not in inside
+    ]
 
 
 def text(words: str) -> str:

@@ -56,6 +56,12 @@ class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
 
     _print_Dummy = _print_Symbol  # noqa: N815
 
+    def _print_Element(self, expr: Any) -> str:  # noqa: N802
+        return f"{name(expr.args[0].name)}_{{{self._print(expr.args[1])}}}"
+
+    def _print_Total(self, expr: Any) -> str:  # noqa: N802
+        return f"\\sum_{{i}} {name(expr.args[0].name)}_{{i}}"
+
     def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802
         digits, _, exponent = repr(float(expr)).partition("e")
         return f"{digits.removesuffix('.0')} \\cdot 10^{{{int(exponent)}}}" if exponent else digits.removesuffix(".0")
@@ -79,29 +85,29 @@ def expression(value: Expr | sympy.Basic) -> str:
 def balances(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each balance."""
     time = name(model.time.name)
-    return [
-        (f"\\frac{{\\mathrm{{d}} {name(state.name)}}}{{\\mathrm{{d}} {time}}}", expression(balance))
-        for state, balance in zip(model.states, model.balances, strict=True)
+    found = [
+        (f"\\frac{{\\mathrm{{d}} {expression(left)}}}{{\\mathrm{{d}} {time}}}", expression(balance))
+        for left, balance in model.equations("balances")
     ]
+    return found + [(expression(left), expression(value)) for left, value in model.equations("closures")]
 
 
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
-    return [(name(item.name), expression(item.value)) for item in model.intermediates]
+    return [(expression(left), expression(value)) for left, value in model.equations("intermediates")]
 
 
 def observations(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each channel that is not a state as it is."""
-    return [(name(c.name), expression(c.value)) for c in model.channels if c.value != c.symbol]
+    return [(expression(left), expression(value)) for left, value in model.equations("channels")]
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each start that the model expresses."""
     at = "0" if model.time.start is None else expression(sympy.Float(model.time.start, 17))
     return [
-        (f"{name(state.name)}({'t_{0}' if model.time.start is None else at})", expression(state.initial.value))
-        for state in model.states
-        if state.initial.value is not None
+        (f"{expression(left)}({'t_{0}' if model.time.start is None else at})", expression(value))
+        for left, value in model.equations("starts")
     ]
 
 

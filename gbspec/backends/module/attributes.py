@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable
 
+from gbspec.backends.module.elements import Code, names_of, places_of, table_of
 from gbspec.ir.model import Condition, Declared, Input, Learnable, Model, Network, Range, State
 
 WIDTH = 120
@@ -39,25 +40,25 @@ def attributes(model: Model) -> str:
     values: dict[str, object] = {
         "title": model.title,
         "time": model.time.name,
-        "states": tuple(state.name for state in model.states),
+        "states": names_of(model, [state.name for state in model.states]),
         "conditions": tuple(condition.name for condition in model.conditions),
         "inputs": tuple(item.name for item in model.inputs),
-        "channels": tuple(channel.name for channel in model.channels),
+        "channels": names_of(model, [channel.name for channel in model.channels]),
         "unknowns": tuple(unknown.name for unknown in model.unknowns),
         "constants": model.constant_names,
         "learnables": tuple(learnable.name for learnable in model.learnables),
         "per_trajectory": tuple(learnable.name for learnable in model.learnables if learnable.per_trajectory),
         "doses": tuple(dose.state for dose in model.doses),
         "interpolation": tuple(item.interpolation for item in model.inputs),
-        "channel_states": tuple(channel.state for channel in model.channels),
+        "channel_states": places_of(model, [channel.state for channel in model.channels]),
         "defaults": {
             "constants": constants,
             "conditions": tuple(condition.default for condition in model.conditions),
             "inputs": tuple(item.default for item in model.inputs),
         },
-        "ranges": {item.name: _ends(item.range) for item in ranged if item.range is not None},
-        "units": _first((item.name, item.unit) for item in named),
-        "descriptions": _first((item.name, item.description) for item in named),
+        "ranges": table_of(model, {item.name: _ends(item.range) for item in ranged if item.range is not None}),
+        "units": table_of(model, _first((item.name, item.unit) for item in named)),
+        "descriptions": table_of(model, _first((item.name, item.description) for item in named)),
         "networks": tuple(_network(model, network) for network in model.networks),
     }
     comments = {
@@ -110,14 +111,21 @@ def _lines(head: str, value: object, tail: str, width: int) -> list[str]:
     if len(line) <= width or not isinstance(value, dict | tuple):
         return [line]
     opening, closing = "{}" if isinstance(value, dict) else "()"
-    entries = [(f"{_text(k)}: ", v) for k, v in value.items()] if isinstance(value, dict) else [("", v) for v in value]
-    inside = [f"    {part}" for key, entry in entries for part in _lines(key, entry, ",", width - 4)]
+    entries = [_entry(k, v) for k, v in value.items()] if isinstance(value, dict) else [("", v, "") for v in value]
+    inside = [f"    {part}" for key, entry, end in entries for part in _lines(key, entry, f"{end},", width - 4)]
     return [head + opening, *inside, closing + tail]
+
+
+def _entry(key: str, value: object) -> tuple[str, object, str]:
+    """What stands before and behind a value in a dictionary."""
+    return (str(key), value, ")") if isinstance(key, Code) else (f"{_text(key)}: ", value, "")
 
 
 def _text(value: object) -> str:
     """A literal that Python reads back as the same value; texts between double quotes, as JSON writes them."""
     match value:
+        case Code():
+            return str(value)
         case str():
             return json.dumps(value, ensure_ascii=False)
         case float() if not math.isfinite(value):
@@ -126,5 +134,6 @@ def _text(value: object) -> str:
             inside = ", ".join(map(_text, value))
             return f"({inside},)" if len(value) == 1 else f"({inside})"
         case dict():
-            return "{" + ", ".join(f"{_text(key)}: {_text(part)}" for key, part in value.items()) + "}"
+            entries = (_entry(key, part) for key, part in value.items())
+            return "{" + ", ".join(f"{before}{_text(part)}{end}" for before, part, end in entries) + "}"
     return repr(value)

@@ -10,17 +10,23 @@ import sympy
 
 from gbspec.backends.module.constrained import Constrained, document
 from gbspec.backends.printing import (
+    STATE,
     Assignment,
     Names,
     NetworkCall,
     Program,
     PythonPrinter,
     Statement,
+    Vectors,
+    VectorTemporary,
     docstring,
     identifier,
+    is_vector,
     temporary,
 )
+from gbspec.backends.printing.nodes import Column, Entry, Join, Part
 from gbspec.diagnostics import Defect
+from gbspec.ir.arrays import Vector
 from gbspec.ir.model import NN, Expr, Model, Network, Unknown
 from gbspec.ir.tableaus import Tableau
 
@@ -30,6 +36,7 @@ PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 def scope(model: Model) -> Names:
     """The identifiers of a method that sees the whole model: time, states, conditions, inputs and constants."""
     names = Names(PARAMETERS)
+    names.fix(STATE, "state")
     names.claim(model.time.symbol)
     for item in (*model.states, *model.conditions, *model.inputs, *model.constants, *model.learnables):
         names.claim(item.symbol)
@@ -114,37 +121,65 @@ def _described(unknowns: Sequence[Unknown]) -> str:
 
 def rhs_method(model: Model) -> str:
     """`_rhs`."""
-    outputs = [
+    entries = [
         Assignment(temporary(f"d{state.name}"), balance, f"d{state.name}")
         for state, balance in zip(model.states, model.balances, strict=True)
     ]
-    return _whole(model, "_rhs", outputs, "The time derivative of each state.")
+    return _whole(model, "_rhs", "balances", entries, "The time derivative of each state.")
 
 
 def observe_method(model: Model) -> str:
     """`_observe`."""
-    outputs = [Assignment(temporary(c.name), c.value, c.name) for c in model.channels]
-    return _whole(model, "_observe", outputs, "The value of each channel.")
+    entries = [Assignment(temporary(c.name), c.value, c.name) for c in model.channels]
+    return _whole(model, "_observe", "channels", entries, "The value of each channel.")
 
 
-def _whole(model: Model, name: str, outputs: Sequence[Assignment], document: str) -> str:
-    """A method of the whole state: unpack what is used, compute, pack."""
+def _whole(model: Model, name: str, vector: Vector, entries: Sequence[Assignment], document: str) -> str:
+    """A method of the whole state: unpack what is used, compute, pack. `entries` are those of the result's vector."""
     names = scope(model)
-    program = Program(model, outputs).statements
+    outputs, definitions = _short(model, vector, entries)
+    program = Program(model, outputs, definitions).statements
     bare = {output.symbol: output.value for output in outputs if output.value.is_Symbol and name != "_rhs"}
     program = [s for s in program if not (isinstance(s, Assignment) and s.symbol in bare)]
     read = _used(program) | set(bare.values())
     body = _unpacked(model, names, read)
     body += _statements(program, names, model)
-    results = [names[bare.get(output.symbol, output.symbol)] for output in outputs]
-    body.append(f"return math.pack(state, ({_comma(results)}))")
+    body.append(f"return {_packed([bare.get(output.symbol, output.symbol) for output in outputs], names)}")
     parameters = ["math", names[model.time.symbol], "state", "condition", "inputs", "constants", "networks"]
     return _method("@classmethod", name, ["cls", *parameters], document, body)
+
+
+def _short(
+    model: Model, vector: Vector, entries: Sequence[Assignment]
+) -> tuple[Sequence[Assignment], Sequence[Assignment] | None]:
+    """What to compute for a vector: of its entries those that families stand for together; and definitions."""
+    if not model.arrays:
+        return entries, None
+    vectors = Vectors(model)
+    outputs = []
+    for run in model.runs(vector):
+        entry = entries[run if isinstance(run, int) else run.begin]
+        if not isinstance(run, int):
+            wish = run.array if vector == "channels" else f"d{run.array}"
+            many = run.index is not None
+            symbol, wish = (VectorTemporary(wish, real=True), wish) if many else (entry.symbol, entry.wish)
+            entry = Assignment(symbol, vectors.value(run), wish)
+        outputs.append(entry)
+    return outputs, [*vectors.definitions, *vectors.entries(outputs)]
+
+
+def _packed(results: Sequence[Expr], names: Names) -> str:
+    """The result's vector: scalars packed, or vectors joined."""
+    if not any(is_vector(symbol) for symbol in results):
+        return f"math.pack(state, ({_comma(names[symbol] for symbol in results)}))"
+    parts = [names[s] if is_vector(s) else f"math.column({names[s]})" for s in results]
+    return parts[0] if len(parts) == 1 else f"math.join(state, {', '.join(parts)})"
 
 
 def initial_method(model: Model) -> str:
     """`_initial`: expressed starts, in an order in which each comes after those that it depends on."""
     names = Names(PARAMETERS)
+    names.fix(STATE, "state")
     for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
         names.claim(item.symbol)
     expressed = [s for s in model.states if s.initial.kind == "expression" and s.initial.value is not None]
@@ -152,6 +187,8 @@ def initial_method(model: Model) -> str:
     parameters = ["cls", "math", "state", "condition", "constants"]
     if not expressed:
         return _method("@classmethod", "_initial", parameters, document, ["return state"])
+    if model.arrays:
+        return _method("@classmethod", "_initial", parameters, document, _short_starts(model, names))
     outputs = [Assignment(s.symbol, s.initial.value, s.name) for s in expressed]
     program = Program(model, outputs).statements
     given = {s.symbol for s in model.states} - {s.symbol for s in expressed}
@@ -159,6 +196,34 @@ def initial_method(model: Model) -> str:
     body += _statements(program, names, model)
     body.append(f"return math.pack(state, ({_comma(names[s.symbol] for s in model.states)}))")
     return _method("@classmethod", "_initial", parameters, document, body)
+
+
+def _short_starts(model: Model, names: Names) -> list[str]:
+    """The body of `_initial` where there are arrays: runs of given starts are parts of the state as it comes."""
+    vectors = Vectors(model)
+    outputs: list[Assignment] = []
+    of_families: list[Assignment] = []
+    results: list[Expr] = []
+    for run in model.runs("starts"):
+        state = model.states[run if isinstance(run, int) else run.begin]
+        if not isinstance(run, int):
+            whole = VectorTemporary(run.array, real=True)
+            outputs.append(Assignment(whole, vectors.value(run), run.array))
+            members = model.states[run.begin : run.begin + run.count]
+            of_families += [Assignment(s.symbol, Entry(whole, k), s.name) for k, s in enumerate(members)]
+            results.append(whole)
+        elif state.initial.value is not None:
+            outputs.append(Assignment(state.symbol, state.initial.value, state.name))
+            results.append(Column(state.symbol))
+        elif results and isinstance(results[-1], Part) and results[-1].args[2] == run:
+            results[-1] = Part(STATE, results[-1].args[1], run + 1)
+        else:
+            results.append(Part(STATE, run, run + 1))
+    definitions = [*vectors.definitions, *of_families, *vectors.entries(outputs, [*outputs, *of_families])]
+    program = Program(model, outputs, definitions).statements
+    lines = _unpacked(model, names, _used(program)) + _statements(program, names, model)
+    printer = PythonPrinter(lambda symbol: names[symbol])
+    return [*lines, f"return {printer.print(results[0] if len(results) == 1 else Join(STATE, *results))}"]
 
 
 def doses_method(model: Model) -> str:
@@ -213,7 +278,8 @@ def _statements(program: Iterable[Statement], names: Names, model: Model) -> lis
     lines = []
     for statement in program:
         if isinstance(statement, NetworkCall):
-            arguments = ", ".join(["math", "constants", "networks", *map(printer.print, statement.arguments)])
+            constants = "math.columns(constants)" if any(map(is_vector, statement.arguments)) else "constants"
+            arguments = ", ".join(["math", constants, "networks", *map(printer.print, statement.arguments)])
             targets = [
                 "_" if symbol is None else names.claim(symbol, wish)
                 for symbol, wish in zip(statement.results, statement.wishes, strict=True)
@@ -237,7 +303,8 @@ def _used(program: Iterable[Statement]) -> set[sympy.Symbol]:
 def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symbol] | None = None) -> list[str]:
     """Lines that give the quantities in use their names."""
     lines = []
-    for vector, items in (("state", model.states), ("condition", model.conditions), ("inputs", model.inputs)):
+    states = () if model.arrays else model.states  # with arrays, states are entries of the vector, and so statements
+    for vector, items in (("state", states), ("condition", model.conditions), ("inputs", model.inputs)):
         wanted = [item.symbol in (given if given is not None and vector == "state" else used) for item in items]
         if any(wanted):
             targets = [names[item.symbol] if want else "_" for item, want in zip(items, wanted, strict=True)]

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import keyword
 from collections.abc import Iterable
+from typing import Literal
 
 import gbspec
 from gbspec.backends.module import attributes, equations
+from gbspec.backends.module.elements import described, runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
+from gbspec.ir.arrays import Vector
 from gbspec.ir.model import NN, Declared, Model, Network, Range
 from gbspec.ir.tableaus import RK4
 
@@ -82,8 +85,11 @@ def _module_document(model: Model) -> str:
         ("Channels", model.channels),
     ]
     for heading, items in sections:
-        for i, item in enumerate(items):
-            entry = _entry(item) + (" (learned)" if item.name in learned else "")
+        table = {item.name: item for item in items}
+        for i, run in enumerate(runs_of(model, tuple(table))):
+            name = run if isinstance(run, str) else run.names[0]
+            entry = _entry(table[name], name if isinstance(run, str) else described(run))
+            entry += " (learned)" if name in learned else ""
             parts.append(f"{heading if not i else '':<12}{entry}")
     for i, network in enumerate(model.networks):
         parts.append(f"{'Unknowns' if not i else '':<12}{_network_entry(network)}")
@@ -95,9 +101,9 @@ def _title(model: Model) -> str:
     return text if text.endswith(".") else f"{text}."
 
 
-def _entry(item: Declared) -> str:
+def _entry(item: Declared, name: str) -> str:
     """`S : g/L in [0, 50] "substrate"`."""
-    text = item.name + (f" : {item.unit}" if item.unit else "")
+    text = name + (f" : {item.unit}" if item.unit else "")
     span = getattr(item, "range", None)
     if isinstance(span, Range) and span.bounded:
         text += f" in [{span.low!r}, {span.high!r}]"
@@ -113,15 +119,14 @@ def _network_entry(network: Network) -> str:
 def _class_document(model: Model) -> str:
     printer = TextPrinter()
     lines = [_title(model), ""]
-    lines += [f"{item.name} = {printer.print(item.value)}" for item in model.intermediates]
-    lines += [
-        f"{state.name}' = {printer.print(balance)}" for state, balance in zip(model.states, model.balances, strict=True)
-    ]
-    lines += [
-        f"observe {channel.name} = {printer.print(channel.value)}"
-        for channel in model.channels
-        if channel.value != channel.symbol
-    ]
+    vectors: tuple[tuple[Vector | Literal["closures"], str], ...] = (
+        ("intermediates", "{} = {}"),
+        ("balances", "{}' = {}"),
+        ("closures", "{} = {}"),
+        ("channels", "observe {} = {}"),
+    )
+    for vector, form in vectors:
+        lines += [form.format(printer.print(left), printer.print(right)) for left, right in model.equations(vector)]
     postulated = [unknown for unknown in model.unknowns if unknown.postulate != NN]
     lines += [f"{unknown.name} = {printer.print(unknown.postulate)}" for unknown in postulated]
     return "\n".join(lines)

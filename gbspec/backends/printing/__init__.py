@@ -1,11 +1,13 @@
 """Expressions as text: one printer base, straight lists of statements, safe names."""
 
 from gbspec.backends.printing.names import Names, docstring, identifier
-from gbspec.backends.printing.nodes import temporary
+from gbspec.backends.printing.nodes import STATE, VectorTemporary, is_vector, temporary
 from gbspec.backends.printing.printer import Printer, PythonPrinter, TextPrinter
 from gbspec.backends.printing.statements import Assignment, NetworkCall, Program, Statement
+from gbspec.backends.printing.vectors import Vectors
 
 __all__ = [
+    "STATE",
     "Assignment",
     "Names",
     "NetworkCall",
@@ -14,7 +16,10 @@ __all__ = [
     "PythonPrinter",
     "Statement",
     "TextPrinter",
+    "VectorTemporary",
+    "Vectors",
     "docstring",
     "identifier",
+    "is_vector",
     "temporary",
 ]

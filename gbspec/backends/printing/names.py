@@ -46,6 +46,10 @@ class Names:
             self._of[symbol] = name
         return self._of[symbol]
 
+    def fix(self, symbol: sympy.Symbol, name: str) -> None:
+        """Gives a symbol a name that is reserved."""
+        self._of[symbol] = name
+
     def copy(self) -> Names:
         """The same identifiers, to which others may be added apart."""
         other = Names()

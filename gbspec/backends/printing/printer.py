@@ -14,8 +14,9 @@ import sympy
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import BooleanAtom
 
-from gbspec.backends.printing.nodes import Guard, Where
+from gbspec.backends.printing.nodes import Guard, Operation, Where
 from gbspec.diagnostics import Defect
+from gbspec.ir.arrays import Element, Total
 from gbspec.ir.forms import logistic, softplus
 
 OR, ADD, MUL, NEGATIVE, POWER, ATOM = range(6)
@@ -92,13 +93,13 @@ class Printer(ABC):
                 return self._extremum(node), ATOM
             case sympy.Piecewise():
                 return self._piecewise(node), ATOM
-            case Where() | Guard():
+            case Where() | Guard() | Operation():
                 return self.call(node.word, *map(self.print, node.args)), ATOM
             case sympy.atan2():
                 return self.call("atan2", *map(self.print, node.args)), ATOM
             case Relational() | sympy.And() | sympy.Or() | sympy.Not() | sympy.ITE() | BooleanAtom():
                 return self._condition(node)
-            case sympy.core.function.AppliedUndef():
+            case sympy.core.function.AppliedUndef() | Element() | Total():
                 return self.application(node), ATOM
         kind = type(node)
         if kind in UNARY:
@@ -108,8 +109,8 @@ class Printer(ABC):
         raise Defect(f"no rule prints the node {kind.__name__} in `{node}`")
 
     def application(self, node: sympy.Basic) -> str:
-        """An application of an unknown; targets that cannot express one have had it replaced by a symbol before."""
-        raise Defect(f"the application `{node}` of an unknown was not replaced before printing")
+        """An application of an unknown, an element or a total; most targets have had them replaced before."""
+        raise Defect(f"`{node}` was not replaced before printing")
 
     # -------------------------------------------------------------- numbers
     def _number(self, node: sympy.Expr) -> Text:
@@ -281,7 +282,11 @@ class TextPrinter(Printer):
         return f"{self.words.get(function, function)}({', '.join(arguments)})"
 
     def application(self, node: sympy.Basic) -> str:
-        """`phi(x1, x2)`."""
+        """`phi(x1, x2)`, `c[i - 1]`, `sum(c)`."""
+        if isinstance(node, Element):
+            return f"{node.args[0]}[{self.print(node.args[1])}]"
+        if isinstance(node, Total):
+            return f"sum({node.args[0]})"
         return f"{node.func.__name__}({', '.join(map(self.print, node.args))})"
 
     def constant(self, name: str, value: sympy.Expr) -> str:

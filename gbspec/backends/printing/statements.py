@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import sympy
 from sympy.core.function import AppliedUndef
+from sympy.functions.elementary.piecewise import ExprCondPair
 from sympy.logic.boolalg import Boolean
 
-from gbspec.backends.printing.nodes import Guard, Temporary, Where, temporary
+from gbspec.backends.printing.nodes import Guard, Operation, Temporary, Where, temporary_like
 from gbspec.diagnostics import Defect
-from gbspec.ir.model import Intermediate, Model, Network
+from gbspec.ir.model import Model, Network
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,12 @@ class NetworkCall:
 
 Statement = Assignment | NetworkCall
 
+
+def intermediates_of(model: Model) -> list[Assignment]:
+    """The model's intermediates under their names."""
+    return [Assignment(item.symbol, item.value, item.name) for item in model.intermediates]
+
+
 RISKY = (sympy.log, sympy.exp, sympy.sinh, sympy.cosh, sympy.tan, sympy.asin, sympy.acos, sympy.acosh, sympy.atanh)
 """Functions whose derivative may be infinite, or overflow, at a finite argument."""
 
@@ -54,7 +61,7 @@ def guarded(node: sympy.Basic) -> sympy.Basic:
     if not node.has(sympy.Piecewise):
         return node
     if not isinstance(node, sympy.Piecewise):
-        return _rebuild(node, [guarded(argument) for argument in node.args])
+        return rebuild(node, [guarded(argument) for argument in node.args])
     value: sympy.Expr | None = None
     for i, (branch, condition) in reversed(list(enumerate(node.args))):
         earlier = [sympy.Not(guarded(c), evaluate=False) for _, c in node.args[:i]]
@@ -79,7 +86,7 @@ def _behind(node: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
         return Guard(taken, node)
     if isinstance(node, AppliedUndef | Boolean) or not node.args:
         return node
-    return _rebuild(node, [_behind(argument, taken) for argument in node.args])
+    return rebuild(node, [_behind(argument, taken) for argument in node.args])
 
 
 def _risky(node: sympy.Basic) -> bool:
@@ -95,15 +102,15 @@ def _risky(node: sympy.Basic) -> bool:
 class Program:
     """The statements that compute `outputs` of a model.
 
-    Each output is an assignment to the symbol that the result gets; of `intermediates` (the model's, if not given) only
-    those that they need are computed. An application that no network of the model declares is a `Defect`.
+    Each output is an assignment to the symbol that the result gets; of `definitions` (the model's intermediates, if not
+    given) only those that they need are computed. An application that no network of the model declares is a `Defect`.
     """
 
     def __init__(
-        self, model: Model, outputs: Sequence[Assignment], intermediates: Sequence[Intermediate] | None = None
+        self, model: Model, outputs: Sequence[Assignment], definitions: Sequence[Assignment] | None = None
     ) -> None:
         self._model = model
-        self._intermediates = model.intermediates if intermediates is None else intermediates
+        self._definitions = intermediates_of(model) if definitions is None else definitions
         self._networks = {name: (i, net) for i, net in enumerate(model.networks) for name in net.outputs}
         self._calls: dict[tuple[int, tuple[sympy.Expr, ...]], NetworkCall] = {}
         self._pending: dict[sympy.Symbol, Statement] = {}
@@ -115,16 +122,15 @@ class Program:
             self._emit(body.symbol)
 
     def _bodies(self, targets: Sequence[Assignment]) -> list[Assignment]:
-        """The targets and, before them, the intermediates that they need, choices guarded."""
+        """The targets and, before them, the definitions that they need, choices guarded."""
+        table = {item.symbol: item for item in self._definitions}
         needed: set[sympy.Symbol] = set()
-        for target in targets:
-            needed |= target.value.free_symbols
-        kept: list[Assignment] = []
-        for item in reversed(self._intermediates):
-            if item.symbol in needed:
-                needed |= item.value.free_symbols
-                kept.append(Assignment(item.symbol, guarded(item.value), item.name))
-        return [*reversed(kept), *(Assignment(t.symbol, guarded(t.value), t.wish) for t in targets)]
+        waiting = {symbol for target in targets for symbol in target.value.free_symbols}
+        while waiting:
+            needed |= waiting
+            waiting = {s for name in waiting & table.keys() for s in table[name].value.free_symbols} - needed
+        kept = [item for item in self._definitions if item.symbol in needed]
+        return [Assignment(item.symbol, guarded(item.value), item.wish) for item in (*kept, *targets)]
 
     # -------------------------------------------------------------- networks
     def _without_applications(self, bodies: Iterable[Assignment]) -> list[Assignment]:
@@ -137,7 +143,7 @@ class Program:
         arguments = tuple(self._replace(argument) for argument in node.args)
         if isinstance(node, AppliedUndef):
             return self._result(node.func.__name__, arguments)
-        return _rebuild(node, arguments)
+        return rebuild(node, arguments)
 
     def _result(self, name: str, arguments: tuple[sympy.Expr, ...]) -> sympy.Symbol:
         if name not in self._networks:
@@ -147,7 +153,7 @@ class Program:
             index, arguments, (None,) * len(network.outputs), self._wishes(index, network, arguments)
         )
         output = network.outputs.index(name)
-        result = call.results[output] or temporary(call.wishes[output])
+        result = call.results[output] or temporary_like(call.wishes[output], *arguments)
         results = (*call.results[:output], result, *call.results[output + 1 :])
         call = NetworkCall(index, arguments, results, call.wishes)
         self._calls[index, arguments] = call
@@ -192,10 +198,10 @@ class Program:
         if not node.args:
             return node
         arguments = [self._extract(argument, counts, table) for argument in node.args]
-        rebuilt = node if all(a is b for a, b in zip(arguments, node.args, strict=True)) else _rebuild(node, arguments)
+        rebuilt = node if all(a is b for a, b in zip(arguments, node.args, strict=True)) else rebuild(node, arguments)
         if counts.get(node, 0) > 1:
             wish = _wish(node, sum(isinstance(value, Temporary) for value in table.values()) + 1)
-            symbol = temporary(wish, real=not isinstance(node, Boolean))
+            symbol = temporary_like(wish, rebuilt, real=not isinstance(node, Boolean))
             self._pending[symbol] = Assignment(symbol, rebuilt, wish)
             rebuilt = symbol
         table[node] = rebuilt
@@ -257,9 +263,9 @@ def _worth(node: sympy.Basic) -> bool:
     return isinstance(node, sympy.Expr | Boolean)
 
 
-def _rebuild(node: sympy.Basic, arguments: Sequence[sympy.Basic]) -> sympy.Basic:
+def rebuild(node: sympy.Basic, arguments: Sequence[sympy.Basic]) -> sympy.Basic:
     """The node with other arguments, as it stands: nothing is evaluated anew (of Max, that can take seconds)."""
-    if isinstance(node, Where | Guard):
+    if isinstance(node, Where | Guard | Operation | ExprCondPair):
         return node.func(*arguments)
     return node.func(*arguments, evaluate=False)
 

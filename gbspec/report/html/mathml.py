@@ -50,6 +50,15 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
         name = self._print(sympy.Symbol(expr.func.__name__))
         return self._row(name, self._leaf("mo", "("), *inside, self._leaf("mo", ")"))
 
+    def _print_Element(self, expr: Any) -> Any:  # noqa: N802
+        element = self.dom.createElement("msub")
+        element.appendChild(self._print(expr.args[0]))
+        element.appendChild(self._print(expr.args[1]))
+        return element
+
+    def _print_Total(self, expr: Any) -> Any:  # noqa: N802
+        return self._row(self._leaf("mo", "∑"), self._print(expr.args[0]))
+
     def _leaf(self, tag: str, text: str) -> Any:
         leaf = self.dom.createElement(tag)
         leaf.appendChild(self.dom.createTextNode(text))
@@ -93,29 +102,29 @@ def equations(pairs: list[tuple[str, str]]) -> str:
 def balances(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each balance."""
     time = name(model.time.name)
-    return [
-        (f"<mfrac><mrow><mi>d</mi>{name(s.name)}</mrow><mrow><mi>d</mi>{time}</mrow></mfrac>", expression(balance))
-        for s, balance in zip(model.states, model.balances, strict=True)
+    found = [
+        (f"<mfrac><mrow><mi>d</mi>{expression(left)}</mrow><mrow><mi>d</mi>{time}</mrow></mfrac>", expression(right))
+        for left, right in model.equations("balances")
     ]
+    return found + [(expression(left), expression(right)) for left, right in model.equations("closures")]
 
 
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
-    return [(name(item.name), expression(item.value)) for item in model.intermediates]
+    return [(expression(left), expression(right)) for left, right in model.equations("intermediates")]
 
 
 def observations(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each channel that is not a state as it is."""
-    return [(name(c.name), expression(c.value)) for c in model.channels if c.value != c.symbol]
+    return [(expression(left), expression(right)) for left, right in model.equations("channels")]
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each start that the model expresses."""
     at = "<mn>0</mn>" if model.time.start is None else f"<mn>{escape(f'{model.time.start:g}')}</mn>"
     return [
-        (f"<msub>{name(s.name)}<mrow>{at}</mrow></msub>", expression(s.initial.value))
-        for s in model.states
-        if s.initial.value is not None
+        (f"<msub>{expression(left)}<mrow>{at}</mrow></msub>", expression(right))
+        for left, right in model.equations("starts")
     ]
 
 

@@ -13,7 +13,8 @@ import numpy as np
 # One namespace a library, all with the same names, so that the equations are written once. `where(condition, a, b)`
 # chooses; `guard(condition, x)` is x, in torch with its gradient cut off where the condition does not hold; `unpack`
 # splits the last axis, `pack(like, parts)` joins parts along a new one in the shape and type of `like`, `column`
-# appends an axis.
+# appends an axis, `columns` to each of several. Of vectors on the last axis, `part` takes components, `entry` one,
+# `total` their sum; `join` puts vectors one behind the other, `spread` repeats a scalar, `indices` counts.
 
 
 @functools.cache
@@ -49,6 +50,19 @@ def _torch_arithmetic() -> Any:
         shape = np.broadcast_shapes(shape, *(part.shape for part in whole))
         return torch.stack([part.expand(shape) for part in whole], -1)
 
+    def column(x: Any) -> Any:
+        return x.unsqueeze(-1) if isinstance(x, Tensor) and x.ndim else x
+
+    def join(like: Any, *parts: Any) -> Any:
+        whole = [part if isinstance(part, Tensor) else like.new_tensor(part) for part in parts]
+        whole = [part if part.ndim else part[None] for part in whole]
+        shape = np.broadcast_shapes(like.shape[:-1], *(part.shape[:-1] for part in whole))
+        return torch.cat([part.expand(*shape, part.shape[-1]) for part in whole], -1)
+
+    def spread(like: Any, x: Any, count: int) -> Any:
+        x = column(x) if isinstance(x, Tensor) else like.new_tensor(x)
+        return x.expand(*np.broadcast_shapes(like.shape[:-1], x.shape[:-1]), count)
+
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign"
     return SimpleNamespace(
         **{name: unary(getattr(torch, name)) for name in names.split()},
@@ -64,7 +78,16 @@ def _torch_arithmetic() -> Any:
         guard=guard,
         unpack=lambda x: x.unbind(-1),
         pack=pack,
-        column=lambda h: h.unsqueeze(-1) if isinstance(h, Tensor) and h.ndim else h,
+        column=column,
+        columns=lambda values: tuple(map(column, values)),
+        part=lambda x, *ends: x[..., slice(*ends) if len(ends) < 3 else list(range(*ends))],
+        entry=lambda x, place: x[..., place],
+        total=lambda x: x.sum(-1),
+        join=join,
+        spread=spread,
+        indices=lambda like, *ends: torch.arange(*ends, dtype=like.dtype, device=like.device).expand(
+            *like.shape[:-1], ends[1] - ends[0]
+        ),
         pi=np.pi,
         inf=np.inf,
         nan=np.nan,
@@ -91,6 +114,13 @@ def _casadi_arithmetic() -> Any:
         unpack=lambda x: tuple(ca.vertsplit(x)) if x.shape[0] else (),
         pack=lambda like, parts: ca.vertcat(*parts) if parts else type(like)(0, 1),
         column=lambda h: h,
+        columns=lambda values: values,
+        part=lambda x, *ends: x[slice(*ends) if len(ends) < 3 else list(range(*ends))],
+        entry=lambda x, place: x[place],
+        total=ca.sum1,
+        join=lambda like, *parts: ca.vertcat(*parts),
+        spread=lambda like, x, count: ca.repmat(type(like)(x), count, 1),
+        indices=lambda like, *ends: type(like)(ca.DM(range(*ends))),
         pi=np.pi,
         inf=np.inf,
         nan=np.nan,
@@ -99,6 +129,14 @@ def _casadi_arithmetic() -> Any:
 
 @functools.cache
 def _numpy_arithmetic() -> Any:
+    def join(like: Any, *parts: Any) -> Any:
+        whole = [np.atleast_1d(part) for part in parts]
+        shape = np.broadcast_shapes(np.shape(like)[:-1], *(part.shape[:-1] for part in whole))
+        return np.concatenate([np.broadcast_to(part, (*shape, part.shape[-1])) for part in whole], -1)
+
+    def spread(like: Any, x: Any, count: int) -> Any:
+        return np.broadcast_to(np.expand_dims(x, -1), (*np.broadcast_shapes(np.shape(like)[:-1], np.shape(x)), count))
+
     names = "exp log sin cos tan tanh sinh cosh sqrt abs sign minimum maximum logical_and logical_or logical_not where"
     return SimpleNamespace(
         **{name: getattr(np, name) for name in names.split()},
@@ -113,6 +151,15 @@ def _numpy_arithmetic() -> Any:
             else np.zeros((*np.shape(like)[:-1], 0))
         ),
         column=lambda h: np.expand_dims(h, -1),
+        columns=lambda values: tuple(np.expand_dims(value, -1) for value in values),
+        part=lambda x, *ends: x[..., slice(*ends) if len(ends) < 3 else list(range(*ends))],
+        entry=lambda x, place: x[..., place],
+        total=lambda x: np.sum(x, -1),
+        join=join,
+        spread=spread,
+        indices=lambda like, *ends: np.broadcast_to(
+            np.arange(*ends, dtype=np.float64), (*np.shape(like)[:-1], ends[1] - ends[0])
+        ),
         pi=np.pi,
         inf=np.inf,
         nan=np.nan,
