@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.forecast import Forecast
+    from gbspec.analysis.initial_states import InitialStates
     from gbspec.analysis.plane_diagram import PlaneDiagram
     from gbspec.analysis.predict import Prediction
     from gbspec.analysis.system import Box, System
@@ -199,6 +200,16 @@ def eigen(
         data = {} if source.run is None else source.run.fit.get("data", {})
         predicted = predictions(source.evaluator, source.model, along, data)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
+
+
+def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] | None = None) -> InitialStates:
+    """Learned, bred and true initial states of a run's trajectories beside each other."""
+    from gbspec.analysis.initial_states import initial_states as run
+
+    true = truth_of(source)
+    known = {} if source.run is None else source.run.fit.get("data", {})
+    truth = None if true is None else true.evaluator
+    return run(source.evaluator, source.model, data, known, system(source), truth, indices)
 
 
 def truth_of(source: Subject) -> Subject | None:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from gbspec.analysis.steady import ordered_eigenvalues, steady_states
 from gbspec.analysis.system import System, state_at
-from gbspec.data.signals import evaluate
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
     from gbspec.analysis.predict import Prediction
-    from gbspec.data.trajectories import Trajectories, Trajectory
+    from gbspec.data.trajectories import Trajectories
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -241,14 +240,6 @@ def _along(
             seen = bool(np.isfinite(measured[row]).all())
             state = measured[row] if seen else solved[row]
             if np.isfinite(state).all():
-                held = _inputs(system, item, time)
+                held = system.inputs_at(item.inputs, time)
                 point = eigen_at(moved.with_values(held), state, truth, time)
                 yield replace(point, kind="data" if seen else "predicted", trajectory=item.label, time=time)
-
-
-def _inputs(system: System, item: Trajectory, time: float) -> dict[str, float]:
-    """The inputs' values at a time of a trajectory."""
-    return {
-        name: float(evaluate(signal, interpolation, time))
-        for name, signal, interpolation in zip(system.inputs, item.inputs, system.interpolation, strict=True)
-    }

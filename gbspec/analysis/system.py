@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.analysis.compiled import Compiled
-from gbspec.data.signals import Interpolation
+from gbspec.data.signals import Interpolation, evaluate
+from gbspec.data.trajectories import Signal
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
@@ -119,6 +120,13 @@ class System:
     def vector(self, names: Iterable[str]) -> Array:
         """The numbers of these names, in order; NaN where there is none."""
         return np.array([self.values.get(name, math.nan) for name in names], dtype=float)
+
+    def inputs_at(self, signals: Sequence[Signal], time: float) -> dict[str, float]:
+        """The inputs' values at a time of a trajectory that has these signals, one an input."""
+        return {
+            name: float(evaluate(signal, interpolation, time))
+            for name, signal, interpolation in zip(self.inputs, signals, self.interpolation, strict=True)
+        }
 
     @cached_property
     def depends_on_time(self) -> bool:

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from gbspec.analysis.estimate import Estimator
+from gbspec.analysis.initial_states import InitialStates
+from gbspec.analysis.initial_states import initial_states as compare_starts
 from gbspec.analysis.metrics import spread
 from gbspec.analysis.predict import Start, input_values, learned_positions, learned_start, predict
+from gbspec.analysis.system import system_of
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Array, Trajectories, Trajectory
@@ -81,6 +84,18 @@ class Fitted:
         start = Start(np.mean(starts, axis=0), self.truth.constants, "known")
         found = predict(self.truth, self.model, at_times(self.data.items[index], times), start)
         return found.states, found.channels
+
+
+def spaced(count: int, most: int) -> list[int]:
+    """All of `count` positions, or `most` evenly chosen ones."""
+    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most))}) if count else []
+
+
+def initial_states(fitted: Fitted, indices: Sequence[int]) -> InitialStates:
+    """The first member's initial states of these trajectories beside bred and true ones. Raises `UserError` (GB876)."""
+    evaluator, model = fitted.evaluators[0], fitted.model
+    system = system_of(evaluator, model)
+    return compare_starts(evaluator, model, fitted.data, fitted.run.fit.get("data", {}), system, fitted.truth, indices)
 
 
 def at_times(item: Trajectory, times: Array) -> Trajectory:

@@ -11,14 +11,18 @@ from gbspec.analysis.metrics import spread
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report import collect, plots, unknowns
+from gbspec.report.collect import spaced
+from gbspec.report.initial_states import initial_states as draw_starts
 from gbspec.runs.store import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-KINDS = ("fit", "functions", "constants", "history", "residuals", "phase", "summary")
+KINDS = ("fit", "functions", "constants", "history", "residuals", "phase", "initial-states", "summary")
 """What can be drawn."""
 ALIASES = {"function": "functions", "constant": "constants", "residual": "residuals"}
+MOST_STARTS = 40
+"""Trajectories whose initial states are compared where the caller names none."""
 SHOWN = 4
 """Trajectories in a figure where the caller names none."""
 
@@ -52,6 +56,9 @@ def draw(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = (
                 _refuse(kind, "the model has only one state", "fit")
             first, second = run.model.states[:2]
             return plots.phase(collect.orbits(fitted, indices, (0, 1)), first.name, second.name)
+        case "initial-states":
+            shown = indices if show else spaced(len(data), MOST_STARTS)
+            return draw_starts(collect.initial_states(fitted, shown))
         case "summary":
             return summary(fitted, indices[0] if show else liveliest(data))
         case _:

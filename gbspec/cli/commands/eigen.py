@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, points, settings
+from gbspec.diagnostics import Diagnostic, UserError
+
+if TYPE_CHECKING:
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.diagnostics import Findings
+    from gbspec.driver import Subject
 
 
 @command(
@@ -16,6 +22,7 @@ from gbspec.cli.settings import Settings, points, settings
     'gbspec eigen urp_gb2 --at "x1=0.4,x2=1.2,Da=0.3"',
     'gbspec eigen my_run --steady --at "Da=0.35"',
     "gbspec eigen my_run --along data.csv --json",
+    "gbspec eigen my_run --initial-states",
 )
 def run(
     output: Output,
@@ -29,6 +36,10 @@ def run(
     steady: Annotated[
         bool, typer.Option("--steady", help="Search for steady states (at the conditions that --at gives).")
     ] = False,
+    initial_states: Annotated[
+        bool,
+        typer.Option("--initial-states", help="Of a run: learned, bred and true initial states along the modes."),
+    ] = False,
     set_values: Settings = None,
     member: Annotated[
         int | None, typer.Option("--member", help="Which member of a run; the best.", metavar="K")
@@ -41,8 +52,24 @@ def run(
     findings = Findings()
     given = points(at)
     subject = driver.subject(source, settings(set_values), findings, member)
+    if initial_states:
+        compared = driver.initial_states(subject, _trained(subject, along, findings))
+        output.findings(findings)
+        output.document(compared.to_json())
+        output.result(str(compared))
+        return
     data = None if along is None else driver.read_data(along, subject.model, findings, require_channels=False)
     output.findings(findings)
     found = driver.eigen(subject, at=given, along=data, steady=steady or not (given or along))
     output.document(found.to_json())
     output.result(str(found))
+
+
+def _trained(subject: Subject, along: str | None, findings: Findings) -> Trajectories:
+    """The table whose initial states were learned. Raises `UserError` (GB814, GB859) where there is none."""
+    from gbspec import driver
+
+    if subject.run is None:
+        help = "give a run; a model's own initial states are in the model"
+        raise UserError([Diagnostic("GB814", "`--initial-states` compares what a run learned", None, help=help)])
+    return driver.trained_on(subject.run, along, findings)

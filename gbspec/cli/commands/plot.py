@@ -9,7 +9,9 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 
-Kind = Literal["fit", "functions", "function", "constants", "history", "residuals", "phase", "summary"]
+Kind = Literal[
+    "fit", "functions", "function", "constants", "history", "residuals", "phase", "initial-states", "summary"
+]
 """The kinds of `gbspec.report.figures`, which is not imported to show the help."""
 
 
@@ -31,7 +33,7 @@ def run(
         list[str] | None, typer.Option("--show", help="A trajectory to show; may be repeated.", metavar="LABEL")
     ] = None,
 ) -> None:
-    """Draw a figure of a run: fit, functions, constants, history, residuals, phase, or all in one (summary)."""
+    """Draw a figure of a run: its fit, functions, constants, residuals, and others, or all in one (summary)."""
     from gbspec import driver
     from gbspec.diagnostics import Findings
     from gbspec.report.style import form_of, save

@@ -35,9 +35,7 @@ class Panel:
 
 def chosen(count: int) -> list[int]:
     """The trajectories that are drawn."""
-    if count <= MOST_TRAJECTORIES:
-        return list(range(count))
-    return sorted({int(i) for i in np.linspace(0, count - 1, MOST_TRAJECTORIES)})
+    return collect.spaced(count, MOST_TRAJECTORIES)
 
 
 def fits(fitted: collect.Fitted, indices: Sequence[int]) -> tuple[Panel, ...]:

@@ -1,0 +1,101 @@
+"""Learned, bred and true initial states, and their differences along fast and slow directions."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gbspec import driver
+from gbspec.analysis.initial_states import InitialStates, _modes, initial_states
+from gbspec.analysis.simulate import simulate
+from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.data.sampling import SimulateOptions
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import UserError
+from gbspec.report.initial_states import initial_states as draw
+from tests.analysis.conftest import model_of, nearly_true
+
+OPTIONS = SimulateOptions(trajectories=2, span=3.0, sampling="gamma", channels="own-clock", seed=2,
+                          initial={"x1": (0.3, 0.7), "x2": (0.5, 2.0)}, reject=("x2 > 4",))  # fmt: skip
+OFF = 0.05
+
+
+@pytest.fixture(scope="module")
+def data() -> Trajectories:
+    subject = driver.reference(model_of("urp_gb2"))
+    return replace(simulate(subject.evaluator, subject.model, OPTIONS), sha256="known")
+
+
+@pytest.fixture(scope="module")
+def found(data: Trajectories) -> InitialStates:
+    """Starts of a nearly true network, learned ones `OFF` away from the true ones in x1."""
+    model, instance = model_of("urp_gb2"), nearly_true()
+    subject = driver.reference(model)
+    instance.weights["initial"] = np.tile([0.5, 1.0], (len(data), 1))
+    starts = [item.true for item in compare(instance, data, subject.evaluator).items if item.true is not None]
+    instance.weights["initial"] = np.add(starts, [OFF, 0.0])
+    return compare(instance, data, subject.evaluator)
+
+
+def compare(instance: Any, data: Trajectories, truth: Any) -> InitialStates:
+    model, evaluator = model_of("urp_gb2"), Evaluator(instance)
+    system = driver.system(driver.Subject(model, evaluator))
+    return initial_states(evaluator, model, data, {"sha256": "known"}, system, truth)
+
+
+def test_bred_starts_are_nearer_to_the_truth_than_wrong_learned_ones(found: InitialStates, data: Trajectories) -> None:
+    assert [item.trajectory for item in found.items] == [item.label for item in data.items]
+    for item in found.items:
+        assert item.true is not None
+        assert item.bred_off is not None
+        assert item.learned - item.true == pytest.approx([OFF, 0.0], abs=1e-12)
+        assert abs(item.bred[0] - item.true[0]) < 0.3 * OFF
+        assert np.max(item.bred_off) < 0.3 * np.max(item.learned_off)
+
+
+def test_they_print_write_and_draw_themselves(found: InitialStates) -> None:
+    text = str(found)
+    assert all(word in text for word in ("learned", "bred", "true", "mode 2 (real part"))
+    document = json.loads(json.dumps(found.to_json()))
+    assert set(document["initial_states"][0]["bred"]) == {"x1", "x2"}
+    made = draw(found)
+    assert [axes.get_ylabel() for axes in made.axes] == ["x1", "x2", "off the true start", "off the true start"]
+
+
+def test_a_difference_along_one_direction_lies_in_its_mode_alone() -> None:
+    slow, fast = np.array([1.0, 0.5]), np.array([-0.2, 1.0])
+    frame = np.column_stack([slow, fast])
+    jacobian = frame @ np.diag([-0.1, -40.0]) @ np.linalg.inv(frame)
+    scale = np.array([2.0, 5.0])
+    eigenvalues, split = _modes(jacobian, scale)
+    assert eigenvalues.real == pytest.approx([-0.1, -40.0])
+    assert split(0.3 * slow) == pytest.approx([0.3 * np.linalg.norm(slow / scale), 0.0], abs=1e-12)
+    assert split(0.3 * fast) == pytest.approx([0.0, 0.3 * np.linalg.norm(fast / scale)], abs=1e-12)
+
+
+def test_both_modes_of_a_pair_carry_the_common_part() -> None:
+    _, split = _modes(np.array([[-1.0, 3.0], [-3.0, -1.0]]), np.ones(2))
+    assert split(np.array([3.0, 4.0])) == pytest.approx([5.0, 5.0])
+
+
+def test_trajectories_that_were_not_trained_on(data: Trajectories) -> None:
+    instance = nearly_true()
+    instance.weights["initial"] = np.zeros((9, 2))
+    with pytest.raises(UserError) as caught:
+        compare(instance, data, None)
+    assert caught.value.diagnostics[0].code == "GB876"
+
+
+def test_starts_that_were_measured_need_no_comparison() -> None:
+    subject = driver.reference(model_of("urp_gb2"))
+    options = replace(OPTIONS, channels="all", keep_start=True)
+    full = replace(simulate(subject.evaluator, subject.model, options), sha256="known")
+    instance = nearly_true()
+    instance.weights["initial"] = np.zeros((len(full), 2))
+    with pytest.raises(UserError) as caught:
+        compare(instance, full, None)
+    assert "the table measures them" in caught.value.diagnostics[0].message
