@@ -10,6 +10,7 @@ import numpy as np
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.collocation import Points, collocate
+from gbspec.training.device import device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Packed, default_max_step, pack
 from gbspec.training.parameters import Parameters, Weights
@@ -55,7 +56,8 @@ class Context:
         """The training problem with teacher forcing of strength `blend`."""
         packed = self.packed(fraction, draw)
         forcing = teacher_forcing(self.model, packed, blend)
-        return Problem(self.model, self.module, packed, forcing, scaling_of(self.model, packed, self.trajectories))
+        scaling = scaling_of(self.model, packed, self.trajectories)
+        return Problem(self.model, self.module, packed, forcing, scaling, device=device_of(self.options.device))
 
     def parameters(self, fixed: Weights) -> Parameters:
         """The layout of the trainable vector, with the networks' scales `fixed`."""

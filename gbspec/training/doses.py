@@ -43,7 +43,7 @@ def arrivals(problem: Problem, constants: Tensor) -> Integers:
     packed, events = problem.packed, problem.packed.doses
     if not len(events.time):
         return np.zeros((0, packed.depth, packed.trajectories), dtype=np.int64)
-    k = tuple(constants.detach().unbind(1))
+    k = tuple(constants.detach().cpu().unbind(1))
     terms = problem.module._doses(problem.ops, torch.from_numpy(packed.condition), k)
     lags = np.stack([np.broadcast_to(np.asarray(lag), packed.trajectories) for _, lag in terms])
     time = events.time + lags[events.kind, events.owner]
@@ -77,20 +77,20 @@ def advance(problem: Problem, x: Tensor, step: SubStep, k: Sequence[Tensor], net
         return _part(problem, x, step, None, None, k, networks)
     terms = problem.module._doses(problem.ops, step.condition, k)
     doses, model = problem.packed.doses, problem.model
-    begin = torch.zeros_like(step.h)
+    begin, places = torch.zeros_like(step.h), torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
     for layer in step.events:
         for kind, (fraction, lag) in enumerate(terms):
             mine = (layer >= 0) & (doses.kind[layer] == kind)
             if not mine.any():
                 continue
-            given = torch.from_numpy(mine)
+            given = torch.from_numpy(mine).to(x.device)
             if not doses.known[kind]:
                 # The sub-steps begin where doses of a known lag arrive; for others, time passes first.
-                arrival = torch.where(given, torch.from_numpy(doses.time[layer]) + lag - step.t, begin)
+                arrival = torch.where(given, x.new_tensor(doses.time[layer]) + lag - step.t, begin)
                 x = _part(problem, x, step, begin, arrival, k, networks)
                 begin = arrival
-            amount = torch.from_numpy(np.where(mine, doses.amount[layer], 0.0)) * fraction
-            x = x + amount[:, None] * torch.eye(x.shape[1], dtype=x.dtype)[model.state_index[model.doses[kind].state]]
+            amount = x.new_tensor(np.where(mine, doses.amount[layer], 0.0)) * fraction
+            x = x + amount[:, None] * places[model.state_index[model.doses[kind].state]]
     return _part(problem, x, step, begin, step.h, k, networks)
 
 

@@ -19,6 +19,7 @@ from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
+from gbspec.training.device import device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.parallel import Job, fit_jobs
 from gbspec.training.progress import Progress, Silent
@@ -36,8 +37,8 @@ def train(
 ) -> Run:
     """Fits all members and writes the run directory.
 
-    Raises UserError (GB850 options, GB855 the directory is in use, GB856 nothing to learn from, GB860 no cluster),
-    ComputationError where no member could be fitted (what was reached before stays in the directory; members that
+    Raises UserError (GB850 options, GB855 the directory in use, GB856 nothing to learn from, GB860 no cluster, GB861 no
+    GPU), ComputationError where no member could be fitted (what was reached before stays in the directory; members that
     failed beside others are told as messages), and KeyboardInterrupt on SIGINT after writing a run that can be used and
     resumed.
     """
@@ -63,6 +64,8 @@ class Fitting:
         options.check(findings)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
+        if options.scheduler is None:
+            device_of(options.device)
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
         self.record = _record(model, trajectories, options)
@@ -162,7 +165,7 @@ def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
         findings.error("GB855", f"the run `{path}` was started with another model", None, help=_OTHER)
     if before.get("data", {}).get("sha256") != record["data"]["sha256"]:
         findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
-    may_change = {"members", "workers", "threads"}
+    may_change = {"members", "workers", "threads", "device"}
     for name, value in record["options"].items():
         old = before.get("options", {}).get(name)
         if name not in may_change and old != value:

@@ -6,6 +6,7 @@ import numpy as np
 
 from gbspec.data.trajectories import Array
 from gbspec.training.context import Context, start_states
+from gbspec.training.device import device_of
 from gbspec.training.initial_states import refit_starts
 from gbspec.training.packing import pack
 from gbspec.training.parameters import Parameters
@@ -24,7 +25,9 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     packed = pack(held, model, context.max_step)
     scaling = scaling_of(model, packed, context.trajectories)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
-    problem = Problem(model, context.module, packed, teacher_forcing(model, packed, 0.0 if single else 1.0), scaling)
+    forcing = teacher_forcing(model, packed, 0.0 if single else 1.0)
+    device = device_of(context.options.device)
+    problem = Problem(model, context.module, packed, forcing, scaling, device=device)
     value, free = start_states(model, held, fit_curves(model, held), packed)
     from dataclasses import replace
 
@@ -35,9 +38,8 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     vector = np.concatenate([theta[: parameters.n_shared], block.ravel()])
     if single:
         later = packed.row_time > context.trajectories.items[0].end
-        return mean_loss(
-            solve(problem, replace(local, start_value=parameters.start_value), vector)[_of_rows(problem, later)]
-        )
+        same = replace(local, start_value=parameters.start_value, start_free=parameters.start_free)
+        return mean_loss(solve(problem, same, vector)[_of_rows(problem, later)])
     return mean_loss(solve(problem, local, refit_starts(problem, local, vector, context.seed)))
 
 

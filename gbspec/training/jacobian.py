@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -69,7 +70,8 @@ def linearise(problem: Problem, parameters: Parameters, theta: Array, only_local
         return Linearised(
             measured_residuals(problem, solution.residuals), empty, empty, torch.zeros(0, dtype=torch.int64)
         )
-    return _Sweep(problem, parameters, theta, solution, only_local).run()
+    found = _Sweep(problem, parameters, theta, solution, only_local).run()
+    return Linearised(found.residuals, found.shared.cpu(), found.local.cpu(), found.owner.cpu())
 
 
 class _Sweep:
@@ -78,8 +80,12 @@ class _Sweep:
     def __init__(
         self, problem: Problem, parameters: Parameters, theta: Array, solution: Unrolled, only_local: bool
     ) -> None:
-        self.problem, self.parameters, self.solution, self.only_local = problem, parameters, solution, only_local
-        self.vector = torch.from_numpy(theta)
+        self.problem, self.parameters, self.only_local = problem, parameters, only_local
+        self.device, self.theta, self.vector = problem.device, theta, torch.from_numpy(theta).to(problem.device)
+        self.residuals = measured_residuals(problem, solution.residuals)
+        self.arrival, self.departure, self.initial = (
+            part.to(self.device) for part in (solution.arrival, solution.departure, solution.initial)
+        )
         with torch.no_grad():
             self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
             self.constants = parameters.constants(self.vector)
@@ -91,14 +97,21 @@ class _Sweep:
         self.shared_columns = 0 if only_local else parameters.n_shared
         self.offsets = _layer_offsets(parameters)
 
+    def _tensor(self, table: NDArray[Any]) -> Tensor:
+        return torch.from_numpy(table).to(self.device)
+
+    def _zeros(self, shape: tuple[int, ...]) -> Tensor:
+        return torch.zeros(shape, dtype=self.vector.dtype, device=self.device)
+
     def run(self) -> Linearised:
+        """Residuals, and on the device their Jacobian."""
         packed, parameters = self.problem.packed, self.parameters
         observed = self._observations()
         sensitivity_shared, sensitivity_local = self._initial()
         rows_shared: list[Tensor] = []
         rows_local: list[Tensor] = []
-        release = torch.from_numpy(1.0 - self.problem.forcing.weight)[:, :, None]
-        owner = torch.from_numpy(packed.row_trajectory)
+        release = self._tensor(1.0 - self.problem.forcing.weight)[:, :, None]
+        owner = self._tensor(packed.row_trajectory)
         position = 0
         for a, j_shared, j_local in self._segments():
             # Each item covers the rows that share one place within their trajectories.
@@ -111,28 +124,26 @@ class _Sweep:
             rows_local.append(observed.apply_local(rows, s_local))
             sensitivity_shared[who] = s_shared * release[rows]
             sensitivity_local[who] = s_local * release[rows]
-        residuals = measured_residuals(self.problem, self.solution.residuals)
         width = (self.shared_columns, parameters.n_local)
         return Linearised(
-            residuals,
-            self._of_trained_weights(torch.cat([*rows_shared, torch.zeros((0, width[0]), dtype=residuals.dtype)])),
-            torch.cat([*rows_local, torch.zeros((0, width[1]), dtype=residuals.dtype)]),
+            self.residuals,
+            self._of_trained_weights(torch.cat([*rows_shared, self._zeros((0, width[0]))])),
+            torch.cat([*rows_local, self._zeros((0, width[1]))]),
             owner[observed.row],
         )
 
     def _of_trained_weights(self, shared: Tensor) -> Tensor:
         """Columns of the weights in use as those of the trained ones (they differ where contracts need signs)."""
-        slopes = {} if self.only_local else self.problem.module.weight_slopes(self._detached())
+        weights = self.parameters.weights(torch.from_numpy(self.theta))
+        arrays = {name: value.numpy() for name, value in weights.items()}
+        slopes = {} if self.only_local else self.problem.module.weight_slopes(arrays)
         position = 0
         for name, shape in self.parameters.weight_shapes.items():
             size = int(np.prod(shape))
             if name in slopes:
-                shared[:, position : position + size] *= torch.from_numpy(slopes[name].ravel())
+                shared[:, position : position + size] *= self._tensor(slopes[name].ravel())
             position += size
         return shared
-
-    def _detached(self) -> dict[str, Array]:
-        return {name: value.detach().numpy() for name, value in self.weights.items()}
 
     # ---------------------------------------------------------------- starts
     def _initial(self) -> tuple[Tensor, Tensor]:
@@ -141,53 +152,51 @@ class _Sweep:
         n, count = self.n_states, packed.trajectories
         x0 = parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
-        c = torch.from_numpy(packed.condition)
+        c = self._tensor(packed.condition)
         out = problem.module._initial(problem.ops, x0, c, tuple(k))
         d_start, *d_constants = _rows_of_jacobian(out, [x0, *k])
-        shared = torch.zeros((count, n, self.shared_columns), dtype=self.vector.dtype)
-        local = torch.zeros((count, n, parameters.n_local), dtype=self.vector.dtype)
-        scale = torch.from_numpy(parameters.start_free * parameters.start_scale * _stretch())
+        shared = self._zeros((count, n, self.shared_columns))
+        local = self._zeros((count, n, parameters.n_local))
+        scale = self._tensor(parameters.start_free * parameters.start_scale * _stretch())
         local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
-        self._add_constants(shared, local, d_constants, torch.arange(count))
+        self._add_constants(shared, local, d_constants, torch.arange(count, device=self.device))
         return shared, local
 
     def _add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:
         """Adds d/d constants (one [B, n] a constant, natural) to the columns of their trainable values."""
         parameters = self.parameters
         known = len(parameters.model.constants)
-        theta = self.vector
         if parameters.shared and not self.only_local:
-            u = theta[parameters.n_weights : parameters.n_shared].numpy()
-            slope = torch.from_numpy(parameters.bijections(parameters.shared).derivative(u))
+            u = self.theta[parameters.n_weights : parameters.n_shared]
+            slope = self._tensor(parameters.bijections(parameters.shared).derivative(u))
             for column, index in enumerate(parameters.shared):
                 shared[..., parameters.n_weights + column] += derivatives[known + index] * slope[column]
         if parameters.own:
-            u = parameters.local(theta)[:, : len(parameters.own)].numpy()
-            slope = torch.from_numpy(parameters.bijections(parameters.own).derivative(u))
+            u = self.theta[parameters.n_shared :].reshape(-1, parameters.n_local)[:, : len(parameters.own)]
+            slope = self._tensor(parameters.bijections(parameters.own).derivative(u))
             for column, index in enumerate(parameters.own):
                 local[..., column] += derivatives[known + index] * slope[owner, column][:, None]
 
     # ---------------------------------------------------------------- observations
     def _observations(self) -> _Observed:
         problem, packed = self.problem, self.problem.packed
-        arrival = self.solution.arrival.detach()
-        seen = torch.from_numpy(packed.weights > 0)
-        row, channel = torch.nonzero(seen, as_tuple=True)
-        owner = torch.from_numpy(packed.row_trajectory)
+        seen = np.nonzero(packed.weights > 0)
+        row, channel = (self._tensor(places) for places in seen)
+        owner = self._tensor(packed.row_trajectory)
         direct = all(c.state is not None for c in problem.model.channels)
-        x = arrival.requires_grad_()
+        x = self.arrival.detach().requires_grad_()
         tape: Taped = []
         k = [column.detach().clone().requires_grad_() for column in self.constants[owner].unbind(1)]
         networks = problem.module.torch_networks(self.weights, tape)
-        constants = torch.stack(k, 1) if k else torch.zeros((packed.rows, 0), dtype=x.dtype)
+        constants = torch.stack(k, 1) if k else self._zeros((packed.rows, 0))
         out = residuals_of(problem, observe_rows(problem, x, constants, networks))
         pre = [z for *_, z in tape]
         channels = out.shape[1]
-        d_state = torch.zeros((packed.rows, channels, self.n_states), dtype=x.dtype)
+        d_state = self._zeros((packed.rows, channels, self.n_states))
         d_shared = d_local = None
         if not direct:
-            d_shared = torch.zeros((packed.rows, channels, self.shared_columns), dtype=x.dtype)
-            d_local = torch.zeros((packed.rows, channels, self.parameters.n_local), dtype=x.dtype)
+            d_shared = self._zeros((packed.rows, channels, self.shared_columns))
+            d_local = self._zeros((packed.rows, channels, self.parameters.n_local))
         for i in range(channels):
             grads = _gradients(out[:, i].sum(), [x, *k, *pre])
             d_state[:, i] = grads[0]
@@ -200,7 +209,7 @@ class _Sweep:
                 self._add_weights(d_shared[:, i], tape, grads[1 + len(k) :])
         return _Observed(
             row,
-            torch.searchsorted(row, torch.arange(packed.rows + 1)),
+            np.searchsorted(seen[0], np.arange(packed.rows + 1)),
             d_state.detach()[row, channel],
             None if d_shared is None else d_shared.detach()[row, channel],
             None if d_local is None else d_local.detach()[row, channel],
@@ -240,20 +249,17 @@ class _Sweep:
         length = packed.row_step[rows] - first
         order = np.argsort(-length, kind="stable")
         batch = _Batch(owner[order], first[order], length[order])
-        x = start[torch.from_numpy(order)].requires_grad_()
-        k = [
-            column.detach().clone().requires_grad_()
-            for column in self.constants[torch.from_numpy(batch.owner)].unbind(1)
-        ]
+        x = start[self._tensor(order)].requires_grad_()
+        k = [column.detach().clone().requires_grad_() for column in self.constants[self._tensor(batch.owner)].unbind(1)]
         tape: Taped = []
         end, calls = self._propagate(batch, x, k, tape)
-        shared = torch.zeros((len(rows), n, self.shared_columns), dtype=x.dtype)
-        local = torch.zeros((len(rows), n, self.parameters.n_local), dtype=x.dtype)
-        a = torch.zeros((len(rows), n, n), dtype=x.dtype)
+        shared = self._zeros((len(rows), n, self.shared_columns))
+        local = self._zeros((len(rows), n, self.parameters.n_local))
+        a = self._zeros((len(rows), n, n))
         weights_wanted = bool(tape) and not self.only_local
         pre = [z for *_, z in tape] if weights_wanted else []
         activations = self._collect_activations(tape, calls, batch) if weights_wanted else {}
-        owner_sorted = torch.from_numpy(batch.owner)
+        owner_sorted = self._tensor(batch.owner)
         for i in range(n):
             grads = _gradients(end[:, i].sum(), [x, *k, *pre])
             a[:, i] = grads[0]
@@ -262,7 +268,7 @@ class _Sweep:
             )
             if weights_wanted:
                 self._contract(shared[:, i], tape, grads[1 + len(k) :], activations, calls, batch)
-        back = torch.from_numpy(np.argsort(order, kind="stable"))
+        back = self._tensor(np.argsort(order, kind="stable"))
         return a[back], shared[back], local[back]
 
     def _segment_starts(self, rows: Integers) -> tuple[Integers, Tensor]:
@@ -274,17 +280,15 @@ class _Sweep:
         previous = table[packed.row_trajectory[rows], np.maximum(packed.row_index[rows] - 1, 0)]
         fresh = packed.row_index[rows] == 0
         first = np.where(fresh, 0, packed.row_step[previous])
-        start = self.solution.departure[torch.from_numpy(previous)].detach().clone()
-        start[torch.from_numpy(fresh)] = self.solution.initial[
-            torch.from_numpy(packed.row_trajectory[rows][fresh])
-        ].detach()
+        start = self.departure[self._tensor(previous)].detach().clone()
+        start[self._tensor(fresh)] = self.initial[self._tensor(packed.row_trajectory[rows][fresh])].detach()
         return np.asarray(first, dtype=np.int64), start
 
     def _propagate(self, batch: _Batch, x: Tensor, k: list[Tensor], tape: Taped) -> tuple[Tensor, list[int]]:
         """Steps the batch to its ends; `calls[j]` tape entries were written by the first j sub-steps."""
         problem, packed = self.problem, self.problem.packed
         networks = problem.module.torch_networks(self.weights, tape)
-        c = torch.from_numpy(packed.condition[batch.owner])
+        c = self._tensor(packed.condition[batch.owner])
         finished: list[Tensor] = [x[batch.live(0) :]]
         state = x[: batch.live(0)]
         calls = [0]
@@ -292,10 +296,10 @@ class _Sweep:
             live = batch.live(j)
             steps, who = batch.first[:live] + j, batch.owner[:live]
             step = SubStep(
-                torch.from_numpy(packed.t[steps, who]),
-                torch.from_numpy(packed.h[steps, who]),
+                self._tensor(packed.t[steps, who]),
+                self._tensor(packed.h[steps, who]),
                 c[:live],
-                torch.from_numpy(packed.inputs[steps, who]).unbind(1),
+                self._tensor(packed.inputs[steps, who]).unbind(1),
                 self.arrivals[:, steps, who] if len(self.arrivals) else None,
             )
             state = advance(problem, state, step, [column[:live] for column in k], networks)
@@ -372,7 +376,7 @@ class _Observed:
     """
 
     row: Tensor
-    bounds: Tensor
+    bounds: Integers
     state: Tensor
     shared: Tensor | None
     local: Tensor | None

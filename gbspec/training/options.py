@@ -9,6 +9,7 @@ from gbspec.diagnostics import Findings
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Effort = Literal["low", "normal", "high"]
+Device = Literal["cpu", "cuda", "auto"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,10 @@ class TrainOptions:
             "help": "Number of processes that fit members side by side; one a core if not given.",
             "metavar": "N",
         },
+    )
+    device: Device = field(
+        default="cpu",
+        metadata={"help": "Where the solver works: `cuda` is a GPU, `auto` one if there is one."},
     )
     scheduler: str | None = field(
         default=None,
@@ -138,7 +143,7 @@ class TrainOptions:
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
-        for name, allowed in (("method", Method), ("effort", Effort)):
+        for name, allowed in (("method", Method), ("effort", Effort), ("device", Device)):
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
 

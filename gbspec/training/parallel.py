@@ -72,7 +72,8 @@ def fit_jobs(jobs: Sequence[Job], options: TrainOptions, progress: Progress, tak
         with cluster(options.scheduler, options.threads or 1) as engine:
             _collect(engine, jobs, progress, take)
         return
-    workers = min(options.workers or cores(), len(jobs))
+    default = cores() if options.device == "cpu" else 1
+    workers = min(options.workers or default, len(jobs))
     threads = options.threads or max(1, cores() // max(workers, 1))
     if workers > 1:
         with _processes(workers, threads) as engine:

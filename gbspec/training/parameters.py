@@ -103,7 +103,9 @@ class Parameters:
 
     def weights(self, theta: Tensor) -> dict[str, Tensor]:
         """What the module's networks take: trained arrays as views of `theta`, and the fixed scales."""
-        out: dict[str, Tensor] = {k: torch.as_tensor(v, dtype=theta.dtype) for k, v in self.fixed.items()}
+        out: dict[str, Tensor] = {
+            k: torch.as_tensor(v, dtype=theta.dtype, device=theta.device) for k, v in self.fixed.items()
+        }
         position = 0
         for name, shape in self.weight_shapes.items():
             size = int(np.prod(shape))
@@ -114,7 +116,7 @@ class Parameters:
     def constants(self, theta: Tensor) -> Tensor:
         """All constants of every trajectory, known ones first [N, n_constants]."""
         n = self.trajectories
-        columns: list[Tensor] = [torch.full((n,), c.value, dtype=theta.dtype) for c in self.model.constants]
+        columns: list[Tensor] = [theta.new_full((n,), c.value) for c in self.model.constants]
         shared = self.bijections(self.shared).to_natural(theta[self.n_weights : self.n_shared])
         own = self.bijections(self.own).to_natural(self.local(theta)[:, : len(self.own)])
         for i in range(len(self.model.learnables)):
@@ -122,13 +124,13 @@ class Parameters:
                 columns.append(own[:, self.own.index(i)])
             else:
                 columns.append(shared[self.shared.index(i)].expand(n))
-        return torch.stack(columns, -1) if columns else torch.zeros((n, 0), dtype=theta.dtype)
+        return torch.stack(columns, -1) if columns else theta.new_zeros((n, 0))
 
     def starts(self, theta: Tensor) -> Tensor:
         """Initial states before expressed ones are put in [N, n_states]."""
         u = self.local(theta)[:, len(self.own) :]
-        scale = torch.as_tensor(self.start_scale * self.start_free, dtype=theta.dtype)
-        return torch.as_tensor(self.start_value, dtype=theta.dtype) + STRETCH * scale * u
+        scale = theta.new_tensor(self.start_scale * self.start_free)
+        return theta.new_tensor(self.start_value) + STRETCH * scale * u
 
     # ---------------------------------------------------------------- the vector from natural values
     def vector(self, weights: Mapping[str, Array], constants: Array | None = None) -> Array:

@@ -10,7 +10,7 @@ work is done for those that have ended. Values and gradients are those of the tr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -87,20 +87,25 @@ class Schedule:
         packed, forcing = problem.packed, problem.forcing
         pieces = cut(packed, forcing.weight)
         self.pieces = pieces
-        self.fresh = torch.from_numpy(pieces.start[:, None] < 0)
+        device = problem.device
+
+        def tensor(table: Any) -> Tensor:
+            return torch.from_numpy(table).to(device)
+
+        self.fresh = tensor(pieces.start[:, None] < 0)
         value = forcing.value[pieces.start] if packed.rows else np.zeros((0, forcing.value.shape[1]))
-        self.start = torch.from_numpy(value)
-        self.owner = torch.from_numpy(pieces.owner)
-        condition = torch.from_numpy(packed.condition)[self.owner]
+        self.start = tensor(value)
+        self.owner = tensor(pieces.owner)
+        condition = tensor(packed.condition[pieces.owner])
         counts = [len(pieces.owner), *(pieces.live(s) for s in range(pieces.depth))]
         self.steps: list[SubStep] = []
         for s, live in enumerate(counts[1:]):
             at = pieces.first[:live] + s, pieces.owner[:live]
-            t, h, inputs = (torch.from_numpy(table[at]) for table in (packed.t, packed.h, packed.inputs))
+            t, h, inputs = (tensor(table[at]) for table in (packed.t, packed.h, packed.inputs))
             self.steps.append(SubStep(t, h, condition[:live], inputs.unbind(1), None))
         self.resets = self._resets(problem, counts)
         offsets = np.concatenate([[0], np.cumsum(counts)])
-        self.row = torch.from_numpy(offsets[pieces.row_step] + pieces.row_piece)
+        self.row = tensor(offsets[pieces.row_step] + pieces.row_piece)
 
     def _resets(self, problem: Problem, counts: list[int]) -> list[tuple[Tensor, Tensor] | None]:
         """Values and weights by sub-step on arrival; rows at which a piece ends are left out, as nothing follows."""
@@ -113,7 +118,7 @@ class Schedule:
         for step, own in zip(steps.tolist(), np.split(rows, begins[1:]), strict=False):
             value, weight = np.zeros((2, counts[step], forcing.value.shape[1]))
             value[pieces.row_piece[own]], weight[pieces.row_piece[own]] = forcing.value[own], forcing.weight[own]
-            out[step] = torch.from_numpy(value), torch.from_numpy(weight)
+            out[step] = torch.from_numpy(value).to(problem.device), torch.from_numpy(weight).to(problem.device)
         return out
 
     def with_doses(self, problem: Problem, constants: Tensor) -> list[SubStep]:

@@ -63,13 +63,17 @@ class Scaling:
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything a stage needs besides the trainable vector. `module` is an instance of the generated class."""
+    """Everything a stage needs besides the trainable vector. `module` is an instance of the generated class.
+
+    The torch graph works on `device`.
+    """
 
     model: Model
     module: Any
     packed: Packed
     forcing: Forcing
     scaling: Scaling
+    device: str = "cpu"
 
     @property
     def ops(self) -> Any:

@@ -32,21 +32,25 @@ class Unrolled:
 
 
 def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
-    """Steps every trajectory from its initial state through its key rows; differentiable in `theta`."""
+    """Steps every trajectory from its initial state through its key rows; differentiable in `theta`.
+
+    The work is done on the problem's device; `theta` and what comes out are on that of `theta`.
+    """
     packed, module = problem.packed, problem.module
-    m = problem.ops
+    m, home, theta = problem.ops, theta.device, theta.to(problem.device)
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
-    initial = module._initial(m, parameters.starts(theta), torch.from_numpy(packed.condition), k)
+    initial = module._initial(m, parameters.starts(theta), theta.new_tensor(packed.condition), k)
     schedule = problem.schedule
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
     passed = torch.cat(_run(problem, x, constants[schedule.owner], schedule.with_doses(problem, constants), networks))
     arrival = passed[schedule.row]
-    value, weight = torch.from_numpy(problem.forcing.value), torch.from_numpy(problem.forcing.weight)
-    owner = torch.from_numpy(packed.row_trajectory)
+    value, weight = theta.new_tensor(problem.forcing.value), theta.new_tensor(problem.forcing.weight)
+    owner = torch.from_numpy(packed.row_trajectory).to(theta.device)
     residuals = row_residuals(problem, arrival, constants[owner], networks)
-    return Unrolled(arrival, arrival - weight * (arrival - value), initial, residuals)
+    departure = arrival - weight * (arrival - value)
+    return Unrolled(arrival.to(home), departure.to(home), initial.to(home), residuals.to(home))
 
 
 def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep], networks: Any) -> list[Tensor]:
@@ -96,8 +100,8 @@ def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: 
     """Predicted channels at the key rows [R, C], from states [R, n_states] and constants [R, n_constants]."""
     packed = problem.packed
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
-    c = torch.from_numpy(packed.condition[packed.row_trajectory])
-    t, u = torch.from_numpy(packed.row_time), torch.from_numpy(packed.row_inputs)
+    c = states.new_tensor(packed.condition[packed.row_trajectory])
+    t, u = states.new_tensor(packed.row_time), states.new_tensor(packed.row_inputs)
     predicted: Tensor = problem.module._observe(problem.ops, t, states, c, u, k, networks)
     return predicted
 
@@ -112,14 +116,14 @@ def residuals_of(problem: Problem, predicted: Tensor) -> Tensor:
     """Residuals [R, C] of predicted channels [R, C] (see `problem`)."""
     packed, scaling = problem.packed, problem.scaling
     seen = packed.weights > 0
-    measured = torch.from_numpy(np.where(seen, packed.values, 1.0))
-    factor = torch.from_numpy(np.where(seen, packed.weights / scaling.row_scale, 0.0))
+    measured = predicted.new_tensor(np.where(seen, packed.values, 1.0))
+    factor = predicted.new_tensor(np.where(seen, packed.weights / scaling.row_scale, 0.0))
     difference = predicted - measured
     if scaling.log.any():
         ratio = predicted / measured.abs().clamp_min(1e-300)
         safe = ratio.clamp_min(LOG_FLOOR)
         logarithm = torch.log(safe) + (ratio - safe) / LOG_FLOOR
-        difference = torch.where(torch.from_numpy(scaling.log), logarithm, difference)
+        difference = torch.where(torch.from_numpy(scaling.log).to(predicted.device), logarithm, difference)
     return torch.where(factor > 0, difference * factor, torch.zeros_like(difference))
 
 
