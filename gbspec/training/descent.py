@@ -5,48 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import torch
 
 from gbspec.data.trajectories import Array
 from gbspec.training.moments import Moments, one_cycle
+from gbspec.training.objective import half_squares, loss_and_gradient
 from gbspec.training.options import TrainOptions
-from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
 from gbspec.training.priors import Priors, priors_at
 from gbspec.training.problem import Problem
 from gbspec.training.stages import Outcome, State, mean_loss, require_finite, scalar
-from gbspec.training.unroll import measured_residuals, solve, unroll
+from gbspec.training.unroll import solve
 
 MEMORY = 20
 """Pairs of steps and gradient differences that L-BFGS keeps."""
-
-
-def loss_and_gradient(problem: Problem, parameters: Parameters, theta: Array, batch: int) -> tuple[float, Array]:
-    """Mean of half squared residuals and its gradient, summed over batches of trajectories to bound the memory."""
-    total, count = 0.0, int((problem.packed.weights > 0).sum())
-    gradient = np.zeros_like(theta)
-    for begin in range(0, parameters.trajectories, batch):
-        index = np.arange(begin, min(begin + batch, parameters.trajectories), dtype=np.int64)
-        value, part = _part(problem.take(index), parameters, theta, index)
-        total += value
-        gradient += part
-    return total / max(count, 1), gradient / max(count, 1)
-
-
-def _part(problem: Problem, parameters: Parameters, theta: Array, index: Integers) -> tuple[float, Array]:
-    """Sum of half squared residuals of some trajectories, and its gradient in the whole vector."""
-    local = parameters.take(index)
-    vector = torch.from_numpy(parameters.take_vector(theta, index)).requires_grad_()
-    residuals = measured_residuals(problem, unroll(problem, local, vector).residuals)
-    loss = 0.5 * (residuals**2).sum()
-    gradient = np.zeros_like(theta)
-    if loss.requires_grad:
-        (found,) = torch.autograd.grad(loss, vector)
-        part = found.numpy()
-        gradient[: parameters.n_shared] = part[: parameters.n_shared]
-        blocks = gradient[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
-        blocks[index] = part[parameters.n_shared :].reshape(len(index), parameters.n_local)
-    return float(loss.detach()), gradient
 
 
 class Adam:
@@ -81,7 +52,9 @@ class Adam:
         """One pass over all trajectories."""
         problem, parameters = self.problem_at(iteration), self.parameters
         theta = state["theta"]
-        measured = int((problem.packed.weights > 0).sum())
+        measured = np.bincount(
+            problem.packed.row_trajectory, (problem.packed.weights > 0).sum(1), problem.packed.trajectories
+        )
         priors = priors_at(problem, parameters, theta)
         moments = Moments(state["first"], state["second"], int(scalar(state, "updates")))
         order = np.random.default_rng([self.seed, 61, iteration]).permutation(parameters.trajectories)
@@ -89,12 +62,11 @@ class Adam:
         total = -(-len(order) // batch) * self.total
         for begin in range(0, len(order), batch):
             index = np.sort(order[begin : begin + batch]).astype(np.int64)
-            part = problem.take(index)
-            value, gradient = _part(part, parameters, theta, index)
+            value, gradient = half_squares(problem, parameters, theta, index)
             if not np.isfinite(value) or not np.isfinite(gradient).all():
                 require_finite(problem, parameters, theta, np.array([np.nan]), self.name)
-            gradient /= max(int((part.packed.weights > 0).sum()), 1)
-            gradient += priors.gradient(theta) / max(measured, 1)
+            gradient /= max(int(measured[index].sum()), 1)
+            gradient += priors.gradient(theta) / max(int(measured.sum()), 1)
             rate = one_cycle(moments.updates + 1, total, self.options.learning_rate)
             moments, step = moments.advance(gradient, rate)
             theta = theta + step

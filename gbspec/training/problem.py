@@ -29,6 +29,7 @@ from gbspec.ir.model import Model
 from gbspec.training.packing import Packed
 
 if TYPE_CHECKING:
+    from gbspec.training.native import Kernel, Tables
     from gbspec.training.pieces import Schedule
 
 Mask = NDArray[np.bool_]
@@ -65,7 +66,7 @@ class Scaling:
 class Problem:
     """Everything a stage needs besides the trainable vector. `module` is an instance of the generated class.
 
-    The torch graph works on `device`.
+    With a `kernel`, losses and gradients come from it; without one from the torch graph, which works on `device`.
     """
 
     model: Model
@@ -73,12 +74,20 @@ class Problem:
     packed: Packed
     forcing: Forcing
     scaling: Scaling
+    kernel: Kernel | None = None
     device: str = "cpu"
 
     @property
     def ops(self) -> Any:
         """The arithmetic that the module's expressions are evaluated in (torch)."""
         return torch_arithmetic(self.module)
+
+    @cached_property
+    def tables(self) -> Tables:
+        """The data as the kernel reads them."""
+        from gbspec.training.native import Tables
+
+        return Tables(self)
 
     @cached_property
     def schedule(self) -> Schedule:

@@ -1,0 +1,210 @@
+"""A model's expressions as a list of single operations and network calls: the form that is differentiated in reverse.
+
+Intermediates, postulates and the forms of contracts are put in where they are used; what occurs twice is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import sympy
+from sympy.core.function import AppliedUndef
+from sympy.logic.boolalg import Boolean
+
+from gbspec.backends.printing import temporary
+from gbspec.backends.printing.nodes import Guard, Where
+from gbspec.backends.printing.printer import RECIPROCAL, UNARY
+from gbspec.backends.printing.statements import guarded
+from gbspec.diagnostics import Defect
+from gbspec.ir.forms import described
+from gbspec.ir.model import NN, Expr, Model, Unknown
+
+Kind = Literal["state", "condition", "input", "constant", "time", "number"]
+
+
+class NotCovered(Exception):
+    """The model has a form that the kernel does not cover; the message says which."""
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """What a symbol stands for that no operation computes: entry `index` of a vector."""
+
+    kind: Kind
+    index: int
+
+
+@dataclass(frozen=True)
+class Operation:
+    """`symbol = value`, the arguments of `value` being symbols and numbers."""
+
+    symbol: sympy.Symbol
+    value: sympy.Basic
+
+
+@dataclass(frozen=True)
+class Call:
+    """`results = network(arguments)`: all outputs of the network, arguments being symbols and numbers."""
+
+    network: int
+    arguments: tuple[Expr, ...]
+    results: tuple[sympy.Symbol, ...]
+
+
+Environment = dict[sympy.Basic, sympy.Basic]
+
+NUMBER_WORDS = ("center", "scale", "spread")
+
+
+def numbers_of(model: Model) -> list[tuple[int, str, int]]:
+    """The numbers kept with weights that forms of contracts use: (network, word, place), in the kernel's order."""
+    out = []
+    for index, network in enumerate(model.networks):
+        for word in NUMBER_WORDS:
+            width = network.sizes[0] if word == "spread" else network.sizes[-1]
+            out += [(index, word, place) for place in range(width)]
+    return out
+
+
+@dataclass
+class Flat:
+    """The operations and calls that compute `outputs`, each after those that it depends on."""
+
+    steps: list[Operation | Call]
+    outputs: list[Expr]
+    leaves: dict[sympy.Symbol, Leaf]
+    calls: list[Call] = field(default_factory=list)
+
+
+def flatten(model: Model, outputs: Sequence[Expr]) -> Flat:
+    """Takes expressions of a model apart. Raises NotCovered at a node that has no rule."""
+    worker = _Flattener(model)
+    values = [worker.value(guarded(node), worker.top) for node in outputs]
+    calls = [step for step in worker.steps if isinstance(step, Call)]
+    return Flat(worker.steps, values, worker.leaves, calls)
+
+
+class _Flattener:
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.steps: list[Operation | Call] = []
+        self.leaves = _leaves(model)
+        self.top: Environment = {symbol: symbol for symbol in self.leaves}
+        self.intermediates = {item.symbol: item for item in model.intermediates}
+        self.unknowns = {unknown.name: unknown for unknown in model.unknowns}
+        self._operations: dict[sympy.Basic, sympy.Symbol] = {}
+        self._calls: dict[tuple[int, tuple[Expr, ...]], Call] = {}
+        self._numbers: dict[tuple[int, str, int], sympy.Symbol] = {}
+        for position, key in enumerate(numbers_of(model)):
+            self._numbers[key] = temporary("_".join(map(str, key)))
+            self.leaves[self._numbers[key]] = Leaf("number", position)
+
+    def value(self, node: sympy.Basic, env: Environment) -> sympy.Basic:
+        """The symbol or number that a node's value is, its operations entered."""
+        if node in env:
+            return env[node]
+        env[node] = self._value(node, env)
+        return env[node]
+
+    def _value(self, node: sympy.Basic, env: Environment) -> sympy.Basic:
+        if isinstance(node, sympy.Symbol):
+            if env is self.top and node in self.intermediates:
+                return self.value(guarded(self.intermediates[node].value), env)
+            if node in self.leaves and self.leaves[node].kind == "constant":
+                return node
+            raise Defect(f"nothing computes `{node}` in the model `{self.model.name}`")
+        if not node.has(sympy.Symbol, AppliedUndef):
+            return node
+        if isinstance(node, AppliedUndef):
+            return self._unknown(node.func.__name__, tuple(self.value(a, env) for a in node.args))
+        if isinstance(node, sympy.Max | sympy.Min):
+            return self._fold(node.func, [self.value(a, env) for a in sorted(node.args, key=sympy.default_sort_key)])
+        arguments = [self.value(argument, env) for argument in node.args]
+        if isinstance(node, sympy.Pow):
+            return self._power(*arguments)
+        if type(node) in RECIPROCAL:
+            return self._power(self._enter(getattr(sympy, RECIPROCAL[type(node)])(*arguments, evaluate=False)), -1)
+        if isinstance(node, Where | Guard):
+            return self._enter(node.func(*arguments))
+        known = isinstance(node, sympy.Add | sympy.Mul | sympy.atan2 | Boolean) or type(node) in UNARY
+        if not known:
+            raise NotCovered(f"it has no rule for `{type(node).__name__}`")
+        return self._enter(node.func(*arguments, evaluate=False))
+
+    def _enter(self, node: sympy.Basic) -> sympy.Basic:
+        """The symbol of an operation on atoms."""
+        if not node.free_symbols:
+            return node
+        if node not in self._operations:
+            symbol = temporary("v", real=not isinstance(node, Boolean))
+            self.steps.append(Operation(symbol, node))
+            self._operations[node] = symbol
+        return self._operations[node]
+
+    def _fold(self, function: type[sympy.Basic], arguments: Sequence[sympy.Basic]) -> sympy.Basic:
+        first, *rest = arguments
+        for argument in rest:
+            first = self._enter(function(first, argument, evaluate=False))
+        return first
+
+    def _power(self, base: sympy.Basic, exponent: sympy.Basic | int) -> sympy.Basic:
+        """Reciprocal powers as reciprocals, as they are printed."""
+        exponent = sympy.sympify(exponent)
+        if exponent.is_Rational and exponent.is_negative and exponent != -1:
+            base, exponent = self._power(base, -exponent), sympy.S.NegativeOne
+        if exponent == 1:
+            return base
+        return self._enter(sympy.Pow(base, exponent, evaluate=False))
+
+    # -------------------------------------------------------------- unknowns
+    def _unknown(self, name: str, arguments: tuple[Expr, ...]) -> sympy.Basic:
+        """The value of an unknown at atoms: its network called, its postulate or the form of its contracts put in."""
+        if name not in self.unknowns:
+            raise Defect(f"`{name}` is applied but is no unknown of the model `{self.model.name}`")
+        unknown = self.unknowns[name]
+        network = self.model.networks[unknown.network]
+        formals: Environment = {a.symbol: v for a, v in zip(network.arguments, arguments, strict=True)}
+        if unknown.form is None:
+            env = formals | {NN: self._call(unknown.network, arguments)[unknown.output]}
+            return self.value(guarded(unknown.postulate), env)
+        return self._formed(unknown, formals)
+
+    def _formed(self, unknown: Unknown, formals: Environment) -> sympy.Basic:
+        form = unknown.form
+        if form is None:
+            raise Defect(f"`{unknown.name}` has no form")
+        env = dict(formals)
+        for symbol in sorted(form.value.free_symbols, key=lambda s: str(s.name)):
+            found = described(symbol.name)
+            if found is None:
+                continue
+            word, places = found
+            if word == "raw":
+                evaluation, output = places
+                point = tuple(self.value(node, dict(formals)) for node in form.evaluations[evaluation])
+                env[symbol] = self._call(unknown.network, point)[output]
+            else:
+                env[symbol] = self._numbers[unknown.network, word, places[0]]
+        return self.value(guarded(form.value), env)
+
+    def _call(self, network: int, arguments: tuple[Expr, ...]) -> tuple[sympy.Symbol, ...]:
+        key = (network, arguments)
+        if key not in self._calls:
+            outputs = self.model.networks[network].sizes[-1]
+            call = Call(network, arguments, tuple(temporary("y") for _ in range(outputs)))
+            self.steps.append(call)
+            self._calls[key] = call
+        return self._calls[key].results
+
+
+def _leaves(model: Model) -> dict[sympy.Symbol, Leaf]:
+    groups: Iterable[tuple[Kind, Sequence[sympy.Symbol]]] = (
+        ("state", [item.symbol for item in model.states]),
+        ("condition", [item.symbol for item in model.conditions]),
+        ("input", [item.symbol for item in model.inputs]),
+        ("constant", [item.symbol for item in (*model.constants, *model.learnables)]),
+        ("time", [model.time.symbol]),
+    )
+    return {symbol: Leaf(kind, i) for kind, symbols in groups for i, symbol in enumerate(symbols)}

@@ -1,0 +1,364 @@
+/* Arithmetic that knows nothing of any model: vectors, elementary functions, products of small matrices, networks.
+
+   No instruction set is assumed. Where the compiler has vector types (GCC, Clang) the hidden units of a network fill
+   them, in the width that the target has; elsewhere a vector is one number. */
+
+#if REAL_IS_FLOAT
+typedef float real;
+typedef int32_t bits;
+#define FN(name) name##f
+#else
+typedef double real;
+typedef int64_t bits;
+#define FN(name) name
+#endif
+#define R(x) ((real)(x))
+
+#if defined(__GNUC__)
+#if defined(__AVX512F__)
+#define VECTOR_BYTES 64
+#define COLUMNS 4
+#elif defined(__AVX__)
+#define VECTOR_BYTES 32
+#define COLUMNS 2
+#elif defined(__aarch64__)
+#define VECTOR_BYTES 16
+#define COLUMNS 4
+#else
+#define VECTOR_BYTES 16
+#define COLUMNS 2
+#endif
+typedef real vec __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
+#define LANES ((int)(VECTOR_BYTES / sizeof(real)))
+#define INLINE static inline __attribute__((always_inline))
+#define UNROLL _Pragma("GCC unroll 8")
+#else
+typedef real vec;
+#define COLUMNS 4
+#define LANES 1
+#define INLINE static inline
+#define UNROLL
+#endif
+#define ROWS 4
+#define PAD(n) (((n) + LANES - 1) / LANES * LANES)
+
+/* ---------------------------------------------------------------- elementary functions, branch-free */
+
+#if REAL_IS_FLOAT
+#define SHIFT R(12582912.0) /* 1.5 * 2^23: adding it rounds to a whole number, kept in the low bits */
+#define LN2_HIGH R(0.693359375)
+#define LN2_LOW R(-2.12194440054690583e-4)
+#define EXP_LOW R(-87.0)
+#define EXP_HIGH R(88.0)
+#define MANTISSA 23
+#define BIAS 127
+#else
+#define SHIFT R(6755399441055744.0)
+#define LN2_HIGH R(0.693147180369123816490)
+#define LN2_LOW R(1.90821492927058770002e-10)
+#define EXP_LOW R(-708.0)
+#define EXP_HIGH R(709.0)
+#define MANTISSA 52
+#define BIAS 1023
+#endif
+
+INLINE bits to_bits(real x) { bits b; memcpy(&b, &x, sizeof b); return b; }
+INLINE real from_bits(bits b) { real x; memcpy(&x, &b, sizeof x); return x; }
+
+/* exp(x) = s + s*q with s a power of two and q = exp(r) - 1, |r| <= ln 2/2, by its Taylor polynomial (error below half
+   a unit in the last place); arguments are kept where s is a normal number. */
+INLINE void exp_parts(real x, real *s, real *q) {
+    x = x < EXP_LOW ? EXP_LOW : x;
+    x = x > EXP_HIGH ? EXP_HIGH : x;
+    const real shifted = x * R(1.44269504088896340736) + SHIFT;
+    const real n = shifted - SHIFT;
+    const real r = (x - n * LN2_HIGH) - n * LN2_LOW;
+#if REAL_IS_FLOAT
+    real p = R(1.0 / 5040);
+#else
+    real p = R(1.0 / 6227020800.0);
+    p = p * r + R(1.0 / 479001600.0);
+    p = p * r + R(1.0 / 39916800.0);
+    p = p * r + R(1.0 / 3628800.0);
+    p = p * r + R(1.0 / 362880.0);
+    p = p * r + R(1.0 / 40320.0);
+    p = p * r + R(1.0 / 5040.0);
+#endif
+    p = p * r + R(1.0 / 720.0);
+    p = p * r + R(1.0 / 120.0);
+    p = p * r + R(1.0 / 24.0);
+    p = p * r + R(1.0 / 6.0);
+    p = p * r + R(0.5);
+    *q = r + r * r * p;
+    *s = from_bits((bits)((uint64_t)(to_bits(shifted) + BIAS) << MANTISSA));
+}
+
+INLINE real v_exp(real x) { real s, q; exp_parts(x, &s, &q); return s + s * q; }
+INLINE real v_expm1(real x) { real s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
+
+INLINE real v_sigmoid(real x) { return R(1) / (R(1) + v_exp(-x)); }
+
+INLINE real v_tanh(real x) {
+    const real size = FN(fabs)(x), e = v_expm1(size > R(22) ? R(44) : R(2) * size), y = e / (e + R(2));
+    return x < R(0) ? -y : y;
+}
+
+/* log(1 + u) for u in [0, 1]: 2 artanh(u/(2 + u)), a series in at most 1/9. */
+INLINE real v_log1p_unit(real u) {
+    const real s = u / (R(2) + u), q = s * s;
+    real p = R(1.0 / 17);
+#if !REAL_IS_FLOAT
+    p = R(1.0 / 33);
+    p = p * q + R(1.0 / 31);
+    p = p * q + R(1.0 / 29);
+    p = p * q + R(1.0 / 27);
+    p = p * q + R(1.0 / 25);
+    p = p * q + R(1.0 / 23);
+    p = p * q + R(1.0 / 21);
+    p = p * q + R(1.0 / 19);
+    p = p * q + R(1.0 / 17);
+#endif
+    p = p * q + R(1.0 / 15);
+    p = p * q + R(1.0 / 13);
+    p = p * q + R(1.0 / 11);
+    p = p * q + R(1.0 / 9);
+    p = p * q + R(1.0 / 7);
+    p = p * q + R(1.0 / 5);
+    p = p * q + R(1.0 / 3);
+    return R(2) * s + R(2) * s * q * p;
+}
+
+INLINE real v_softplus(real x) {
+    const real larger = x > R(0) ? x : R(0);
+    return larger + v_log1p_unit(v_exp(-FN(fabs)(x))) + (x - x); /* the last term keeps NaN */
+}
+
+/* ---------------------------------------------------------------- functions of the equations */
+
+INLINE real f_exp(real x) { return FN(exp)(x); }
+INLINE real f_log(real x) { return FN(log)(x); }
+INLINE real f_sin(real x) { return FN(sin)(x); }
+INLINE real f_cos(real x) { return FN(cos)(x); }
+INLINE real f_tan(real x) { return FN(tan)(x); }
+INLINE real f_tanh(real x) { return FN(tanh)(x); }
+INLINE real f_sinh(real x) { return FN(sinh)(x); }
+INLINE real f_cosh(real x) { return FN(cosh)(x); }
+INLINE real f_asin(real x) { return FN(asin)(x); }
+INLINE real f_acos(real x) { return FN(acos)(x); }
+INLINE real f_atan(real x) { return FN(atan)(x); }
+INLINE real f_asinh(real x) { return FN(asinh)(x); }
+INLINE real f_acosh(real x) { return FN(acosh)(x); }
+INLINE real f_atanh(real x) { return FN(atanh)(x); }
+INLINE real f_atan2(real y, real x) { return FN(atan2)(y, x); }
+INLINE real f_sqrt(real x) { return FN(sqrt)(x); }
+INLINE real f_power(real x, real p) { return FN(pow)(x, p); }
+INLINE real f_abs(real x) { return FN(fabs)(x); }
+INLINE real f_sign(real x) { return x > R(0) ? R(1) : x < R(0) ? R(-1) : x; }
+INLINE real f_maximum(real a, real b) { return a > b || a != a ? a : b; }
+INLINE real f_minimum(real a, real b) { return a < b || a != a ? a : b; }
+INLINE real f_softplus(real x) { return x > R(40) ? x : FN(log1p)(FN(exp)(x)); }
+INLINE real f_logistic(real x) { return R(1) / (R(1) + FN(exp)(-x)); }
+
+/* ---------------------------------------------------------------- products of small matrices */
+
+INLINE vec load(const real *p) { return *(const vec *)p; }
+INLINE void store(real *p, vec v) { *(vec *)p = v; }
+
+static void zero(real *p, size_t n) { memset(p, 0, n * sizeof(real)); }
+
+/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:]; A is read at r*ars + k*acs. */
+INLINE void block_product(const int rows, const int cols, size_t depth, const real *A, size_t ars, size_t acs,
+                          const real *B, size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
+    vec acc[ROWS][COLUMNS];
+    UNROLL for (int r = 0; r < rows; r++)
+        UNROLL for (int j = 0; j < cols; j++) acc[r][j] = load(init + r * ldi + j * LANES);
+    for (size_t k = 0; k < depth; k++) {
+        vec b[COLUMNS];
+        UNROLL for (int j = 0; j < cols; j++) b[j] = load(B + k * ldb + j * LANES);
+        UNROLL for (int r = 0; r < rows; r++) {
+            const real a = A[r * ars + k * acs];
+            UNROLL for (int j = 0; j < cols; j++) acc[r][j] += a * b[j];
+        }
+    }
+    UNROLL for (int r = 0; r < rows; r++)
+        UNROLL for (int j = 0; j < cols; j++) store(C + r * ldc + j * LANES, acc[r][j]);
+}
+
+#define BLOCK(r, c) \
+    block_product(r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, init + i * ldi + j, ldi)
+
+/* C[rows][width] = init + A B, width a multiple of LANES. The three products of a layer (forward, back to its inputs,
+   gradient of its weights) all have this form, none needs a transpose in its loops. */
+static void product(size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
+                    size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
+    for (size_t j = 0; j < width;) {
+        const size_t left = (width - j) / LANES;
+        const int columns = left >= COLUMNS ? COLUMNS : left >= 2 ? 2 : 1;
+        for (size_t i = 0; i < rows;) {
+            const int count = rows - i >= ROWS ? ROWS : 1;
+            if (columns == COLUMNS) {
+                if (count == ROWS) BLOCK(ROWS, COLUMNS);
+                else BLOCK(1, COLUMNS);
+            } else if (columns == 2) {
+                if (count == ROWS) BLOCK(ROWS, 2);
+                else BLOCK(1, 2);
+            } else {
+                if (count == ROWS) BLOCK(ROWS, 1);
+                else BLOCK(1, 1);
+            }
+            i += count;
+        }
+        j += (size_t)columns * LANES;
+    }
+}
+
+INLINE real lane_sum(vec v) {
+    real part[LANES];
+    memcpy(part, &v, sizeof part);
+    for (int half = LANES / 2; half > 0; half /= 2)
+        for (int i = 0; i < half; i++) part[i] += part[i + half];
+    return part[0];
+}
+
+/* Sum over n (a multiple of LANES) of a*b. */
+INLINE real dot(const real *a, const real *b, size_t n) {
+    vec sum = load(a) * load(b);
+    for (size_t i = LANES; i < n; i += LANES) sum += load(a + i) * load(b + i);
+    return lane_sum(sum);
+}
+
+/* ---------------------------------------------------------------- activations: z -> value, slope */
+
+enum { SILU, TANH, SOFTPLUS, RELU, GELU, SIGMOID, ELU, SIN };
+
+#define EACH(body) \
+    for (size_t i = 0; i < n; i++) { \
+        const real x = z[i]; \
+        real y, s; \
+        body; \
+        z[i] = y; \
+        slope[i] = s; \
+    }
+
+static void activate(int kind, real *restrict z, real *restrict slope, size_t n) {
+    switch (kind) {
+    case SILU: EACH(const real p = v_sigmoid(x); y = x * p; s = p + y * (R(1) - p)) break;
+    case TANH: EACH(y = v_tanh(x); s = R(1) - y * y) break;
+    case SOFTPLUS: EACH(y = x > R(40) ? x : v_softplus(x); s = v_sigmoid(x)) break;
+    case RELU: EACH(y = x > R(0) ? x : x != x ? x : R(0); s = x > R(0) ? R(1) : R(0)) break;
+    case GELU:
+        EACH(const real c = R(0.5) * (R(1) + FN(erf)(x * R(0.70710678118654752440))); y = x * c;
+             s = c + x * R(0.39894228040143267794) * v_exp(R(-0.5) * x * x))
+        break;
+    case SIGMOID: EACH(y = v_sigmoid(x); s = y * (R(1) - y)) break;
+    case ELU: EACH(const real e = v_expm1(x < R(0) ? x : R(0)); y = x > R(0) ? x : x != x ? x : e;
+                   s = x > R(0) ? R(1) : e + R(1)) break;
+    default: EACH(y = FN(sin)(x); s = FN(cos)(x)) break;
+    }
+}
+
+/* ---------------------------------------------------------------- networks
+
+   A network has `layers` linear layers. `forward[l]` is the transpose of layer l's weights [in][PAD(out)], `back[l]` the
+   weights [out][PAD(in)]; the last layer has `back` alone, the first `forward` alone (unless it is the last).
+   Gradients have the layout of `forward` in the first layer, of `back` in the others. */
+
+#define MOST_LAYERS 16
+
+typedef struct {
+    int layers;
+    int size[MOST_LAYERS + 1];
+    int kinds[MOST_LAYERS];         /* parts of hidden layer l with an activation each */
+    int kind[MOST_LAYERS][3], count[MOST_LAYERS][3];
+    real *forward[MOST_LAYERS], *back[MOST_LAYERS], *bias[MOST_LAYERS];
+    real *gradient[MOST_LAYERS], *bias_gradient[MOST_LAYERS];
+} Net;
+
+/* Where a call keeps its samples: blocks of TILE rows. `hidden[l]`, `slope[l]`: of hidden layer l = 1, 2, ...; in reverse
+   the cotangents of pre-activations take the place of the slopes. */
+typedef struct {
+    const Net *net;
+    real *args, *hidden[MOST_LAYERS], *slope[MOST_LAYERS], *y, *yb, *ab;
+} Site;
+
+static const real nothing[WIDEST + LANES]; /* zeros, as many as the widest layer has units */
+
+static void net_forward(const Net *net, const Site *site, size_t block) {
+    const int last = net->layers - 1;
+    const int n_in = net->size[0], n_out = net->size[last + 1];
+    const real *below = site->args + block * TILE * n_in;
+    size_t stride = n_in;
+    for (int l = 0; l < last; l++) {
+        const size_t width = PAD(net->size[l + 1]);
+        real *z = site->hidden[l + 1] + block * TILE * width, *slope = site->slope[l + 1] + block * TILE * width;
+        product(TILE, width, net->size[l], below, stride, 1, net->forward[l], width, z, width, net->bias[l], 0);
+        if (net->kinds[l + 1] == 1) {
+            activate(net->kind[l + 1][0], z, slope, TILE * width);
+        } else {
+            for (int t = 0; t < TILE; t++)
+                for (int i = 0, begin = 0; i < net->kinds[l + 1]; begin += net->count[l + 1][i++])
+                    activate(net->kind[l + 1][i], z + t * width + begin, slope + t * width + begin,
+                             net->count[l + 1][i]);
+        }
+        below = z;
+        stride = width;
+    }
+    real *y = site->y + block * TILE * n_out;
+    const size_t width = last ? PAD(net->size[last]) : (size_t)n_in;
+    for (int t = 0; t < TILE; t++)
+        for (int o = 0; o < n_out; o++) {
+            const real *a = below + t * stride, *b = net->back[last] + o * width;
+            real sum = 0;
+            if (last) sum = dot(a, b, width);
+            else for (int i = 0; i < n_in; i++) sum += a[i] * b[i];
+            y[t * n_out + o] = net->bias[last][o] + sum;
+        }
+}
+
+/* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments that `wanted` has a bit for. */
+static void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
+    const int last = net->layers - 1;
+    const int n_in = net->size[0], n_out = net->size[last + 1];
+    const real *above = site->yb + block * TILE * n_out;
+    size_t stride = n_out;
+    for (int l = last; l > 0; l--) {
+        const size_t width = PAD(net->size[l]);
+        real cotangent[TILE * width];
+        real *slope = site->slope[l] + block * TILE * width;
+        product(TILE, width, net->size[l + 1], above, stride, 1, net->back[l], width, cotangent, width, nothing, 0);
+        for (size_t i = 0; i < TILE * width; i++) slope[i] *= cotangent[i];
+        above = slope;
+        stride = width;
+    }
+    for (int i = 0; i < n_in; i++) {
+        if (i < 32 && !(wanted >> i & 1)) continue;
+        for (int t = 0; t < TILE; t++) {
+            real sum = 0;
+            if (last) sum = dot(above + t * stride, net->forward[0] + i * stride, stride);
+            else for (int o = 0; o < n_out; o++) sum += above[t * stride + o] * net->back[0][o * n_in + i];
+            site->ab[t * n_in + i] = sum;
+        }
+    }
+}
+
+/* Adds to the gradients what the samples of `blocks` blocks from `block` on give. */
+static void net_gradient(const Net *net, const Site *site, size_t block, size_t blocks) {
+    const int last = net->layers - 1;
+    const size_t n_in = net->size[0], n_out = net->size[last + 1], samples = blocks * TILE;
+    const real *args = site->args + block * TILE * n_in, *yb = site->yb + block * TILE * n_out;
+    for (size_t s = 0; s < samples; s++)
+        for (size_t o = 0; o < n_out; o++) {
+            net->bias_gradient[last][o] += yb[s * n_out + o];
+            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += yb[s * n_out + o] * args[s * n_in + i];
+        }
+    for (int l = last; l > 0; l--) {
+        const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
+        const real *above = l == last ? yb : site->slope[l + 1] + block * TILE * stride;
+        const real *below = site->hidden[l] + block * TILE * width, *dz = site->slope[l] + block * TILE * width;
+        real *g = net->gradient[l], *b = net->bias_gradient[l - 1];
+        product(rows, width, samples, above, 1, stride, below, width, g, width, g, width);
+        for (size_t s = 0; s < samples; s++)
+            for (size_t i = 0; i < width; i++) b[i] += dz[s * width + i];
+        if (l == 1) product(n_in, width, samples, args, 1, n_in, dz, width, net->gradient[0], width, net->gradient[0], width);
+    }
+}

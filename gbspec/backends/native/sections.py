@@ -1,0 +1,225 @@
+"""The scalar parts of the equations as C loops over the trajectories of a tile, forward and in reverse.
+
+Between two loops stand the network calls that the first one made the arguments of. A reverse loop computes the forward
+values that it needs again, from the stage's state and the networks' outputs, which are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import sympy
+
+from gbspec.backends.native.adjoint import contributions
+from gbspec.backends.native.flat import Call, Flat, Leaf, Operation
+from gbspec.backends.native.printer import CPrinter
+from gbspec.ir.model import Model
+
+INDENT = "        "
+
+
+@dataclass(frozen=True)
+class Site:
+    """A network call with the place where its arguments and outputs are kept: `sites[number]` of the work space."""
+
+    number: int
+    call: Call
+    level: int
+
+
+class Equations:
+    """One set of equations (right-hand side or observation) as C.
+
+    `place` gives the C text of a leaf; `outputs` are written to `out`, cotangents read from `ob`, both [output][lane].
+    `skip` is a condition under which a lane is left out (its networks get zeros).
+    """
+
+    def __init__(
+        self, model: Model, flat: Flat, first_site: int, place: Callable[[Leaf], str], name: str, skip: str = ""
+    ) -> None:
+        self.model, self.flat, self.place, self.name, self.skip = model, flat, place, name, skip
+        self._names: dict[sympy.Symbol, str] = {}
+        self._maker = {step.symbol: step for step in flat.steps if isinstance(step, Operation)}
+        self._results = {s: (call, i) for call in flat.calls for i, s in enumerate(call.results)}
+        self._known = len(model.constants)
+        self._level: dict[sympy.Symbol, int] = {}
+        self._active: set[sympy.Symbol] = set()
+        self._rank()
+        self.sites = [
+            Site(first_site + i, call, max((self._level_of(a) for a in call.arguments), default=0))
+            for i, call in enumerate(flat.calls)
+        ]
+        self._site = {call.results: site for call, site in zip(flat.calls, self.sites, strict=True)}
+        self.printer = CPrinter(self._name)
+
+    # -------------------------------------------------------------- analysis
+    def _rank(self) -> None:
+        """Levels (how many calls lie below) and activity (whether a gradient passes)."""
+        for symbol, leaf in self.flat.leaves.items():
+            learned = leaf.kind == "constant" and leaf.index >= self._known
+            if leaf.kind == "state" or learned:
+                self._active.add(symbol)
+        for step in self.flat.steps:
+            if isinstance(step, Call):
+                level = 1 + max((self._level_of(a) for a in step.arguments), default=0)
+                self._level.update(dict.fromkeys(step.results, level))
+                self._active.update(step.results)
+                continue
+            used = step.value.free_symbols
+            self._level[step.symbol] = max((self._level_of(s) for s in used), default=0)
+            if used & self._active:
+                self._active.add(step.symbol)
+
+    def _level_of(self, atom: sympy.Basic) -> int:
+        return self._level.get(atom, 0)
+
+    def _cone(self, targets: Iterable[sympy.Basic]) -> list[Operation]:
+        """The operations that the targets need, in order; what networks gave is at hand."""
+        needed: set[sympy.Symbol] = set()
+        stack = [t for t in targets if isinstance(t, sympy.Symbol)]
+        while stack:
+            symbol = stack.pop()
+            if symbol in needed or symbol not in self._maker:
+                continue
+            needed.add(symbol)
+            stack.extend(self._maker[symbol].value.free_symbols)
+        return [s for s in self.flat.steps if isinstance(s, Operation) and s.symbol in needed]
+
+    def wanted(self, site: Site) -> list[bool]:
+        """Of which arguments the cotangent is needed."""
+        return [argument in self._active for argument in site.call.arguments]
+
+    # -------------------------------------------------------------- names
+    def _name(self, symbol: sympy.Symbol) -> str:
+        if symbol not in self._names:
+            self._names[symbol] = f"v{len(self._names)}"
+        return self._names[symbol]
+
+    def _loads(self, used: set[sympy.Symbol]) -> list[str]:
+        """Lines that read leaves and networks' outputs."""
+        lines = [
+            f"const real {self._name(symbol)} = {self.place(leaf)};"
+            for symbol, leaf in self.flat.leaves.items()
+            if symbol in used
+        ]
+        for call in self.flat.calls:
+            for i, symbol in enumerate(call.results):
+                if symbol in used:
+                    lines.append(f"const real {self._name(symbol)} = {self._output('y', call, i)};")
+        return lines
+
+    def _output(self, array: str, call: Call, i: int) -> str:
+        site = self._site[call.results]
+        return f"S{site.number}_{array}[t*{len(call.results)} + {i}]"
+
+    def _argument(self, array: str, site: Site, i: int) -> str:
+        return f"S{site.number}_{array}[t*{len(site.call.arguments)} + {i}]"
+
+    def _compute(self, cone: Sequence[Operation], targets: Iterable[sympy.Basic]) -> list[str]:
+        """Reads and operations of a cone."""
+        used = {s for op in cone for s in op.value.free_symbols} | {t for t in targets if isinstance(t, sympy.Symbol)}
+        lines = self._loads(used)
+        for op in cone:
+            kind = "real" if op.symbol.is_real else "int"
+            lines.append(f"const {kind} {self._name(op.symbol)} = {self.printer.print(op.value)};")
+        return lines
+
+    # -------------------------------------------------------------- forward
+    def forward(self) -> list[str]:
+        """The body of the function that computes `out`."""
+        lines = []
+        for level in range(1 + max((site.level for site in self.sites), default=-1)):
+            sites = [site for site in self.sites if site.level == level]
+            targets = [a for site in sites for a in site.call.arguments]
+            stores = [
+                f"{self._argument('args', site, i)} = {self.printer.print(a)};"
+                for site in sites
+                for i, a in enumerate(site.call.arguments)
+            ]
+            zeros = [f"{self._argument('args', s, i)} = 0;" for s in sites for i in range(len(s.call.arguments))]
+            lines += self._pointers(sites, "args")
+            lines += self._pointers([s for s in self.sites if s.level < level], "y")
+            lines += self._loop([*self._compute(self._cone(targets), targets), *stores], zeros)
+            lines += [f"    net_forward(&w->nets[{s.call.network}], &w->sites[{s.number}], block);" for s in sites]
+        targets = self.flat.outputs
+        stores = [f"out[{i}*TILE + t] = {self.printer.print(a)};" for i, a in enumerate(targets)]
+        zeros = [f"out[{i}*TILE + t] = 0;" for i in range(len(targets))]
+        lines += self._pointers(self.sites, "y")
+        return lines + self._loop([*self._compute(self._cone(targets), targets), *stores], zeros)
+
+    def _loop(self, body: Sequence[str], skipped: Sequence[str] = ()) -> list[str]:
+        skip = [f"if ({self.skip}) {{ {' '.join(skipped)} continue; }}"] if self.skip else []
+        return ["    for (int t = 0; t < TILE; t++) {", *(INDENT + line for line in (*skip, *body)), "    }"]
+
+    def _pointers(self, sites: Iterable[Site], *arrays: str) -> list[str]:
+        """Lines that declare where a site's arrays of this block begin (once a function: a scope is opened)."""
+        widths = {"args": "inputs", "ab": "inputs", "y": "outputs", "yb": "outputs"}
+        lines = []
+        for site in sites:
+            for array in arrays:
+                if array == "ab":
+                    start = f"w->sites[{site.number}].ab"
+                else:
+                    width = len(site.call.arguments) if widths[array] == "inputs" else len(site.call.results)
+                    start = f"w->sites[{site.number}].{array} + block*(TILE*{width})"
+                lines.append(f"#define S{site.number}_{array} ({start})")
+        return lines
+
+    # -------------------------------------------------------------- reverse
+    def reverse(self) -> list[str]:
+        """The body of the function that adds to `xb` and `kb` from the outputs' cotangents `ob`."""
+        lines = self._pointers(self.sites, "args", "ab", "y", "yb")
+        for site in self.sites:
+            lines.append(f"    zero(S{site.number}_yb, TILE*{len(site.call.results)});")
+        seeds = [(a, f"ob[{i}*TILE + t]") for i, a in enumerate(self.flat.outputs)]
+        lines += self._back(seeds)
+        for level in reversed(range(1 + max((site.level for site in self.sites), default=-1))):
+            sites = [site for site in self.sites if site.level == level]
+            for site in sites:
+                mask = sum(1 << i for i, wanted in enumerate(self.wanted(site)) if wanted)
+                lines.append(
+                    f"    net_backward(&w->nets[{site.call.network}], &w->sites[{site.number}], block, {mask}u);"
+                )
+            seeds = [
+                (a, self._argument("ab", site, i))
+                for site in sites
+                for i, a in enumerate(site.call.arguments)
+                if a in self._active
+            ]
+            lines += self._back(seeds)
+        return lines
+
+    def _back(self, seeds: Sequence[tuple[sympy.Basic, str]]) -> list[str]:
+        """One reverse loop, from the cotangents of some values to those of leaves and networks' outputs."""
+        seeds = [(a, text) for a, text in seeds if a in self._active]
+        if not seeds:
+            return []
+        targets = [a for a, _ in seeds]
+        cone = self._cone(targets)
+        terms: dict[sympy.Symbol, list[str]] = {}
+        for atom, text in seeds:
+            terms.setdefault(atom, []).append(text)
+        body = []
+        read: set[sympy.Symbol] = set()
+        for op in reversed(cone):
+            if op.symbol not in self._active or op.symbol not in terms:
+                continue
+            bar = sympy.Symbol(f"bar {self._name(op.symbol)}", real=True)
+            self._names[bar] = f"b_{self._name(op.symbol)}"
+            body.append(f"const real {self._names[bar]} = {' + '.join(terms.pop(op.symbol))};")
+            for symbol, term in contributions(op, bar):
+                if symbol in self._active:
+                    terms.setdefault(symbol, []).append(self.printer.print(term))
+                    read |= term.free_symbols
+        body += [line for symbol, parts in terms.items() for line in self._deposit(symbol, " + ".join(parts))]
+        return self._loop([*self._compute(cone, [*targets, *read]), *body])
+
+    def _deposit(self, symbol: sympy.Symbol, text: str) -> list[str]:
+        if symbol in self._results:
+            call, i = self._results[symbol]
+            return [f"{self._output('yb', call, i)} += {text};"]
+        leaf = self.flat.leaves[symbol]
+        if leaf.kind == "state":
+            return [f"xb[{leaf.index}*TILE + t] += {text};"]
+        return [f"kb[{leaf.index - self._known}*TILE + t] += {text};"]

@@ -1,0 +1,190 @@
+"""The C source of a model's kernel: numbers and equations of the model between two texts that know of none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Literal
+
+from gbspec.backends.native.flat import Leaf, NotCovered, flatten, numbers_of
+from gbspec.backends.native.sections import Equations
+from gbspec.ir.model import Model, Network
+from gbspec.ir.tableaus import RK4, Tableau
+
+Precision = Literal["float64", "float32"]
+
+TILE = 4
+"""Trajectories that run together."""
+
+KEPT_BYTES = 3 * 2**20
+"""Activations kept at a time, per thread."""
+
+GROUP_BYTES = 16 * 2**10
+"""Activations of a layer over which a block of the weights' gradient is summed at a time (they stay in the cache)."""
+
+MOST_OPERATIONS = 6000
+"""Above, a compiler would take too long over straight-line code."""
+
+MOST_LAYERS = 15
+MOST_ARGUMENTS = 32
+
+RHS_PLACES = {
+    "state": "x[{}*TILE + t]",
+    "condition": "w->condition[{}*TILE + t]",
+    "input": "inputs[{}*TILE + t]",
+    "constant": "w->constants[{}*TILE + t]",
+    "time": "time[t]",
+    "number": "w->numbers[{}]",
+}
+OBSERVE_PLACES = RHS_PLACES | {
+    "input": "R(w->data->row_inputs[(size_t)w->rows[t]*INPUTS + {}])",
+    "time": "R(w->data->row_time[w->rows[t]])",
+}
+
+
+def source(model: Model, precision: Precision = "float64") -> str:
+    """C of the unroll of a model. Raises NotCovered, with the reason, for a form that is left to torch."""
+    _check(model)
+    rhs = Equations(model, flatten(model, model.balances), 0, _places(RHS_PLACES), "rhs")
+    observe = Equations(
+        model,
+        flatten(model, [channel.value for channel in model.channels]),
+        len(rhs.sites),
+        _places(OBSERVE_PLACES),
+        "observe",
+        skip="w->rows[t] < 0",
+    )
+    operations = len(rhs.flat.steps) + len(observe.flat.steps)
+    if operations > MOST_OPERATIONS:
+        raise NotCovered(f"its equations have {operations} operations, more than the {MOST_OPERATIONS} that compile fast")
+    head = [
+        "#include <math.h>",
+        "#include <stddef.h>",
+        "#include <stdint.h>",
+        "#include <string.h>",
+        "",
+        *_numbers(model, precision, rhs, observe),
+    ]
+    before, after = _text("driver.c").split("/* ---- EQUATIONS ---- */\n")
+    return "\n".join([*head, "", _text("runtime.c"), before, *_tableau(RK4), *_equations(model, rhs, observe), after])
+
+
+@cache
+def _text(name: str) -> str:
+    return resources.files("gbspec.backends.native").joinpath(name).read_text(encoding="utf-8")
+
+
+def _check(model: Model) -> None:
+    for network in model.networks:
+        if len(network.sizes) > MOST_LAYERS or network.sizes[0] > MOST_ARGUMENTS:
+            raise NotCovered(f"the network `{network.name}` has too many layers or arguments")
+    if not model.states:
+        raise NotCovered("it has no states")
+    known = {constant.symbol: constant.value for constant in model.constants}
+    if any(not dose.lag.subs(known).is_number for dose in model.doses):
+        raise NotCovered("the lag of a dose is learned or depends on conditions")
+
+
+def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
+    """The C text of a leaf."""
+    return lambda leaf: table[leaf.kind].format(leaf.index)
+
+
+def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equations) -> list[str]:
+    sites = len(rhs.sites) + len(observe.sites)
+    widest = max([n for network in model.networks for n in network.sizes] or [1])
+    size = 8 if precision == "float64" else 4
+    per_step = 4 * TILE * max([n for network in model.networks for n in network.hidden] or [1]) * size
+    values = {
+        "REAL_IS_FLOAT": int(precision == "float32"),
+        "TILE": TILE,
+        "STATES": len(model.states),
+        "CONDITIONS": len(model.conditions),
+        "INPUTS": len(model.inputs),
+        "CONSTANTS": len(model.constant_names),
+        "LEARNABLES": len(model.learnables),
+        "CHANNELS": len(model.channels),
+        "NETWORKS": len(model.networks),
+        "NUMBERS": len(numbers_of(model)),
+        "WIDEST": widest,
+        "RHS_SITES": len(rhs.sites),
+        "SITES": sites,
+        "STAGES": len(RK4.c),
+        "NODES": len(set(RK4.c)),
+        "KEPT_BYTES": KEPT_BYTES,
+        "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
+        "LOG_FLOOR": 1e-3,
+    }
+    return [f"#define {name} {value}" for name, value in values.items()]
+
+
+def _tableau(tableau: Tableau) -> list[str]:
+    n = len(tableau.c)
+    nodes = sorted(set(tableau.c))
+    rows = [[float(row[j]) if j < len(row) else 0.0 for j in range(n)] for row in tableau.a]
+    return [
+        f"static const double TABLEAU_A[{n}][{n}] = {{{', '.join(map(_braces, rows))}}};",
+        f"static const double TABLEAU_B[{n}] = {_braces(map(float, tableau.b))};",
+        f"static const double TABLEAU_C[{n}] = {_braces(map(float, tableau.c))};",
+        f"static const int TABLEAU_NODE[{n}] = {_braces(nodes.index(c) for c in tableau.c)};",
+    ]
+
+
+def _braces(values: Iterable[object]) -> str:
+    """`{1.0, 2.0}`."""
+    return f"{{{', '.join(map(repr, values))}}}"
+
+
+def _equations(model: Model, rhs: Equations, observe: Equations) -> list[str]:
+    sites = [*rhs.sites, *observe.sites]
+    networks = [str(site.call.network) for site in sites] or ["0"]
+    lines = [f"static const int SITE_NETWORK[] = {{{', '.join(networks)}}};", "", *_set_networks(model.networks), ""]
+    places = "const real *restrict x, const real *restrict time, const real *restrict inputs"
+    for equations, name, given in ((rhs, "rhs", places), (observe, "observe", "const real *restrict x")):
+        forward = f"static void {name}_forward(Work *w, size_t block, {given}, real *restrict out) {{"
+        reverse = (
+            f"static void {name}_reverse(Work *w, size_t block, {given}, const real *restrict ob, "
+            "real *restrict xb, double *restrict kb) {"
+        )
+        unused = ["    (void)w; (void)block; (void)x;"] + (["    (void)time; (void)inputs;"] if name == "rhs" else [])
+        lines += [forward, *unused, *equations.forward(), "}", ""]
+        lines += [reverse, *unused, "    (void)ob; (void)xb; (void)kb;", *equations.reverse(), "}", ""]
+    return lines
+
+
+def _set_networks(networks: Sequence[Network]) -> list[str]:
+    lines = ["static void set_networks(Work *w) {"]
+    for i, network in enumerate(networks):
+        lines.append(f"    Net *net{i} = &w->nets[{i}]; /* {_ascii(network.name)} */")
+        lines.append(f"    net{i}->layers = {len(network.sizes) - 1};")
+        lines += [f"    net{i}->size[{j}] = {size};" for j, size in enumerate(network.sizes)]
+        for layer in range(len(network.hidden)):
+            parts = _parts(network, layer)
+            lines.append(f"    net{i}->kinds[{layer + 1}] = {len(parts)};")
+            for j, (kind, count) in enumerate(parts):
+                width = network.hidden[layer]
+                filling = f" + PAD({width}) - {width}" if j == len(parts) - 1 else ""
+                lines.append(f"    net{i}->kind[{layer + 1}][{j}] = {kind.upper()};")
+                lines.append(f"    net{i}->count[{layer + 1}][{j}] = {count}{filling};")
+    return [*lines, "    (void)w;", "}"]
+
+
+def _parts(network: Network, layer: int) -> list[tuple[str, int]]:
+    """Activations of a hidden layer, each with its number of units."""
+    if network.layout is None:
+        return [(network.activation, network.hidden[layer])]
+    count = {"free": 0, "convex": 0, "concave": 0, "saturating": 0}
+    for block in network.layout.hidden[layer]:
+        count[block.shape] += block.count
+    parts = [
+        (network.activation, count["free"]),
+        ("softplus", count["convex"] + count["concave"]),
+        ("tanh", count["saturating"]),
+    ]
+    return [(kind, n) for kind, n in parts if n]
+
+
+def _ascii(text: str) -> str:
+    """A name that can stand in a comment."""
+    return text.encode("ascii", "replace").decode().replace("*/", "* /")

@@ -1,0 +1,363 @@
+"""Solutions and gradients of packed problems by the generated native kernel (`gbspec.backends.native`).
+
+The kernel takes what the right-hand side uses (layers' weights, constants, initial states) and gives residuals and the
+gradient of half their squares in one call; how these come from the trainable vector is left to torch, whose automatic
+differentiation takes the kernel as one node (`HalfSquares`).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gbspec.backends.module.template.networks import _layers, _torch_like
+from gbspec.backends.native import Unavailable, compiled, source
+from gbspec.backends.native.flat import NUMBER_WORDS, NotCovered
+from gbspec.backends.native.source import TILE, Precision
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import Model
+from gbspec.training.doses import arrivals
+from gbspec.training.packing import Integers
+from gbspec.training.parameters import Parameters
+
+if TYPE_CHECKING:
+    from gbspec.training.problem import Problem
+
+_FIELDS = (
+    "t",
+    "h",
+    "inputs",
+    "condition",
+    "steps",
+    "row_at",
+    "row_time",
+    "row_inputs",
+    "measured",
+    "factor",
+    "value",
+    "weight",
+    "jump_at",
+    "jump_next",
+    "jump_state",
+    "logarithmic",
+)
+
+
+class _Data(ctypes.Structure):
+    """`Data` of `driver.c`."""
+
+    _fields_ = [  # noqa: RUF012 - ctypes reads it as it stands
+        ("depth", ctypes.c_int64),
+        ("trajectories", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in _FIELDS),
+    ]
+
+
+class Tables:
+    """A problem's data as the kernel reads them; keeps the arrays that its pointers point to."""
+
+    def __init__(self, problem: Problem) -> None:
+        packed, scaling = problem.packed, problem.scaling
+        seen = packed.weights > 0
+        row_at = np.full((packed.depth + 1, packed.trajectories), -1, dtype=np.int32)
+        row_at[packed.row_step, packed.row_trajectory] = np.arange(packed.rows)
+        arrays = {
+            "t": packed.t,
+            "h": packed.h,
+            "inputs": packed.inputs,
+            "condition": packed.condition,
+            "steps": packed.steps,
+            "row_at": row_at,
+            "row_time": packed.row_time,
+            "row_inputs": packed.row_inputs,
+            "measured": np.where(seen, packed.values, 1.0),
+            "factor": np.where(seen, packed.weights / scaling.row_scale, 0.0),
+            "value": problem.forcing.value,
+            "weight": problem.forcing.weight,
+            "logarithmic": scaling.log.astype(np.int32),
+        } | _jumps(problem)
+        self._kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        pointers = [self._kept[name].ctypes.data if name in self._kept else None for name in _FIELDS]
+        self.struct = _Data(packed.depth, packed.trajectories, *pointers)
+        self.jumps = len(packed.doses.time)
+        self.shape = (packed.rows, len(problem.model.channels))
+        self.states = len(problem.model.states)
+        self.steps, self.depth = packed.steps, packed.depth
+        # Trajectories of about the same number of steps share a tile.
+        self.order = np.argsort(-packed.steps, kind="stable").astype(np.int64)
+
+
+def _jumps(problem: Problem) -> dict[str, NDArray[np.int32]]:
+    """Where doses arrive: at the starts of sub-steps, their lags being known."""
+    packed, model = problem.packed, problem.model
+    if not len(packed.doses.time):
+        return {}
+    values = [c.value for c in model.constants] + [k.start for k in model.learnables]
+    layers = arrivals(problem, torch.tensor(values, dtype=torch.float64).expand(packed.trajectories, -1))
+    first = np.full((packed.depth, packed.trajectories), -1, dtype=np.int32)
+    following = np.full(len(packed.doses.time), -1, dtype=np.int32)
+    for layer in layers[::-1]:
+        there = layer >= 0
+        following[layer[there]] = first[there]
+        first[there] = layer[there]
+    state = [model.state_index[dose.state] for dose in model.doses]
+    return {"jump_at": first, "jump_next": following, "jump_state": np.array(state, dtype=np.int32)[packed.doses.kind]}
+
+
+@dataclass
+class Swept:
+    """What a call of the kernel gives.
+
+    `residuals` [R, C], `arrivals` [R, n_states]; gradients of weights [W], learnable constants [N, n_learnables] and
+    initial states [N, n_states] and doses [E] (zeros where none were asked for).
+    """
+
+    residuals: Array
+    arrivals: Array
+    d_weights: Array
+    d_constants: Array
+    d_initial: Array
+    d_doses: Array
+
+
+class Kernel:
+    """The compiled unroll of one model in one precision.
+
+    Raises NotCovered for a model that it does not cover, Unavailable where it cannot be compiled.
+    """
+
+    def __init__(self, model: Model, precision: Precision = "float64") -> None:
+        self.model, self.precision = model, precision
+        self._library = compiled(source(model, precision))
+        self._library.work_bytes.restype = ctypes.c_int64
+        self._library.work_bytes.argtypes = [ctypes.c_int64]
+        self._library.run.restype = None
+        pointer, whole = ctypes.c_void_p, ctypes.c_int64
+        self._library.run.argtypes = [pointer, pointer, *[whole] * 3, *[pointer] * 12, ctypes.c_int32, pointer]
+
+    def work_bytes(self, depth: int) -> int:
+        """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""
+        return int(self._library.work_bytes(depth))
+
+    def sweep(
+        self,
+        tables: Tables,
+        natural: Natural,
+        gradient: bool,
+        cotangent: Array | None = None,
+        index: Integers | None = None,
+        threads: int | None = None,
+    ) -> Swept:
+        """Solves the trajectories `index` (None: all) forward and, if `gradient`, back.
+
+        Rows of other trajectories are zero. The gradient is
+        `cotangent` [R, C] (None: the residuals) times the residuals' Jacobian.
+        """
+        weights, constants, initial, doses, numbers = (np.ascontiguousarray(a) for a in natural.arrays())
+        order = tables.order if index is None else index[np.argsort(-tables.steps[index], kind="stable")]
+        learnables = len(self.model.learnables)
+        n = len(initial)
+        out = Swept(
+            np.zeros(tables.shape),
+            np.zeros((tables.shape[0], tables.states)),
+            np.zeros(len(weights)),
+            np.zeros((n, learnables)),
+            np.zeros((n, tables.states)),
+            np.zeros(len(doses)),
+        )
+        tiles = -(-len(order) // TILE)
+        count = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
+        size = self.work_bytes(tables.depth)
+        parts = [out.d_weights, *(np.zeros(len(weights)) for _ in range(count - 1))]
+        given = None if cotangent is None else np.ascontiguousarray(cotangent)
+
+        def part(i: int) -> None:
+            self._library.run(
+                ctypes.byref(tables.struct),
+                order.ctypes.data,
+                len(order),
+                i,
+                count,
+                weights.ctypes.data,
+                numbers.ctypes.data,
+                constants.ctypes.data,
+                initial.ctypes.data,
+                doses.ctypes.data,
+                None if given is None else given.ctypes.data,
+                out.residuals.ctypes.data,
+                out.arrivals.ctypes.data,
+                parts[i].ctypes.data,
+                out.d_constants.ctypes.data,
+                out.d_initial.ctypes.data,
+                out.d_doses.ctypes.data,
+                int(gradient),
+                _work(i, size).ctypes.data,
+            )
+
+        if count == 1:
+            part(0)
+        else:
+            # The call holds no lock of the interpreter, so plain threads run side by side.
+            list(_pool(count, os.getpid()).map(part, range(count)))
+        for other in parts[1:]:
+            out.d_weights += other
+        return out
+
+
+@cache
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    """Threads that wait for work, made anew in a forked process."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="gbspec-kernel")
+
+
+_spaces: dict[int, NDArray[np.uint8]] = {}
+
+
+def _work(thread: int, size: int) -> NDArray[np.uint8]:
+    """The work space of a thread, kept between calls."""
+    if thread not in _spaces or len(_spaces[thread]) < size:
+        _spaces[thread] = np.empty(size, dtype=np.uint8)
+    return _spaces[thread]
+
+
+_kernels: dict[tuple[type[Any], Precision], Kernel | str] = {}
+
+
+def kernel_of(model: Model, module: type[Any], precision: Precision = "float64") -> Kernel | str:
+    """The kernel of a model (`module` is its generated class), or in a line why there is none."""
+    key = (module, precision)
+    if key not in _kernels:
+        try:
+            _kernels[key] = Kernel(model, precision)
+        except NotCovered as error:
+            _kernels[key] = f"the native kernel does not cover this model: {error}"
+        except Unavailable as error:
+            _kernels[key] = str(error)
+    return _kernels[key]
+
+
+# ---------------------------------------------------------------------- from the trainable vector
+def _layer_weights(problem: Problem, weights: dict[str, Tensor], like: Tensor) -> Tensor:
+    """All layers' weights and biases as the kernel takes them, the networks' scales multiplied in."""
+    parts: list[Tensor] = []
+    for network in problem.module.networks:
+        layers, (center, scale, output_center, output_scale) = _layers(network, weights, problem.ops, _torch_like)
+        folded = list(layers)
+        weight, bias = folded[0]
+        folded[0] = (weight / scale, bias - (weight / scale) @ center)
+        if not network["raw"]:
+            weight, bias = folded[-1]
+            folded[-1] = (output_scale[:, None] * weight, output_scale * bias + output_center)
+        parts += [part.reshape(-1) for layer in folded for part in layer]
+    return torch.cat(parts) if parts else like.new_zeros(0)
+
+
+def _numbers(problem: Problem, weights: dict[str, Tensor]) -> Array:
+    """Centres and scales of outputs, scales of arguments, network by network."""
+    names = {"center": "output_center", "scale": "output_scale", "spread": "input_scale"}
+    parts = [
+        weights[f"network.{network['name']}.{names[word]}"].detach().numpy().ravel()
+        for network in problem.module.networks
+        for word in NUMBER_WORDS
+    ]
+    return np.concatenate([*parts, np.zeros(0)])
+
+
+def _doses(problem: Problem, constants: Tensor) -> Tensor:
+    """How much of each dose [E] arrives."""
+    events = problem.packed.doses
+    if not len(events.time):
+        return constants.new_zeros(0)
+    k, condition = constants.unbind(1), torch.from_numpy(problem.packed.condition)
+    terms = problem.module._doses(problem.ops, condition, k)
+    like = constants.new_zeros(len(constants))
+    shares = torch.stack([fraction + like for fraction, _ in terms])
+    return shares[torch.from_numpy(events.kind), torch.from_numpy(events.owner)] * torch.from_numpy(events.amount)
+
+
+@dataclass(frozen=True)
+class Natural:
+    """What the kernel takes, as functions of the trainable vector.
+
+    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `doses` [E];
+    `numbers`: scales that the forms of contracts use.
+    """
+
+    weights: Tensor
+    constants: Tensor
+    initial: Tensor
+    doses: Tensor
+    numbers: Array
+
+    @classmethod
+    def of(cls, problem: Problem, parameters: Parameters, vector: Tensor) -> Natural:
+        """The values at a vector, differentiable in it."""
+        weights = parameters.weights(vector)
+        constants = parameters.constants(vector)
+        condition = torch.from_numpy(problem.packed.condition)
+        initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
+        layers, doses = _layer_weights(problem, weights, vector), _doses(problem, constants)
+        return cls(layers, constants, initial, doses, _numbers(problem, weights))
+
+    def arrays(self) -> tuple[Array, ...]:
+        """All of them as arrays, in the order of the fields."""
+        tensors = (self.weights, self.constants, self.initial, self.doses)
+        return *(x.detach().numpy() for x in tensors), self.numbers
+
+
+class HalfSquares(torch.autograd.Function):
+    """Half the sum of squared residuals; its gradient is found in the same call of the kernel as its value."""
+
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any, call: Callable[[], Swept], weights: Tensor, constants: Tensor, initial: Tensor, doses: Tensor
+    ) -> Tensor:
+        """`call` sweeps at the values of the other arguments."""
+        swept = call()
+        known = constants.shape[1] - swept.d_constants.shape[1]
+        d_constants = np.concatenate([np.zeros((len(constants), known)), swept.d_constants], 1)
+        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_doses)
+        ctx.save_for_backward(*map(torch.from_numpy, found))
+        return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
+
+    @staticmethod
+    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        """The gradient found with the value."""
+        return (None, *(scale * saved for saved in ctx.saved_tensors))
+
+
+def half_squares(
+    kernel: Kernel, problem: Problem, parameters: Parameters, theta: Array, index: Integers | None = None
+) -> tuple[float, Array]:
+    """Half the sum of squared residuals of the trajectories `index` (None: all) and its gradient in the whole vector."""
+    vector = torch.from_numpy(theta).requires_grad_()
+    n = Natural.of(problem, parameters, vector)
+
+    def call() -> Swept:
+        return kernel.sweep(problem.tables, n, True, index=index)
+
+    loss = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses)
+    if not loss.requires_grad:
+        return float(loss), np.zeros_like(theta)
+    (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)
+    return float(loss.detach()), np.zeros_like(theta) if gradient is None else gradient.numpy()
+
+
+def residuals_and_arrivals(
+    kernel: Kernel, problem: Problem, parameters: Parameters, theta: Array
+) -> tuple[Array, Array, Array]:
+    """Residuals [R, C], states on arrival at key rows [R, n_states] and initial states [N, n_states] at `theta`."""
+    with torch.no_grad():
+        natural = Natural.of(problem, parameters, torch.from_numpy(theta))
+    swept = kernel.sweep(problem.tables, natural, False)
+    return swept.residuals, swept.arrivals, natural.initial.numpy()
