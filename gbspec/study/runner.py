@@ -9,14 +9,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.study.member import Place, fit_member, read_record
 from gbspec.study.options import StudyOptions
 from gbspec.study.tables import write_tables
@@ -34,7 +34,7 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
     """Fits what is not fitted yet (nothing with `--table-only`) and writes the tables; gives `study.json`'s content.
 
     Raises UserError (GB820) where the directory holds a study with other settings, ComputationError where the process
-    of a member died, KeyboardInterrupt after telling the workers to save.
+    of a member died, KeyboardInterrupt once the workers are stopped.
     """
     place = Place(root)
     tasks = study.tasks()
@@ -50,8 +50,21 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
         told(task, read_record(place.record(task)) or {}, done, len(tasks))
 
     if waiting:
-        _fit(waiting, place, options, finished)
+        check_models(study)
+        with _terminable():
+            _fit(waiting, place, options, finished)
     return summary
+
+
+def check_models(study: Study) -> None:
+    """Raises UserError where a case's model is wrong, or has no truth though its data are to be simulated."""
+    from gbspec import driver
+    from gbspec.passes import with_truth
+
+    models = {case.model: driver.load_model(str(case.model), Findings()) for case in study.cases}
+    for case in study.cases:
+        if case.data is None:
+            with_truth(models[case.model])
 
 
 def check_settings(tasks: list[Task], place: Place) -> None:
@@ -86,9 +99,10 @@ def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Cal
                 else:
                     lost.append(task)
             time.sleep(POLL)
-    except KeyboardInterrupt:
-        _interrupt(list(running))
-        raise
+    finally:
+        for process in running:  # there are some only after an interruption; their checkpoints are seconds old
+            process.terminate()
+            process.join()
     if lost:
         names = ", ".join(task.name for task in lost)
         raise ComputationError(
@@ -118,16 +132,18 @@ def _work(task: Task, place: Place, threads: int, keep: bool) -> None:
     """One member, in its process, which leaves the terminal's process group: the parent alone hears Ctrl-C."""
     if hasattr(os, "setpgrp"):
         os.setpgrp()
+    fit_member(task, place, threads, keep)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Within it SIGTERM, which ends jobs in the background, does what Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, _raise_interrupt)
     try:
-        fit_member(task, place, threads, keep)
-    except KeyboardInterrupt:
-        sys.exit(130)
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
-def _interrupt(processes: list[BaseProcess]) -> None:
-    """Tells the workers to save what they reached, and waits for them."""
-    for process in processes:
-        if process.is_alive() and process.pid is not None:
-            os.kill(process.pid, signal.SIGINT)
-    for process in processes:
-        process.join()
+def _raise_interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt

@@ -70,6 +70,15 @@ def test_what_cannot_be_fitted_is_a_result(cases: Path) -> None:
     assert "drawn 200 times" in found["failure"] and read_record(place.record(task)) == found
 
 
+def test_a_model_that_is_wrong_or_cannot_be_simulated_is_told_before_anything_is_fitted(cases: Path) -> None:
+    model, text = cases.parent / "decay.gb", (cases.parent / "decay.gb").read_text()
+    for wrong, code in ((text.replace("N' = -k*N", "N' = -k*M"), "GB201"), (text.split("truth")[0], "GB803")):
+        model.write_text(wrong)
+        result = CliRunner().invoke(build(["study"]), ["study", str(cases), "-o", str(cases.parent / "out")])
+        assert result.exit_code == 1 and code in result.stderr
+        assert not (cases.parent / "out" / "members").exists()
+
+
 def test_a_directory_of_something_else_is_left_alone(cases: Path) -> None:
     shutil.copy(cases, cases.parent / "file")
     for to, code in ((cases.parent, "GB806"), (cases.parent / "file", "GB802")):
