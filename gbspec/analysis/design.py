@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.data.names import similar
-from gbspec.data.sampling import Box, SimulateOptions
+from gbspec.data.sampling import Box, SimulateOptions, regimen
 from gbspec.data.signals import clipped
 from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectory
 from gbspec.diagnostics import Findings
@@ -74,6 +74,8 @@ def boxes(model: Model, options: SimulateOptions, findings: Findings, given: boo
     _known(options.condition, conditions | inputs, set(), "--condition", "condition or input", findings)
     channels = {channel.name: None for channel in model.channels}
     _known(dict.fromkeys(options.clock, (0.0, 0.0)), channels, set(), "--clock", "channel", findings)
+    dosed: dict[str, Box | None] = {dose.state: None for dose in model.doses}
+    _known(dict.fromkeys(options.dose, (0.0, 0.0)), dosed, set(), "--dose", "dose into a state", findings)
     external: dict[str, Box | None] = {} if given else conditions | inputs
     for flag, kind, ranges, chosen in (
         ("--initial", "state", starts, options.initial),
@@ -156,16 +158,29 @@ def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random:
         random_signal(item.interpolation, ends, start, end, random)
         for item, ends in zip(model.inputs, box.inputs, strict=True)
     )
-    nothing = tuple(DoseEvents(np.zeros(0), np.zeros(0)) for _ in model.doses)
-    begins = start if model.time.start is not None else float(times[0])
     x0, condition = draw(box.states, random), draw(box.conditions, random)
-    return Plan(label, start, begins, x0, condition, inputs, nothing, times, mask)
+    doses = tuple(drawn_doses(options.dose.get(dose.state), start, end, random) for dose in model.doses)
+    first = min([float(times[0]), *(events.times[0] for events in doses if len(events.times))])
+    # A start that the model expresses is the state at `start`, so that the table must begin there.
+    fixed = model.time.start is not None or any(state.initial.kind == "expression" for state in model.states)
+    begins = start if fixed else first
+    return Plan(label, start, begins, x0, condition, inputs, doses, times, mask)
+
+
+def drawn_doses(text: str | None, start: float, end: float, random: np.random.Generator) -> DoseEvents:
+    """The doses of a regimen (none without one) between `start` and `end`."""
+    if text is None:
+        return DoseEvents(np.zeros(0), np.zeros(0))
+    given = regimen(text)
+    times = np.unique([time for time in given.times if start <= time <= end])
+    low, high = given.amount
+    return DoseEvents(times, low + (high - low) * random.random(len(times)))
 
 
 def plan_like(
     item: Trajectory, model: Model, options: SimulateOptions, box: Boxes, random: np.random.Generator
 ) -> Plan:
-    """Times, conditions, inputs and doses of a trajectory of a table; conditions that the options name are drawn.
+    """Times, conditions, inputs and doses of a trajectory of a table; what the options name of them is drawn anew.
 
     What was measured in the table is measured here; everything at every time if nothing was.
     """
@@ -175,6 +190,10 @@ def plan_like(
     chosen = np.array([condition.name in options.condition for condition in model.conditions], dtype=bool)
     condition = np.where(chosen, draw(box.conditions, random), item.condition)
     used = mask.any(axis=1)
+    doses = tuple(
+        drawn_doses(options.dose[dose.state], item.start, item.end, random) if dose.state in options.dose else events
+        for dose, events in zip(model.doses, item.doses, strict=True)
+    )
     return Plan(
         label=item.label,
         start=item.start,
@@ -182,7 +201,7 @@ def plan_like(
         x0=draw(box.states, random),
         condition=condition,
         inputs=item.inputs,
-        doses=item.doses,
+        doses=doses,
         times=item.times[used],
         mask=mask[used],
     )

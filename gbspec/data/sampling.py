@@ -41,6 +41,29 @@ def boxes(flag: str) -> Callable[[Sequence[str]], dict[str, Box]]:
     return read
 
 
+@dataclass(frozen=True)
+class Regimen:
+    """Doses into one state: their times, and the range from which each amount is drawn evenly."""
+
+    amount: Box
+    times: tuple[float, ...]
+
+
+def regimen(text: str) -> Regimen:
+    """`100@0,12,24`, or `80:120@0` where amounts are drawn; raises ValueError for anything else."""
+    amount, at, times = text.partition("@")
+    low, colon, high = amount.partition(":")
+    found = Regimen((float(low), float(high if colon else low)), tuple(float(time) for time in times.split(",")))
+    if not (at and all(map(math.isfinite, (*found.amount, *found.times))) and found.amount[0] <= found.amount[1]):
+        raise ValueError(text)
+    return found
+
+
+def doses(texts: Sequence[str]) -> dict[str, str]:
+    """Texts `NAME=AMOUNT@TIMES` as names and regimens, to be read by `regimen`."""
+    return {name.strip(): rest for name, _, rest in (text.partition("=") for text in texts)}
+
+
 def clocks(texts: Sequence[str]) -> dict[str, float]:
     """Texts `CHANNEL=INTERVAL`; raises UserError (GB750)."""
     found = {}
@@ -90,6 +113,12 @@ class SimulateOptions:
         metavar="NAME=LOW:HIGH",
         parse=boxes("--condition"),
     )
+    dose: Mapping[str, str] = _option(
+        {},
+        "Doses into a state, as gut=100@0,12,24; gut=80:120@0 draws each amount (repeatable).",
+        metavar="NAME=AMOUNT@TIMES",
+        parse=doses,
+    )
     clock: Mapping[str, float] = _option(
         {},
         "A channel's own mean interval, with --channels own-clock (repeatable).",
@@ -120,6 +149,18 @@ class SimulateOptions:
             if not holds:
                 value = getattr(self, name)
                 findings.error("GB754", f"`{name}` is {value}, and must be {expected}", None, subject=name)
+        for name, text in self.dose.items():
+            try:
+                regimen(text)
+            except ValueError:
+                findings.error(
+                    "GB750",
+                    f"`--dose {name}={text}` is not a name, an amount and times",
+                    None,
+                    help=f"write `--dose {name or 'gut'}=100@0,12,24`, or `--dose {name or 'gut'}=80:120@0` for amounts "
+                    "that are drawn",
+                    subject=name,
+                )
 
     @property
     def fraction(self) -> float | None:

@@ -272,10 +272,10 @@ class _Lowering:
 
     def _learnable(self, s: ast.LearnStatement) -> ir.Learnable:
         low, high = self._checked.numbers.bounds(s) or (-math.inf, math.inf)
-        start = self._number(s.start)
+        start = self._checked.numbers.start(s)
         return ir.Learnable(
             s.name.text,
-            start if start is not None else default_start(low, high),
+            start if start is not None and low <= start <= high else default_start(low, high),
             ir.Range(low, high),
             self._prior(s.prior),
             s.per_trajectory,

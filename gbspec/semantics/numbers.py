@@ -145,14 +145,23 @@ class Numbers:
 
     # -------------------------------------------------------------------------------------------------- learnables
 
+    def start(self, statement: ast.LearnStatement) -> float | None:
+        """Where learning begins: at the start that was given, else at the centre of the prior; None without either."""
+        given = self.value(statement.start)
+        if given is not None or statement.prior is None:
+            return given
+        return self.value(statement.prior.arguments[0]) if statement.prior.arguments else None
+
     def bounds(self, statement: ast.LearnStatement) -> tuple[float, float] | None:
-        """The range and all bounds of a learnable together; None where one of them was reported."""
-        low, high = -math.inf, math.inf
+        """The range and all bounds of a learnable together, that of a lognormal prior (above zero) among them; None
+        where one of them was reported."""
+        positive = statement.prior is not None and statement.prior.kind.text == "lognormal"
+        low, high = 0.0 if positive else -math.inf, math.inf
         if statement.range is not None:
             ends = self.interval(statement.range)
             if ends is None:
                 return None
-            low, high = ends
+            low, high = max(low, ends[0]), ends[1]
         for bound in statement.bounds:
             value = self.value(bound.value)
             if value is None:
@@ -178,7 +187,7 @@ class Numbers:
                 _bounds_span(statement),
                 label=f"above {low:g} and below {high:g}",
             )
-        elif statement.start is None and not (math.isfinite(low) or math.isfinite(high)):
+        elif statement.start is None and statement.prior is None and not (math.isfinite(low) or math.isfinite(high)):
             self.findings.error(
                 "GB226",
                 f"`{name.text}` has neither a start nor a bound, so learning would not know where to begin",

@@ -15,6 +15,7 @@ from gbspec.data.sampling import SimulateOptions
 @command(
     "simulate",
     "gbspec simulate urp_gb2 -o urp.csv --sampling gamma --channels own-clock --seed 1",
+    "gbspec simulate my_drug.gb -o drug.csv --dose gut=80:120@0,12 --span 24 --dt 1",
     'gbspec simulate urp_gb2 -o urp.csv --initial x1=0.2:0.9 --condition Da=0.3 --reject "x2 > 4" --noise 0.02',
 )
 def run(
