@@ -59,9 +59,13 @@ class Context:
         scaling = scaling_of(self.model, packed, self.trajectories)
         return Problem(self.model, self.module, packed, forcing, scaling, device=device_of(self.options.device))
 
-    def parameters(self, fixed: Weights) -> Parameters:
-        """The layout of the trainable vector, with the networks' scales `fixed`."""
-        return Parameters(self.model, self.start_value, self.state_scale, self.start_free, fixed)
+    def parameters(self, fixed: Weights, *, released: bool = False) -> Parameters:
+        """The layout of the trainable vector, with the networks' scales `fixed`.
+
+        `released`: starts that are measured values are learned too, the values counting as measurements like others.
+        """
+        free = released_starts(self.model, self.start_free) if released else self.start_free
+        return Parameters(self.model, self.start_value, self.state_scale, free, fixed)
 
 
 def build_context(
@@ -147,6 +151,12 @@ def start_states(model: Model, trajectories: Trajectories, curves: Curves, packe
         elif state.initial.kind == "expression":
             free[:, i] = 0.0
     return value, free
+
+
+def released_starts(model: Model, free: Array) -> Array:
+    """Which starts are learned [N, n_states] where a measured start counts as a measurement: all but expressed ones."""
+    expressed = np.array([state.initial.kind == "expression" for state in model.states], dtype=bool)
+    return np.where(expressed, free, 1.0)
 
 
 def _guess(model: Model, index: int, measured: Array) -> float:

@@ -110,10 +110,12 @@ class _Runner:
         directory: Path,
         progress: Progress,
     ) -> None:
-        self.context, self.parameters, self.member = context, parameters, member
+        self.context, self.member = context, member
         self.directory, self.progress = directory, progress
         self.position = position
         self.plan = plan(context, parameters, position.marks)
+        # Stages that keep measured starts leave their entries at zero, which stands for the measured value.
+        self.parameters = context.parameters(parameters.fixed, released=True)
         self._began = time.monotonic() - self.position.seconds
         self._saved = time.monotonic()
 

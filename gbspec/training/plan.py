@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.context import Context
+from gbspec.training.context import Context, released_starts
 from gbspec.training.descent import Adam, LimitedMemory
 from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
@@ -85,6 +85,8 @@ class _Planner:
         self.limits = ITERATIONS[context.options.effort]
         self.blend = context.options.blend
         self.values = int((context.packed().weights > 0).sum())
+        # Whole solutions of noisy data must not start from one noisy value each: the vector's layout stays the same.
+        self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
 
     def stages(self) -> list[Planned]:
         if self.options.method == "gradient-matching":
@@ -142,8 +144,10 @@ class _Planner:
             self._starts("initial states again", 1.0),
             self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._prior),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
-            self._starts("initial states of whole solutions", 0.0, self._noisy),
-            self._newton("autoregressive", limits["autoregressive"], self._at(0.0), self._noisy, self._regular),
+            self._starts("initial states of whole solutions", 0.0, self._noisy, self.released),
+            self._newton(
+                "autoregressive", limits["autoregressive"], self._at(0.0), self._noisy, self._regular, self.released
+            ),
             Planned("choice", 1, self._choice, lambda theta: "autoregressive" in self.marks),
         ]
 
@@ -201,13 +205,17 @@ class _Planner:
     def _choice(self, theta: Array) -> Stage:
         earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
         context = self.context
-        return Choice(context.problem(1.0), context.problem(0.0), self.parameters, earlier, context.seed)
+        return Choice(context.problem(1.0), context.problem(0.0), self.released, earlier, context.seed)
 
-    def _starts(self, name: str, blend: float, wanted: Wanted = lambda theta: True) -> Planned:
+    def _starts(
+        self, name: str, blend: float, wanted: Wanted = lambda theta: True, parameters: Parameters | None = None
+    ) -> Planned:
+        layout = parameters or self.parameters
+
         def make(theta: Array) -> Stage:
-            return InitialStates(name, self.context.problem(blend), self.parameters, self.context.seed)
+            return InitialStates(name, self.context.problem(blend), layout, self.context.seed)
 
-        return Planned(name, 1, make, lambda theta: bool(self.parameters.start_free.any()) and wanted(theta))
+        return Planned(name, 1, make, lambda theta: bool(layout.start_free.any()) and wanted(theta))
 
     def _adam(self, epochs: int, wanted: Wanted) -> Planned:
         def make(theta: Array) -> Stage:
@@ -223,9 +231,10 @@ class _Planner:
         problem_at: At,
         wanted: Wanted,
         options: LevenbergOptions | Callable[[Array], LevenbergOptions],
+        parameters: Parameters | None = None,
     ) -> Planned:
         def make(theta: Array) -> Stage:
             chosen = options if isinstance(options, LevenbergOptions) else options(theta)
-            return LevenbergMarquardt(name, total, problem_at, self.parameters, chosen)
+            return LevenbergMarquardt(name, total, problem_at, parameters or self.parameters, chosen)
 
         return Planned(name, total, make, wanted)

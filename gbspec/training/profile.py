@@ -170,12 +170,13 @@ class _Profiler:
         self.free = build_context(run.model, run.module, trajectories, self.options, seed)
         pinned = held(run.model, name, 0.0)
         self.pinned = build_context(pinned, load_module(pinned), trajectories, self.options, seed)
+        self.released = self._moved_measured_starts()
         self.ridge, self.variance, self.values = 0.0, 1.0, int((self.free.packed().weights > 0).sum())
 
     def estimate(self) -> tuple[_Fitted, float]:
         """The fit with everything free, and the first step to take from it."""
         context = self.free
-        parameters = context.parameters(self._fixed())
+        parameters = context.parameters(self._fixed(), released=self.released)
         theta = self._vector(parameters, context)
         noise = max(typical(solve(context.problem(0.0), parameters, theta)), 1e-2)
         noise = noise if math.isfinite(noise) else 1.0
@@ -212,7 +213,7 @@ class _Profiler:
     def held(self, value: float, start: Array) -> _Fitted:
         """The fit with the constant at `value`, from the vector `start` of a neighbour."""
         context = replace(self.pinned, model=held(self.model, self.name, value))
-        parameters = context.parameters(self._fixed())
+        parameters = context.parameters(self._fixed(), released=self.released)
         theta, converged = start, True
         if parameters.n_shared or parameters.free[parameters.n_shared :].any():
             theta, converged = self._refit(context, parameters, start)
@@ -224,7 +225,9 @@ class _Profiler:
         """Twice the penalty of all priors, that of the constant itself among them, in units of squared residuals."""
         problem = context.problem(0.0)
         problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(self.variance)))
-        others = 2 * Priors.of(problem, context.parameters(self._fixed()), np.zeros(0)).penalty(theta)
+        others = 2 * Priors.of(problem, context.parameters(self._fixed(), released=self.released), np.zeros(0)).penalty(
+            theta
+        )
         own = next(k.prior for k in self.model.learnables if k.name == self.name)
         if own is None:
             return others
@@ -233,11 +236,17 @@ class _Profiler:
     def others(self, one: _Fitted) -> dict[str, float]:
         """The other learned constants of a fit (of those that each trajectory has, the mean)."""
         model = held(self.model, self.name, one.value)
-        parameters = replace(self.pinned, model=model).parameters(self._fixed())
+        parameters = replace(self.pinned, model=model).parameters(self._fixed(), released=self.released)
         values = parameters.constants(torch.from_numpy(one.theta)).numpy().mean(axis=0)[len(model.constants) :]
         return {k.name: float(v) for k, v in zip(model.learnables, values, strict=True)}
 
     # ---------------------------------------------------------------- vectors
+    def _moved_measured_starts(self) -> bool:
+        """Whether the run's fit took measured starts for measurements, as whole solutions of noisy data do."""
+        starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
+        kept = (self.free.start_free == 0) & [state.initial.kind != "expression" for state in self.model.states]
+        return starts.shape == kept.shape and not np.allclose(starts[kept], self.free.start_value[kept], rtol=1e-9)
+
     def _fixed(self) -> dict[str, Array]:
         """What the weights file holds of the networks beside what is trained."""
         trained = self.free.parameters({}).weight_shapes
