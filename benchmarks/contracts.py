@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import argparse
 import statistics
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from benchmarks.harness import clock
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings, Source
@@ -122,9 +122,7 @@ def steps(model: Model, trajectories: Trajectories) -> tuple[Callable[[], object
 
 
 def seconds(step: Callable[[], object]) -> float:
-    begin = time.process_time()
-    step()
-    return time.process_time() - begin
+    return clock(step)[1]
 
 
 def main() -> None:

@@ -13,6 +13,8 @@ import json
 import os
 import platform
 import random
+import resource
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,7 +35,7 @@ BUSY = 0.9
 
 @dataclass
 class Timing:
-    """Seconds of repeated runs: `wall` by the clock, `cpu` of all threads of this process."""
+    """Seconds of repeated runs: `wall` by the clock, `cpu` by processor time."""
 
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
@@ -52,9 +54,11 @@ class Timing:
         return low, high
 
     def to_json(self) -> dict[str, Any]:
-        """Median and quartiles in milliseconds, and how many rounds."""
+        """Median and quartiles in milliseconds, how many rounds they are of, and the median processor time."""
         low, high = self.quartiles
-        keys = {"ms": self.median, "low_ms": low, "high_ms": high, "cpu_ms": median(self.cpu)}
+        keys = {"ms": self.median, "low_ms": low, "high_ms": high}
+        if self.cpu:
+            keys["cpu_ms"] = median(self.cpu)
         return {name: round(1e3 * value, 4) for name, value in keys.items()} | {"rounds": len(self.wall)}
 
 
@@ -74,11 +78,22 @@ def pinned(count: int = 1) -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
+def processor_seconds() -> float:
+    """Processor time so far of this process, all its threads, and the processes that it ran to their end."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
 def clock(run: Callable[[], object]) -> tuple[float, float]:
     """Wall and processor seconds of one run."""
-    cpu, wall = time.process_time(), time.perf_counter()
+    cpu, wall = processor_seconds(), time.perf_counter()
     run()
-    return time.perf_counter() - wall, time.process_time() - cpu
+    return time.perf_counter() - wall, processor_seconds() - cpu
+
+
+def process(*arguments: str) -> Callable[[], object]:
+    """A run of Python with these arguments as a process, whose output is dropped; raises where it fails."""
+    return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
 
 
 def interleaved(

@@ -176,7 +176,11 @@ def make(size: Size | None = None, simulated: int = 200) -> Workload:
     """The workload; at most `simulated` trajectories are simulated, and repeated where more are wanted."""
     size = size or Size()
     model = model_of(size)
-    data = measurements(model, min(size.trajectories, simulated), size.span)
+    return of_data(size, model, measurements(model, min(size.trajectories, simulated), size.span))
+
+
+def of_data(size: Size, model: Model, data: Trajectories) -> Workload:
+    """The workload of given data."""
     module = load_module(model).random(SEED)
     packed = pack(data, model, MAX_STEP)
     fixed = {name: v for name, v in module.weights.items() if name.endswith(("_center", "_scale"))}

@@ -13,6 +13,9 @@ import numpy as np
 from benchmarks.peers.jax_scan import Step, parameters, right_hand_side, scales
 from benchmarks.workload import Workload
 
+Loss = Callable[[Any, Any], Any]
+"""Of parameters, and data whose first axis is that of trajectories."""
+
 
 class RK4(diffrax.AbstractERK):
     """The classical method (diffrax has none of its own)."""
@@ -36,16 +39,13 @@ def field(t: Any, x: Any, arguments: Any) -> Any:
     return right_hand_side(p, fixed, condition)(x)
 
 
-def one_solve(work: Workload, dtype: Any) -> Step:
+def one_solve_loss(work: Workload, dtype: Any) -> tuple[Loss, Any]:
     """One solve a trajectory, stepping through its own sub-steps (those that are done early go on, to as many)."""
     h = work.h.T
     end = h.sum(axis=1).max() + 1.0
     edges = np.concatenate([np.zeros((len(h), 1)), np.cumsum(h, axis=1)], axis=1)
     for row, length in zip(edges, (h > 0).sum(axis=1), strict=True):
         row[length:] = np.linspace(row[length], end, len(row) - length)
-    at, owner, channel = np.nonzero(work.mask)
-    value = jnp.asarray(work.value[at, owner, channel], dtype)
-    weight = jnp.asarray(work.weight[at, owner, channel], dtype)
     fixed, depth = scales(work, dtype), len(work.h)
 
     def solve(p: Any, start: Any, condition: Any, ts: Any) -> Any:
@@ -63,20 +63,18 @@ def one_solve(work: Workload, dtype: Any) -> Step:
         )
         return solution.ys
 
-    def loss(p: Any, condition: Any, ts: Any, value: Any, weight: Any) -> Any:
+    def loss(p: Any, data: Any) -> Any:
+        condition, ts, value, weight = data
         states = jax.vmap(solve, in_axes=(None, 0, 0, 0))(p, p["start"], condition, ts)
-        return (weight * (states[owner, at, channel] - value) ** 2).sum()
+        return (weight * (states - value) ** 2).sum()
 
-    arguments = (parameters(work, dtype), jnp.asarray(work.condition, dtype), jnp.asarray(edges, dtype), value, weight)
-    compiled = jax.jit(jax.value_and_grad(loss)).lower(*arguments).compile()
-    return lambda: jax.block_until_ready(compiled(*arguments))
+    arrays = (work.condition, edges, work.value.swapaxes(0, 1), work.weight.swapaxes(0, 1))
+    return loss, tuple(jnp.asarray(a, dtype) for a in arrays)
 
 
-def scan_of_solves(work: Workload, dtype: Any) -> Step:
+def scan_of_solves_loss(work: Workload, dtype: Any) -> tuple[Loss, Any]:
     """A scan over the key times; in each a solve of every trajectory to its own next one, then teacher forcing."""
     fixed, longest = scales(work, dtype), int(work.count.max())
-    weight = 0.5 * work.row_mask / work.scale**2 / work.measured
-    step = work.interval / np.maximum(work.count, 1)
 
     def solve(p: Any, start: Any, condition: Any, end: Any, step: Any) -> Any:
         solution = diffrax.diffeqsolve(
@@ -91,7 +89,9 @@ def scan_of_solves(work: Workload, dtype: Any) -> Step:
         )
         return solution.ys[0]
 
-    def loss(p: Any, condition: Any, rows: Any) -> Any:
+    def loss(p: Any, data: Any) -> Any:
+        condition, *rows = data
+
         def body(carry: Any, row: Any) -> Any:
             x, total = carry
             end, step, value, mask, weight = row
@@ -99,10 +99,27 @@ def scan_of_solves(work: Workload, dtype: Any) -> Step:
             deviation = x - value
             return (x - work.blend * mask * deviation, total + (weight * deviation**2).sum()), None
 
-        (_, total), _ = jax.lax.scan(body, (p["start"], jnp.zeros((), dtype)), rows)
+        turned = tuple(a.swapaxes(0, 1) for a in rows)
+        (_, total), _ = jax.lax.scan(body, (p["start"], jnp.zeros((), dtype)), turned)
         return total
 
-    rows = tuple(jnp.asarray(a, dtype) for a in (work.interval, step, work.row_value, work.row_mask, weight))
-    arguments = (parameters(work, dtype), jnp.asarray(work.condition, dtype), rows)
-    compiled = jax.jit(jax.value_and_grad(loss)).lower(*arguments).compile()
-    return lambda: jax.block_until_ready(compiled(*arguments))
+    step = np.where(work.count > 0, work.interval / np.maximum(work.count, 1), 1.0)
+    weight = 0.5 * work.row_mask / work.scale**2 / work.measured
+    rows = (work.interval, step, work.row_value, work.row_mask, weight)
+    return loss, tuple(jnp.asarray(a, dtype) for a in (work.condition, *(row.swapaxes(0, 1) for row in rows)))
+
+
+def _step(work: Workload, dtype: Any, loss: Loss, data: Any) -> Step:
+    p = parameters(work, dtype)
+    compiled = jax.jit(jax.value_and_grad(loss)).lower(p, data).compile()
+    return lambda: jax.block_until_ready(compiled(p, data))
+
+
+def one_solve(work: Workload, dtype: Any) -> Step:
+    """The step by `one_solve_loss`."""
+    return _step(work, dtype, *one_solve_loss(work, dtype))
+
+
+def scan_of_solves(work: Workload, dtype: Any) -> Step:
+    """The step by `scan_of_solves_loss`."""
+    return _step(work, dtype, *scan_of_solves_loss(work, dtype))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 from torchdiffeq import odeint
@@ -10,23 +12,29 @@ from benchmarks.peers.torch_eager import Naive, Step, gradient, tensor
 from benchmarks.workload import Workload
 
 
-def packed_step(work: Workload, dtype: torch.dtype) -> Step:
-    """One `odeint` for each packed sub-step, every trajectory with its own length of it."""
-    model = Naive(work, dtype)
+def packed_loss(work: Workload, model: Naive, dtype: torch.dtype) -> Callable[[], Tensor]:
+    """The loss by one `odeint` for each packed sub-step, every trajectory with its own length of it."""
     h = tensor(work.h, dtype)[..., None]
     value, mask, weight = (tensor(a, dtype) for a in (work.value, work.mask, work.weight))
     unit = torch.tensor([0.0, 1.0], dtype=dtype)
 
-    def run() -> tuple[Tensor, tuple[Tensor, ...]]:
+    def run() -> Tensor:
         x, loss = model.start, torch.zeros((), dtype=dtype)
         for s in range(len(value)):
             if s > 0:
                 x = odeint(lambda _, y, h=h[s - 1]: h * model(y), x, unit, method="rk4")[-1]
             loss = loss + (weight[s] * (x - value[s]) ** 2).sum()
             x = torch.where(mask[s] * work.blend > 0, value[s], x)
-        return gradient(model, loss)
+        return loss
 
     return run
+
+
+def packed_step(work: Workload, dtype: torch.dtype) -> Step:
+    """The step by `packed_loss`."""
+    model = Naive(work, dtype)
+    loss = packed_loss(work, model, dtype)
+    return lambda: gradient(model, loss())
 
 
 def interval(work: Workload, dtype: torch.dtype) -> Step:

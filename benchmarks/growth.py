@@ -1,0 +1,129 @@
+"""How a training step grows: with trajectories, length, width of the network and number of states.
+
+    python -m benchmarks.growth [--rounds 3] [--axes trajectories length width states] [--variants native torch …]
+
+One size is varied at a time, the others stay at 200 trajectories, span 10, width 64 and two states (further states
+follow in a chain). float32, one core. Cases that would take too long or too much memory are left out, and told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import torch
+
+from benchmarks.harness import busyness, interleaved, markdown, parser, say, write
+from benchmarks.variants import VARIANTS, Dtype, build
+from benchmarks.workload import Size, Workload, make
+
+AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "trajectories": ("trajectories", (20, 200, 2000, 20000)),
+    "length": ("span", (2.5, 10, 40)),
+    "width": ("width", (16, 64, 256)),
+    "states": ("states", (2, 8, 32)),
+}
+"""What is varied, and to which values."""
+
+SIMULATED = 50
+"""Trajectories that are simulated; more are repeats of them."""
+
+STORING = ("graph", "jax", "torch", "torch-naive", "torch-aligned", "torchdiffeq", "torchdiffeq-packed")
+"""Variants that keep all activations of all sub-steps."""
+
+
+def dtype_of(name: str) -> Dtype:
+    """float32 where the variant has it."""
+    return VARIANTS[name].dtypes[0]
+
+
+def needed_gb(name: str, work: Workload) -> float:
+    """About what a step takes: of those that store it, six arrays of the width in each of four stages of a sub-step."""
+    if name not in STORING:
+        return 0.0
+    size = 4 if dtype_of(name) == "float32" else 8
+    return 6 * 4 * work.size.width * size * work.substeps / 1e9
+
+
+def available_gb() -> float:
+    """Memory of the machine that is free."""
+    return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+
+
+def case(size: Size, names: Sequence[str], before: Mapping[str, float], rounds: int, most: float) -> dict[str, Any]:
+    """Milliseconds by variant at one size; `before` has the seconds a floating point operation that are expected."""
+    work = make(size, SIMULATED)
+    chosen, left_out = [], {}
+    for name in names:
+        seconds, memory = before.get(name, 0.0) * work.flop, needed_gb(name, work)
+        if seconds > most:
+            left_out[name] = f"about {seconds:.0f} s a step"
+        elif memory > 0.6 * available_gb():
+            left_out[name] = f"about {memory:.0f} GB"
+        else:
+            chosen.append(name)
+    candidates = [c for name in chosen for c in build(work, [name], [dtype_of(name)])]
+    timings = interleaved({c.name: c.run for c in candidates}, rounds, seconds=3 * most)
+    return {
+        "size": asdict(size),
+        "substeps": work.substeps,
+        "flop": work.flop,
+        "busyness": round(busyness(timings), 3),
+        "timings": {name: timing.to_json() for name, timing in timings.items()},
+        "left_out": left_out,
+    }
+
+
+def grow(axis: str, names: Sequence[str], rounds: int, most: float) -> list[dict[str, Any]]:
+    """The cases of one axis."""
+    attribute, values = AXES[axis]
+    cases: list[dict[str, Any]] = []
+    before: dict[str, float] = {}
+    for value in values:
+        size = replace(Size(), **{attribute: type(getattr(Size(), attribute))(value)})
+        cases.append(case(size, names, before, rounds, most))
+        before |= {name: 1e-3 * t["ms"] / cases[-1]["flop"] for name, t in cases[-1]["timings"].items()}
+        times = ", ".join(f"{name} {t['ms']:.1f} ms" for name, t in cases[-1]["timings"].items())
+        say(f"{axis} {value:g}: {times}" + "".join(f", {n} left out ({w})" for n, w in cases[-1]["left_out"].items()))
+    return cases
+
+
+def table(axes: Mapping[str, Sequence[Mapping[str, Any]]], names: Sequence[str]) -> str:
+    """One row a case: milliseconds by variant."""
+    rows = []
+    for axis, cases in axes.items():
+        for found in cases:
+            cells = []
+            for name in names:
+                timing = found["timings"].get(name)
+                cells.append(found["left_out"].get(name, "") if timing is None else f"{timing['ms']:.1f}")
+            value = found["size"][AXES[axis][0]]
+            rows.append([f"{axis} {value:g}", f"{found['substeps']}", *cells])
+    titles = [f"{VARIANTS[name].title}, {'f32' if dtype_of(name) == 'float32' else 'f64'} ms" for name in names]
+    return markdown(["", "sub-steps", *titles], rows)
+
+
+def arguments() -> argparse.Namespace:
+    options = parser(__doc__)
+    options.add_argument("--rounds", type=int, default=3)
+    options.add_argument("--axes", nargs="+", choices=list(AXES), default=list(AXES))
+    chosen = ["native", "jax-checkpoint", "torch"]
+    options.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=chosen, metavar="NAME")
+    options.add_argument("--most", type=float, default=6.0, help="seconds that a step may take")
+    return options.parse_args()
+
+
+def main() -> None:
+    """Measures, and writes growth.md and growth.json."""
+    options = arguments()
+    torch.set_num_threads(1)
+    axes = {axis: grow(axis, options.variants, options.rounds, options.most) for axis in options.axes}
+    measured = [n for n in options.variants if any(n in c["timings"] for cases in axes.values() for c in cases)]
+    write("growth", "How a training step grows", table(axes, measured), {"axes": axes}, options.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""The reactor fitted by hand: torch, torchdiffeq and Adam with a one-cycle schedule, teacher forcing, full batches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+from benchmarks.peers.torch_eager import Naive
+from benchmarks.peers.torchdiffeq_rk4 import packed_loss
+from benchmarks.workload import Workload
+
+RATE = 1e-2
+"""Peak learning rate of the weights."""
+
+
+class Positive(nn.Module):
+    """A positive number as the exponential of what is trained."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The number."""
+        return x.exp()
+
+    def right_inverse(self, x: Tensor) -> Tensor:
+        """What is trained."""
+        return x.log()
+
+
+def fit(work: Workload, steps: Callable[[Callable[[], None]], int], record: Callable[[Any], None]) -> None:
+    """Trains; `steps` says how many steps there is time for after trying one; `record` takes weights and constants."""
+    model = Naive(work, torch.float32)
+    parametrize.register_parametrization(model, "constants", Positive())
+    loss = packed_loss(work, model, torch.float32)
+    optimiser = torch.optim.Adam(model.parameters(), lr=RATE)
+
+    def step() -> None:
+        optimiser.zero_grad()
+        loss().backward()  # type: ignore[no-untyped-call]  # torch's own
+        optimiser.step()
+
+    total = steps(step)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=total + 1)
+    for _ in range(total):
+        step()
+        schedule.step()
+        with torch.no_grad():
+            record(([w.numpy().copy() for w in model.weights], model.constants.numpy().copy()))
