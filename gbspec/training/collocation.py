@@ -117,7 +117,8 @@ class FreeOutputs:
     """Networks whose outputs are free numbers at each point, one for each application; records their arguments.
 
     In place of the module's networks: `values` [M, Q] are the outputs in the order in which a right-hand side asks for
-    them, `arguments` the recorded arguments, one (network, [M, n_arguments]) an application.
+    them, `arguments` the recorded arguments, one (network, [M, E, n_arguments]) an application; E is 1, or the number
+    of elements where a network is applied to whole arrays.
     """
 
     def __init__(self, model: Model, count: int) -> None:
@@ -138,16 +139,19 @@ class FreeOutputs:
         neutral = {u.output: u.neutral for u in self.model.unknowns if u.network == index}
 
         def apply(*arguments: Tensor) -> tuple[Tensor, ...]:
-            tensors = [torch.as_tensor(a, dtype=torch.float64).detach().expand(self.count) for a in arguments]
-            self.arguments.append((index, torch.stack(tensors, -1).numpy()))
-            begin = self._position
-            self._position += len(outputs)
+            tensors = [torch.as_tensor(a, dtype=torch.float64).detach() for a in arguments]
+            shape = torch.broadcast_shapes((self.count,), *(a.shape for a in tensors if a.ndim < 2))
+            if any(a.ndim > 1 for a in tensors):
+                shape = torch.broadcast_shapes((self.count, 1), *(a.shape for a in tensors))
+            table = torch.stack([a.expand(shape) for a in tensors], -1).reshape(self.count, -1, len(tensors))
+            self.arguments.append((index, table.numpy()))
+            begin, each = self._position, table.shape[1]
+            self._position += len(outputs) * each
             if self.values is None:
-                self.neutral.extend(neutral.get(i, 0.0) for i in range(len(outputs)))
-                return tuple(
-                    torch.full((self.count,), neutral.get(i, 0.0), dtype=torch.float64) for i in range(len(outputs))
-                )
-            return tuple(self.values[:, begin + i] for i in range(len(outputs)))
+                self.neutral.extend(neutral.get(i, 0.0) for i in range(len(outputs)) for _ in range(each))
+                return tuple(torch.full(shape, neutral.get(i, 0.0), dtype=torch.float64) for i in range(len(outputs)))
+            columns = self.values[:, begin : self._position].reshape(self.count, len(outputs), each)
+            return tuple(columns[:, i].reshape(shape) for i in range(len(outputs)))
 
         return apply
 

@@ -310,13 +310,13 @@ class _Sweep:
         return torch.cat(finished[::-1]), calls
 
     def _collect_activations(self, tape: Taped, calls: list[int], batch: _Batch) -> dict[tuple[int, int, int], Tensor]:
-        """Inputs of each layer by (network, layer, group): [B, Q, width] over sub-steps and stages of equal length."""
+        """Inputs of each layer by (network, layer, group): [B, Q, width] over sub-steps, stages, elements."""
         out: dict[tuple[int, int, int], Tensor] = {}
         for group, (length, begin, end) in enumerate(batch.groups):
             for network, layer in self.offsets:
                 parts = [a.detach()[begin:end] for *key, a, _ in tape[: calls[length]] if key == [network, layer]]
                 if parts:
-                    out[network, layer, group] = torch.stack(parts, 1).reshape(end - begin, -1, parts[0].shape[-1])
+                    out[network, layer, group] = _side_by_side(parts)
         return out
 
     def _contract(
@@ -335,10 +335,15 @@ class _Sweep:
                 parts = [dz[begin:end] for (*key, _, _), dz in entries if key == [network, layer]]
                 if not parts:
                     continue
-                dz = torch.stack(parts, 1).reshape(end - begin, -1, rows)
+                dz = _side_by_side(parts)
                 product = torch.bmm(dz.transpose(1, 2), activations[network, layer, group])
                 target[begin:end, offset : offset + rows * width] = product.reshape(end - begin, -1)
                 target[begin:end, offset + rows * width : offset + rows * width + rows] = dz.sum(1)
+
+
+def _side_by_side(parts: list[Tensor]) -> Tensor:
+    """Points [B, ..., width] of several calls as one [B, Q, width]; calls for whole arrays have an axis of elements."""
+    return torch.cat([part.reshape(len(part), -1, part.shape[-1]) for part in parts], 1)
 
 
 @dataclass(frozen=True)

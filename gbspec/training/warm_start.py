@@ -157,9 +157,12 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
     position = 0
     seen: dict[int, list[tuple[Array, Array]]] = {}
     for which, arguments in eliminated.arguments:
-        width = len(model.networks[which].outputs)
-        seen.setdefault(which, []).append((arguments, eliminated.outputs[:, position : position + width]))
-        position += width
+        width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
+        columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
+        seen.setdefault(which, []).append(
+            (arguments.reshape(-1, n_arguments), columns.swapaxes(1, 2).reshape(-1, width))
+        )
+        position += width * each
     for index, network in enumerate(model.networks):
         name = network.name
         applications = seen.get(index, [])

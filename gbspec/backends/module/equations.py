@@ -279,7 +279,10 @@ def _statements(program: Iterable[Statement], names: Names, model: Model) -> lis
     for statement in program:
         if isinstance(statement, NetworkCall):
             constants = "math.columns(constants)" if any(map(is_vector, statement.arguments)) else "constants"
-            arguments = ", ".join(["math", constants, "networks", *map(printer.print, statement.arguments)])
+            given = [printer.print(argument) for argument in statement.arguments]
+            if not any(argument.free_symbols for argument in statement.arguments):  # one point for the whole batch
+                given = [f"math.fill(state, {number})" for number in given]
+            arguments = ", ".join(["math", constants, "networks", *given])
             targets = [
                 "_" if symbol is None else names.claim(symbol, wish)
                 for symbol, wish in zip(statement.results, statement.wishes, strict=True)

@@ -13,8 +13,9 @@ import numpy as np
 # One namespace a library, all with the same names, so that the equations are written once. `where(condition, a, b)`
 # chooses; `guard(condition, x)` is x, in torch with its gradient cut off where the condition does not hold; `unpack`
 # splits the last axis, `pack(like, parts)` joins parts along a new one in the shape and type of `like`, `column`
-# appends an axis, `columns` to each of several. Of vectors on the last axis, `part` takes components, `entry` one,
-# `total` their sum; `join` puts vectors one behind the other, `spread` repeats a scalar, `indices` counts.
+# appends an axis, `columns` to each of several; `fill(like, x)` is a number for each point of a batch. Of vectors on
+# the last axis, `part` takes components, `entry` one, `total` their sum; `join` puts vectors one behind the other,
+# `spread` repeats a scalar, `indices` counts.
 
 
 @functools.cache
@@ -80,6 +81,7 @@ def _torch_arithmetic() -> Any:
         pack=pack,
         column=column,
         columns=lambda values: tuple(map(column, values)),
+        fill=lambda like, x: like.new_tensor(x).expand(like.shape[:-1]),
         part=lambda x, *ends: x[..., slice(*ends) if len(ends) < 3 else list(range(*ends))],
         entry=lambda x, place: x[..., place],
         total=lambda x: x.sum(-1),
@@ -115,6 +117,7 @@ def _casadi_arithmetic() -> Any:
         pack=lambda like, parts: ca.vertcat(*parts) if parts else type(like)(0, 1),
         column=lambda h: h,
         columns=lambda values: values,
+        fill=lambda like, x: x,
         part=lambda x, *ends: x[slice(*ends) if len(ends) < 3 else list(range(*ends))],
         entry=lambda x, place: x[place],
         total=ca.sum1,
@@ -152,6 +155,7 @@ def _numpy_arithmetic() -> Any:
         ),
         column=lambda h: np.expand_dims(h, -1),
         columns=lambda values: tuple(np.expand_dims(value, -1) for value in values),
+        fill=lambda like, x: np.broadcast_to(x, np.shape(like)[:-1]),
         part=lambda x, *ends: x[..., slice(*ends) if len(ends) < 3 else list(range(*ends))],
         entry=lambda x, place: x[..., place],
         total=lambda x: np.sum(x, -1),

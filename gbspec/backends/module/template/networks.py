@@ -99,7 +99,7 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
             point = torch.stack([center.new_tensor(float(a)) for a in arguments])
             return point if tape is None else point.expand(*shape[0], len(arguments))
         stacked = _stack(m.pack, arguments)
-        shape[0] = stacked.shape[:-1]
+        shape[0] = stacked.shape[:1] if stacked.ndim > 1 else ()  # with a tape there is one batch axis
         return stacked
 
     def taped(*arguments: Any) -> Any:

@@ -1,0 +1,97 @@
+"""Training of arrays of states: calls of a network for whole arrays in the Jacobian and in the warm start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Trajectories
+from gbspec.training.collocation import FreeOutputs, Points, evaluate_rhs
+from gbspec.training.jacobian import linearise
+from gbspec.training.unroll import measured_residuals, unroll
+from tests.training.conftest import model_of, problem_of, trajectory
+
+COLUMN = """model column
+const N = 5
+const h = 0.2
+condition cin in [0, 2]
+learn D = 0.02 in [0, 1]
+state w in [0, 1]
+state c[1..N] in [0, 2]
+unknown r, s(c) by mlp(4, 3)
+unknown q(c, w) = D*c + nn by mlp(3)
+c[i]' = D*(c[i-1] - 2*c[i] + c[i+1])/h^2 - r(c[i]) - w*s(c[N+1-i]) + r(w) + q(c[i], w)*q(c[i], 0.5)
+c[0] = cin
+c[N+1] = c[N]
+w' = sum(c)/N - w + q(0.3, 0.2) + s(c[2])
+initial c[i] = 0.1*i
+observe c[1]
+observe c[4]
+observe w
+observe load = sum(c)*h + r(c[2])
+"""
+
+
+def column_data(seed: int = 0) -> Trajectories:
+    """Random measurements, rows partly empty, trajectories of different lengths."""
+    rng = np.random.default_rng(seed)
+    items = []
+    for i in range(2):
+        times = np.cumsum(rng.gamma(4, 0.1, 2 + i))
+        values = rng.uniform(0.3, 1.5, (len(times), 4))
+        values[rng.random(values.shape) < 0.3] = np.nan
+        items.append(trajectory(str(i), 0.0, times, values, [rng.uniform()]))
+    return Trajectories(tuple(items), ("c[1]", "c[4]", "w", "load"))
+
+
+def test_the_jacobian_equals_automatic_differentiation_and_that_of_the_model_written_out() -> None:
+    model, data = model_of(COLUMN), column_data()
+    problem, parameters, theta = problem_of(model, data, 0.5, blend=0.3)
+    dense = linearise(problem, parameters, theta).dense(parameters)
+    expected = torch.func.jacrev(lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals))(
+        torch.from_numpy(theta)
+    )
+    assert float((dense - expected).abs().max()) < 1e-10 * float(expected.abs().max())
+    long, parameters, theta = problem_of(replace(model, arrays=(), families=()), data, 0.5, blend=0.3)
+    written = linearise(long, parameters, theta).dense(parameters)
+    assert float((dense - written).abs().max()) < 1e-10 * float(expected.abs().max())
+
+
+def test_free_outputs_stand_for_every_element() -> None:
+    model = model_of(COLUMN)
+    module = load_module(model).random(0)
+    rng = np.random.default_rng(1)
+    count, n = 4, len(model.states)
+    points = Points(
+        t=np.zeros(count),
+        x=rng.uniform(0.2, 1.0, (count, n)),
+        slope=np.zeros((count, n)),
+        condition=np.full((count, 1), 0.7),
+        inputs=np.zeros((count, 0)),
+        trajectory=np.zeros(count, dtype=np.int64),
+        equations=(),
+        rough=(),
+        scale=np.ones(n),
+        measurements=1,
+    )
+    constants = torch.tensor([[5.0, 0.2, 0.02]] * count, dtype=torch.float64)
+    free = FreeOutputs(model, count)
+    evaluate_rhs(model, module, points, constants, free.functions())
+    sizes = [(network, table.shape) for network, table in free.arguments]
+    assert sorted(sizes) == sorted(
+        [(0, (4, 1, 1)), (0, (4, 1, 1)), (0, (4, 5, 1)), (0, (4, 5, 1)), (1, (4, 1, 2)), (1, (4, 5, 2)), (1, (4, 5, 2))]
+    )
+    # With what the networks say at the recorded arguments in place of the free numbers, the same right-hand side.
+    networks = module.numpy_networks()
+    columns = []
+    for network, table in free.arguments:
+        columns += list(networks[network](*np.moveaxis(table, -1, 0)))
+    free.values = torch.from_numpy(np.concatenate(columns, axis=1))
+    assert free.values.shape[1] == len(free.neutral)
+    found = evaluate_rhs(model, module, points, constants, free.functions())
+    weights = {name: torch.from_numpy(value) for name, value in module.weights.items()}
+    wanted = evaluate_rhs(model, module, points, constants, module.torch_networks(weights))
+    assert torch.allclose(found, wanted, rtol=1e-12, atol=1e-13)
