@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from gbspec.diagnostics import Findings, Source, UserError
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from gbspec.training import Progress
     from gbspec.training.options import TrainOptions
     from gbspec.training.profile import Profile
+    from gbspec.training.variations import Point
 
 
 # ---------------------------------------------------------------------------------------------- text to Model
@@ -183,6 +184,20 @@ def train(
     from gbspec.training import train as run
 
     return run(model, data, options, directory, progress)
+
+
+def sweep(
+    model: Model,
+    data: Trajectories,
+    points: Sequence[Point],
+    directory: Path,
+    options: TrainOptions,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Trains with each point's options into a run directory of its own; a row of results for each."""
+    from gbspec.training.sweep import sweep as run
+
+    return run(model, data, points, options, directory, progress)
 
 
 def eigen(

@@ -22,6 +22,7 @@ COMMANDS = {
     "lsp": "gbspec.cli.commands.lsp",
     "simulate": "gbspec.cli.commands.simulate",
     "train": "gbspec.cli.commands.train",
+    "sweep": "gbspec.cli.commands.sweep",
     "validate": "gbspec.cli.commands.validate",
     "predict": "gbspec.cli.commands.predict",
     "eigen": "gbspec.cli.commands.eigen",

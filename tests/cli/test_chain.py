@@ -285,3 +285,14 @@ def test_wrong_parameters_of_bifurcate(
     result = gbspec("bifurcate", known, *arguments)
     assert result.exit_code == status, result.output
     assert code in result.stderr
+
+
+# ------------------------------------------------------------------------------------------------------- sweep
+def test_a_sweep_has_a_row_for_each_combination(place: Path, here: Path, document: Run) -> None:
+    made = document("sweep", place / "known.gb", place / "known.csv", "-o", "swept", "--vary", "effort=low",
+                    "--vary", "max_step=0.1,0.5", "--workers", 1)  # fmt: skip
+    assert [row["run"] for row in made["runs"]] == ["effort=low,max_step=0.1", "effort=low,max_step=0.5"]
+    assert all(row["loss"] < 1e-4 for row in made["runs"])
+    assert Path("swept/sweep.csv").is_file() and Path("swept/effort=low,max_step=0.1/fit.json").is_file()
+    again = call("sweep", place / "known.gb", place / "known.csv", "-o", "swept", "--vary", "effort=low")
+    assert again.exit_code == 1 and "GB806" in again.stderr

@@ -1,0 +1,61 @@
+"""`gbspec sweep MODEL DATA -o DIR --vary NAME=VALUE,VALUE`: one run for each combination of options, and a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.commands.train import target
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
+from gbspec.diagnostics import Findings
+from gbspec.report.text import number, table
+from gbspec.training.options import TrainOptions
+from gbspec.training.variations import points
+
+
+@command(
+    "sweep",
+    "gbspec sweep my_model.gb data.csv -o my_sweep --vary max_step=0.05,0.1 --vary effort=low,normal",
+    "gbspec sweep urp_gb2 urp.csv -o holdouts --vary seed=0,1,2 --holdout 0.2 --workers 3",
+    "gbspec sweep urp_gb2 urp.csv -o urp_sweep --vary ridge=0,1,2 --scheduler tcp://head:8786 --resume",
+)
+def run(
+    output: Output,
+    model: Annotated[str, typer.Argument(help="A model file (.gb).", metavar="MODEL")],
+    data: Annotated[str, typer.Argument(help="A table of measurements.", metavar="DATA")],
+    to: Annotated[
+        str, typer.Option("--output", "-o", help="The directory of the runs and their table.", metavar="DIR")
+    ],
+    vary: Annotated[
+        list[str],
+        typer.Option("--vary", help="An option of training and its values; repeat it to cross.", metavar="NAME=V,V…"),
+    ],
+    options: TrainOptions,
+    set_values: Settings = None,
+) -> None:
+    """Train a model with every combination of some options, one run directory each, and set the results side by side.
+
+    The options of `gbspec train` that are given hold for all runs. `sweep.csv` has a row for each run. `--resume`
+    continues a sweep that was interrupted: finished members are not fitted again, and new values may be added.
+    """
+    from gbspec import driver
+    from gbspec.cli.progress import shown
+
+    findings = Findings()
+    directory = target(to, resume=options.resume)
+    chosen = points(vary, options, findings)
+    findings.raise_if_failed()
+    specified = driver.specified(driver.load_model(model, findings), settings(set_values))
+    measured = driver.read_data(data, specified, findings)
+    output.findings(findings)
+    with shown(output) as progress:
+        rows = driver.sweep(specified, measured, chosen, directory, options, progress)
+    output.say(f"wrote {Path(to) / 'sweep.csv'}")
+    header = ["run", *(name for name in max(rows, key=len) if name != "run" and name not in chosen[0].varied)]
+    cells = [[row["run"], *(number(row.get(name)) for name in header[1:])] for row in rows]
+    output.summary(table(header, cells))
+    output.document({"runs": rows})

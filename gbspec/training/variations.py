@@ -1,0 +1,101 @@
+"""Options crossed: what a sweep varies, and the runs that come of it."""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from typing import Any, Literal, get_args, get_origin
+
+from gbspec.diagnostics import Findings
+from gbspec.training.options import TrainOptions
+
+FIXED = frozenset({"resume", "workers", "threads", "scheduler"})
+"""Options of a call, which a sweep has but does not vary."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run of a sweep: its name, which is that of its directory too, what is varied in it, and all options."""
+
+    name: str
+    varied: dict[str, Any]
+    options: TrainOptions
+
+
+def points(texts: Sequence[str], base: TrainOptions, findings: Findings) -> list[Point]:
+    """Every combination of the variations `NAME=VALUE,VALUE,...`, the last one varying fastest, the rest from `base`.
+
+    What is wrong is recorded in `findings`: GB862 where a variation makes no sense, GB850 where a value does not.
+    """
+    varied: dict[str, list[Any]] = {}
+    for text in texts:
+        name, values = _variation(text, findings)
+        if name in varied:
+            findings.error("GB862", f"`--vary` gives `{name}` twice", None, help="write all its values in one")
+        varied[name] = values
+    if not texts:
+        help_text = "name at least one option and its values: --vary effort=low,normal"
+        findings.error("GB862", "nothing is varied", None, help=help_text)
+    out = []
+    for combination in product(*varied.values()):
+        chosen = dict(zip(varied, combination, strict=True))
+        if all(name in _types() for name in chosen):
+            name = ",".join(f"{name}={_text(value)}" for name, value in chosen.items())
+            out.append(Point(name, chosen, replace(base, **chosen)))
+    for name, values in varied.items():
+        for value in values if name in _types() else ():
+            replace(TrainOptions(), **{name: value}).check(findings)
+    base.check(findings)
+    return out
+
+
+def _variation(text: str, findings: Findings) -> tuple[str, list[Any]]:
+    """The option and its values; what is wrong is recorded, and left out."""
+    before, _, after = text.partition("=")
+    name = before.strip().replace("-", "_")
+    if name not in _types():
+        from gbspec.data.names import similar
+
+        near = similar(name, list(_types()))
+        message = f"`--vary {text}`: no option that can be varied is called `{before.strip()}`"
+        findings.error("GB862", message, None, help=f"did you mean `{near}`?" if near else "see `gbspec train --help`")
+        return name, []
+    values: list[Any] = []
+    for part in (each.strip() for each in after.split(",")):
+        try:
+            value = _read(part, _types()[name])
+        except ValueError:
+            message = f"`--vary {text}`: `{part}` is no value of `{name}`"
+            findings.error("GB862", message, None, help=f"write values with commas between: --vary {name}=…,…")
+            continue
+        if value in values:
+            findings.error("GB862", f"`--vary {text}` gives `{part}` twice", None, help="give it once")
+        values.append(value)
+    return name, values
+
+
+def _types() -> dict[str, Any]:
+    """The options that can be varied, with their types."""
+    hints = typing.get_type_hints(TrainOptions)
+    return {field.name: hints[field.name] for field in fields(TrainOptions) if field.name not in FIXED}
+
+
+def _read(text: str, kind: Any) -> Any:
+    """A value of a type from its text; raises ValueError. What else it must satisfy, the options check."""
+    if get_origin(kind) is types.UnionType:
+        kind = next(part for part in get_args(kind) if part is not types.NoneType)
+    if kind is bool:
+        if text.lower() not in ("true", "false"):
+            raise ValueError(text)
+        return text.lower() == "true"
+    if kind is str or get_origin(kind) is Literal:
+        return text
+    return kind(text)
+
+
+def _text(value: Any) -> str:
+    """A value as a directory's name has it."""
+    return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
