@@ -132,7 +132,7 @@ class Sampler:
         found = []
         for i in range(self.options.rhs_points):
             random = np.random.default_rng([self.options.seed, i, 2])
-            found.append(self.reach(random, lambda random=random: random.uniform(*self.window)))  # type: ignore[misc]
+            found.append(self.reach(random, lambda random=random: random.uniform(*self.window)))  # type: ignore[misc]  # a default binds the loop's value
         drawn = [one for one, _, _ in found]
         return RhsPoints(
             times=np.array([time for _, time, _ in found]),

@@ -108,12 +108,16 @@ def guarded(work: Callable[[], None], output: Output) -> int:
     return OK
 
 
+USAGE_CODES = frozenset({"GB750", "GB754", "GB810", "GB814", "GB850"})
+"""Findings on what an option was given: wrong whatever the files hold."""
+
+
 def _wrong_input(diagnostics: tuple[Diagnostic, ...], output: Output) -> int:
     from gbspec.diagnostics.render import to_json
 
     output.findings(diagnostics)
     output.document({"diagnostics": [to_json(d) for d in diagnostics]})
-    return WRONG_INPUT
+    return USAGE if diagnostics and all(d.code in USAGE_CODES for d in diagnostics) else WRONG_INPUT
 
 
 def _failed(error: ComputationError, output: Output) -> int:

@@ -25,7 +25,7 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
     if series.dtype == pl.Null:
         return np.full(len(series), np.nan)
     if series.dtype in (pl.String, pl.Categorical):
-        values, missing, texts = _from_text(series.cast(pl.String))
+        values, missing, texts = _from_text(series.cast(pl.String), sheet.decimal_comma)
     elif series.dtype.is_numeric():
         values = series.cast(pl.Float64).fill_null(float("nan")).to_numpy().astype(np.float64)
         missing, texts = np.isnan(values), None
@@ -53,11 +53,12 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
     return values
 
 
-def _from_text(series: pl.Series) -> tuple[Array, NDArray[np.bool_], pl.Series]:
+def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, NDArray[np.bool_], pl.Series]:
     """Values, which cells are marked as not measured, and the texts without blanks around them."""
     texts = series.fill_null("").str.strip_chars()
     missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()
-    values = texts.cast(pl.Float64, strict=False).fill_null(float("nan")).to_numpy().astype(np.float64)
+    plain = texts.str.replace(r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$", "${1}.${2}") if decimal_comma else texts
+    values = plain.cast(pl.Float64, strict=False).fill_null(float("nan")).to_numpy().astype(np.float64)
     return values, missing, texts
 
 

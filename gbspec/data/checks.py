@@ -165,11 +165,11 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
     for position, g in enumerate(late[:SHOWN]):
         at = int(np.searchsorted(table.group, g))
         row = int(table.row[at])
-        known = "never" if np.isinf(first[g]) else f"first at time {first[g]:g}"
+        known = "it has none at all" if np.isinf(first[g]) else f"its first is at time {first[g]:g}"
         findings.error(
             "GB721",
             f"the input `{quantity.name}` has no value where trajectory `{table.labels[g]}` starts "
-            f"(time {start[g]:g}); it is given {known}",
+            f"(time {start[g]:g}); {known}",
             Cell(table.path, row, quantity.column),
             help="fill it in the first row"
             if table.time[at] <= start[g]

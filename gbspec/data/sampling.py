@@ -157,8 +157,8 @@ class SimulateOptions:
                     "GB750",
                     f"`--dose {name}={text}` is not a name, an amount and times",
                     None,
-                    help=f"write `--dose {name or 'gut'}=100@0,12,24`, or `--dose {name or 'gut'}=80:120@0` for amounts "
-                    "that are drawn",
+                    help=f"write `--dose {name or 'gut'}=100@0,12,24`, or `--dose {name or 'gut'}=80:120@0` for "
+                    "amounts that are drawn",
                     subject=name,
                 )
 

@@ -31,13 +31,15 @@ SHOWN = 5
 class Sheet:
     """A table as it is in its file: `columns` of one length, names unique, and `rows`, the row number of each record.
 
-    Rows are counted as a spreadsheet counts them: the header is row 1, and blank rows count.
+    Rows are counted as a spreadsheet counts them: comments and blank rows count, and without them the header is row 1.
+    `decimal_comma`: numbers may be written `0,5`.
     """
 
     path: str
     columns: dict[str, pl.Series]
     rows: NDArray[np.int64]
     sha256: str
+    decimal_comma: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -74,10 +76,12 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
 
 
 def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Findings) -> Sheet | None:
-    """A CSV or TSV file."""
+    """A CSV or TSV file. One whose cells are separated by semicolons may write decimal commas."""
     clean = _utf8(path, data, findings)
     if clean is None:
         return None
+    if separator == "," and _by_semicolons(clean):
+        separator = ";"
     records = _records(path, clean, separator, findings)
     if records is None:
         return None
@@ -110,7 +114,13 @@ def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Fi
             help='a quoted cell begins and ends with `"`, and has `""` for each quote inside',
         )
         return None
-    return Sheet(path, _named(names, frame.get_columns()), rows, sha256)
+    return Sheet(path, _named(names, frame.get_columns()), rows, sha256, decimal_comma=separator == ";")
+
+
+def _by_semicolons(data: bytes) -> bool:
+    """Whether the header's cells are separated by semicolons: what spreadsheets write where the comma is decimal."""
+    header = next((line for line in data.splitlines() if line.strip() and not line.startswith(b"#")), b"")
+    return b";" in header and b"," not in header
 
 
 def _utf8(path: str, data: bytes, findings: Findings) -> bytes | None:
@@ -170,6 +180,7 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
     visible = characters != ord(separator)
     content = np.concatenate([[0], np.cumsum(visible & (characters != ord(" ")) & (characters != ord("\t")))])
     filled &= content[ends] > content[starts]
+    filled &= ~_comments_above(characters, starts, filled)
     rows = np.flatnonzero(filled) + 1
     if not len(rows):
         return _Records(b"", b"", rows, widths[filled])
@@ -179,6 +190,18 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
         keep = np.repeat(filled[first + 1 :], (ends - starts + 1)[first + 1 :])
         body = characters[ends[first] + 1 :][keep].tobytes()
     return _Records(data[starts[first] : ends[first]], body, rows, widths[filled])
+
+
+def _comments_above(
+    characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which lines are comments above the header: those that begin with `#`, up to the first that does not."""
+    comment = np.zeros(len(starts), dtype=bool)
+    for line in np.flatnonzero(filled):
+        if characters[starts[line]] != ord("#"):
+            break
+        comment[line] = True
+    return comment
 
 
 def _header_ok(path: str, names: list[str], separator: str, findings: Findings) -> bool:

@@ -273,7 +273,12 @@ class _Translation:
                     "let the bounds be constant",
                 )
         if not product and self.prover.sign(factor) not in (1, -1):
-            raise Refused("GB605", f"the bounds cannot be kept: the sign of `{shown(factor)}` is not clear", bounds)
+            raise Refused(
+                "GB605",
+                f"the bounds cannot be kept: the sign of `{shown(factor)}` is not clear",
+                bounds,
+                self._ranges_help() or "multiply `nn` by what has one sign, or leave the bound out",
+            )
         inside_lower = lower is None or self.prover.nonnegative(base - lower)
         inside_upper = upper is None or self.prover.nonnegative(upper - base)
         if product and not two_sided and not (inside_lower and inside_upper):

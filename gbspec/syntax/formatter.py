@@ -166,6 +166,7 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
     """A statement on several lines."""
     lines: list[str] = []
     waiting: list[Piece] = []
+    before: Piece | None
 
     def flush(comment: str = "") -> None:
         if waiting:
@@ -175,12 +176,14 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
             lines[-1] = _with_comment(lines[-1], comment)
             waiting.clear()
 
-    begins_clause = False
+    begins_clause, before = False, None
     for piece in ordered:
         if piece.above or (clause_lines and _starts_line(piece, clauses)):
             flush()
         if not waiting:
-            begins_clause = piece.first
+            # The next contract of a list, after a comment, stands as deep as the first.
+            begins_clause = piece.first or (before is not None and before.text == "," and before.depth == 0)
+        before = piece
         lines.extend(" " * _INDENT + comment for comment in piece.above)
         waiting.append(piece)
         if piece.after:

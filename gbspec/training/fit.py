@@ -142,6 +142,10 @@ def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOpt
         raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
     if options.resume and (path / files.FIT).is_file():
         _check_resumable(path, model, record)
+    elif options.resume:
+        message = f"there is no run to resume in `{path}`"
+        advice = "check the path, or train without `--resume`"
+        raise UserError([Diagnostic("GB855", message, None, help=advice)])
     elif files.FIT in existing:
         message = f"`{path}` already holds a run"
         help_text = "name another directory with `-o`, delete this one, or continue it with `--resume`"

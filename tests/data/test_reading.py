@@ -233,3 +233,19 @@ def test_a_million_rows_take_seconds(tmp_path: Path) -> None:
     found = read(tmp_path / "big.csv", tank(), Findings())
     assert len(found) == 1000 and found.measurements == n
     assert time.process_time() - before < 20  # about 3 s of one core; a loop over rows takes minutes
+
+
+@pytest.mark.parametrize("above", ["", "# made by a reactor\n# on a Tuesday\n"])
+def test_semicolons_decimal_commas_and_comments_above_the_header(reading: Reader, above: str) -> None:
+    plain, findings = reading(WIDE)
+    table = WIDE.replace(",", ";").replace(".", ",")
+    found, findings = reading(above + table)
+    assert findings == [] and found is not None and plain is not None
+    for one, other in zip(found.items, plain.items, strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+        assert one.condition.tolist() == other.condition.tolist()
+
+
+def test_rows_are_counted_with_the_comments_above(reading: Reader) -> None:
+    _, findings = reading("# made by a reactor\n" + WIDE.replace("0.52", "half"))
+    assert [(d.code, d.place.row) for d in findings] == [("GB712", 4)]  # type: ignore[union-attr]

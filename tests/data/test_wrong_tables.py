@@ -21,7 +21,13 @@ FIRST = "1,0,0.5,1.5,0.3\n"
 WRONG: dict[str, tuple[str, Model, list[tuple[str, int | None, str | None]]]] = {
     "empty file": ("", reactor(), [("GB704", None, None)]),
     "header alone": (HEAD, reactor(), [("GB704", 1, None)]),
-    "semicolons": ("t;x1;x2;Da\n0;1;2;3\n", reactor(), [("GB705", 1, None)]),
+    "bars": ("t|x1|x2|Da\n0|1|2|3\n", reactor(), [("GB705", 1, None)]),
+    "thousands among semicolons": (
+        "t;x1;x2;Da\n0;0,5;1,5;0,3\n1;1.000,5;1;0,3\n",
+        reactor(),
+        [("GB712", 3, "x1")],
+    ),
+    "a comment among the rows": (HEAD + FIRST + "# later\n1,1,0.5,1,0.3\n", reactor(), [("GB708", 3, None)]),
     "tabs in a csv": ("t\tx1\tx2\tDa\n0\t1\t2\t3\n", reactor(), [("GB705", 1, None)]),
     "no header": ("0,0.5,1.5,0.3\n1,0.5,1.5,0.3\n", reactor(), [("GB706", 1, None)]),
     "column twice": ("t,x1,x1,Da\n0,1,2,3\n", reactor(), [("GB707", 1, "x1")]),

@@ -69,3 +69,13 @@ def test_explain_takes_any_case_and_suggests() -> None:
     (finding,) = caught.value.diagnostics
     assert finding.code == "GB009"
     assert "did you mean `GB" in finding.help
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [("GB999", "codes run from `GB0xx`"), ("GB729", "GB701 to GB728, GB730"), ("XYZ", "such as `GB201`")],
+)
+def test_an_unknown_code_is_told_which_there_are(asked: str, said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        explain(asked)
+    assert said in caught.value.diagnostics[0].help

@@ -49,7 +49,9 @@ BREAKAGES: dict[str, Callable[[Model], Model]] = {
 
 
 def test_a_lowered_model_is_right() -> None:
+    before = dump(MODEL)
     verify(MODEL)
+    assert dump(MODEL) == before
 
 
 @pytest.mark.parametrize("name", BREAKAGES)

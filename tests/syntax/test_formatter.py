@@ -130,3 +130,8 @@ def test_shipped_models_keep_their_meaning(path: Path) -> None:
     once = format_text(source)
     assert format_text(Source(source.path, once)) == once
     assert same(parse(source, Findings()), parse(Source(source.path, once), Findings()))
+
+
+def test_contracts_after_a_comment_stand_as_deep_as_the_first() -> None:
+    text = "model m\nstate x\nunknown f(x)\n    >= 0,  # a rate\n    zero at x = 0\n    by mlp(8)\nx' = f\n"
+    assert format_text(Source("m.gb", text)) == text

@@ -41,4 +41,4 @@ def _execute(text: str, name: str, class_name: str) -> type[Any]:
     linecache.cache[path] = (len(text), None, text.splitlines(keepends=True), path)
     sys.modules[name] = module
     exec(code, module.__dict__)  # the text is our own, made of a Model; nothing a user wrote is in it unprinted
-    return getattr(module, class_name)  # type: ignore[no-any-return]
+    return getattr(module, class_name)  # type: ignore[no-any-return]  # the class that the text defines

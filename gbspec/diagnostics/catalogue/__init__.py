@@ -51,6 +51,29 @@ def explain(code: str) -> Entry:
     wanted = code.strip().upper()
     if wanted in entries():
         return entries()[wanted]
-    close = get_close_matches(wanted, all_codes(), n=1)
-    help = f"did you mean `{close[0]}`?" if close else "codes look like `GB201`; a finding shows its code in brackets"
-    raise UserError([Diagnostic("GB009", f"there is no code `{code}`", None, help=help)])
+    raise UserError([Diagnostic("GB009", f"there is no code `{code}`", None, help=_instead(wanted))])
+
+
+def _instead(wanted: str) -> str:
+    """What to ask for instead of a code that there is none of: the codes of its hundred, else where codes are seen."""
+    beside = [code for code in all_codes() if code[:3] == wanted[:3]]
+    close = get_close_matches(wanted, beside or all_codes(), n=1, cutoff=0.5)
+    if beside:
+        meant = f"did you mean `{close[0]}`? " if close else ""
+        return f"{meant}The codes of this kind are {_shortened(beside)}"
+    if close and len(wanted) != len(close[0]):
+        return f"did you mean `{close[0]}`?"
+    kinds = sorted({code[:3] for code in all_codes()})
+    first, last = f"{kinds[0]}xx", f"{kinds[-1]}xx"
+    return f"codes run from `{first}` to `{last}`, such as `GB201`; a finding shows its code in brackets"
+
+
+def _shortened(codes: list[str]) -> str:
+    """Codes in a list, runs of numbers as one: `GB701 to GB716, GB719`."""
+    runs: list[list[str]] = []
+    for code in codes:
+        if runs and int(code[2:]) == int(runs[-1][-1][2:]) + 1:
+            runs[-1].append(code)
+        else:
+            runs.append([code])
+    return ", ".join(run[0] if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs)
