@@ -138,8 +138,15 @@ class LevenbergMarquardt:
 
         The covariance is the noise variance times the inverse of the normal matrix, priors and ridge included. How far
         the next undamped step would move a constant is added (in squares); NaN where that is more than the deviation
-        itself: the stage had not come to rest.
+        itself: the stage had not come to rest. All NaN where the equations are singular to rounding, as those of a fit
+        without any residual are.
         """
+        try:
+            return self._deviations(state)
+        except np.linalg.LinAlgError:
+            return np.full(len(self.parameters.shared), np.nan)
+
+    def _deviations(self, state: State) -> Array:
         parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
         problem = self.problem_at(0)
         system = linearise(problem, parameters, theta)

@@ -1,0 +1,35 @@
+"""Equations that are singular to rounding, as those of a fit without any residual are, give no interval."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gbspec
+from gbspec.training.levenberg import Cholesky, NormalEquations
+
+TEXT = """\
+model m
+state x in [0, 2]
+learn k = 1 in [0, 2]
+x' = -k*x
+initial x = 1
+observe x
+"""
+
+
+def singular(*_: object) -> float:
+    """What the factorisation does where the damping is lost in the rounding of a singular matrix."""
+    Cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    raise AssertionError("it is not positive definite")
+
+
+def test_a_fit_ends_without_an_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(NormalEquations, "degrees_of_freedom", singular)
+    (tmp_path / "m.gb").write_text(TEXT)
+    rows = "".join(f"{t},{2.718281828 ** (-0.5 * t)}\n" for t in (0.1, 0.2, 0.4, 0.8))
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
+    assert fit["constants"]["k"]["interval"] is None and fit["constants"]["k"]["sd"] is None
