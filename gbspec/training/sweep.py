@@ -80,9 +80,9 @@ def _row(point: Point, run: Fitting) -> dict[str, Any]:
 
 def _write(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Writes the table; its columns are those of the fullest row."""
-    columns = list(max(rows, key=lambda row: len(row)))
+    fullest: dict[str, Any] = max(rows, key=len)
     text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer = csv.DictWriter(text, list(fullest), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     files.write_bytes(path, text.getvalue().encode("utf-8"))

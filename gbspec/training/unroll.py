@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.checkpoint import checkpoint
 
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import ComputationError
+from gbspec.training import graph_memory
 from gbspec.training.doses import SubStep, advance, arrivals
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
@@ -56,15 +58,33 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
 def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep], networks: Any) -> list[Tensor]:
     """States of the live pieces at their starts and on arrival after each sub-step, from `x` [P, n_states]."""
     passed, k = [x], constants.unbind(1)
-    for s, step in enumerate(steps):
-        reset, live = problem.schedule.resets[s], len(step.t)
-        if reset is not None:
-            value, weight = reset
-            x = x - weight * (x - value)
-        if live < len(x):
-            x, k = x[:live], tuple(column[:live] for column in k)
-        x = advance(problem, x, step, k, networks)
-        passed.append(x)
+
+    def stretch(x: Tensor, begin: int, end: int) -> tuple[Tensor, ...]:
+        out = []
+        for reset, step in zip(problem.schedule.resets[begin:end], steps[begin:end], strict=True):
+            if reset is not None:
+                value, weight = reset
+                x = x - weight * (x - value)
+            live = len(step.t)
+            x = advance(problem, x[:live], step, [column[:live] for column in k], networks)
+            out.append(x)
+        return tuple(out)
+
+    def single(count: int) -> Tensor:
+        """The first piece's first sub-step, done `count` times."""
+        first, row = steps[0], torch.zeros(count, dtype=torch.int64, device=x.device)
+        nodes = tuple(node[row] for node in first.nodes)
+        step = SubStep(first.t[row], first.h[row], first.condition[row], nodes, None)
+        return advance(problem, x[row], step, [column[row] for column in k], networks)
+
+    every = [(0, len(steps))]
+    if torch.is_grad_enabled():
+        every = graph_memory.parts([len(step.t) for step in steps], lambda: graph_memory.kept_bytes(single))
+    for begin, end in every:
+        if len(every) == 1:
+            passed += stretch(passed[-1], begin, end)
+        else:
+            passed += checkpoint(stretch, passed[-1], begin, end, use_reentrant=False, preserve_rng_state=False)
     return passed
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
+from gbspec.training import graph_memory
 from gbspec.training.parameters import Parameters
 from gbspec.training.pieces import cut
 from gbspec.training.problem import Forcing, Problem
@@ -88,3 +93,77 @@ def test_intervals_between_fully_measured_rows_are_pieces() -> None:
     assert sorted(free.owner) == list(range(packed.trajectories)), "nothing forced: one a trajectory"
     assert sorted(free.length) == sorted(packed.steps)
     assert np.array_equal(free.owner[free.row_piece], packed.row_trajectory)
+
+
+class Peak(TorchDispatchMode):
+    """The most bytes of tensors, made within, that were alive at once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.live = self.most = 0
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        out = func(*args, **(kwargs or {}))
+        for tensor in tree_leaves(out):
+            if isinstance(tensor, Tensor) and not hasattr(storage := tensor.untyped_storage(), "counted"):
+                storage.counted = True
+                self.live += storage.nbytes()
+                self.most = max(self.most, self.live)
+                weakref.finalize(storage, self.free, storage.nbytes())
+        return out
+
+    def free(self, size: int) -> None:
+        self.live -= size
+
+
+def gradient(problem: Problem, parameters: Parameters, theta: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    vector = torch.from_numpy(theta).requires_grad_()
+    loss = (unroll(problem, parameters, vector).residuals ** 2).sum()
+    return torch.autograd.grad(loss, vector)[0].numpy()
+
+
+def peak_of_gradient(problem: Problem, parameters: Parameters, theta: np.ndarray[Any, Any]) -> int:
+    problem.schedule  # noqa: B018 - made beforehand, as it is kept whatever the graph does
+    with Peak() as peak:
+        gradient(problem, parameters, theta)
+    return peak.most
+
+
+@pytest.mark.parametrize("text", [URP, EVERYTHING])
+def test_a_graph_in_parts_has_the_same_gradient(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = urp_data(4, 2.0, 6) if text is URP else everything_data()
+    problem, parameters, theta = problem_of(model_of(text), data, 0.1)
+    whole = gradient(problem, parameters, theta)
+    monkeypatch.setattr(graph_memory, "FEW", 0)
+    monkeypatch.setattr(graph_memory, "GRAPH_BYTES", 100_000)
+    begun = len(graph_memory.parts([len(step.t) for step in problem.schedule.steps], lambda: 10_000))
+    assert begun > 3
+    found = gradient(problem, parameters, theta)
+    assert np.array_equal(found, whole)
+
+
+def test_the_peak_does_not_grow_with_the_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(2, 2.0, 6), 0.1, blend=0.0)
+    finer, *_ = problem_of(model_of(URP), urp_data(2, 2.0, 6), 0.03, blend=0.0)
+    assert finer.packed.depth > 2.5 * problem.packed.depth
+    coarse_peak, fine_peak = (peak_of_gradient(each, parameters, theta) for each in (problem, finer))
+    assert fine_peak > 2 * coarse_peak, "one graph grows"
+    limit = coarse_peak // 4
+    monkeypatch.setattr(graph_memory, "FEW", 0)
+    monkeypatch.setattr(graph_memory, "GRAPH_BYTES", limit)
+    for each in (problem, finer):
+        assert peak_of_gradient(each, parameters, theta) < 2.5 * limit
+
+
+def test_parts_are_as_long_as_the_limit_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graph_memory, "FEW", 10)
+    monkeypatch.setattr(graph_memory, "GRAPH_BYTES", 100)
+    assert graph_memory.parts([5, 5], lambda: 1 // 0) == [(0, 2)], "few sub-steps are not measured"
+    assert graph_memory.parts([10, 9, 1], lambda: 5) == [(0, 3)]
+    assert graph_memory.parts([10, 10, 9, 6, 5, 1], lambda: 5) == [(0, 2), (2, 5), (5, 6)]
+    assert graph_memory.parts([50, 3, 2], lambda: 10) == [(0, 1), (1, 3)], "a sub-step is never cut"
+
+
+def test_what_a_row_keeps_is_measured() -> None:
+    weight = torch.randn(30, 30, requires_grad=True)
+    assert graph_memory.kept_bytes(lambda n: torch.tanh(torch.zeros(n, 30) @ weight)) == 2 * 30 * 4
