@@ -9,6 +9,7 @@ from gbspec.diagnostics import Findings
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Effort = Literal["low", "normal", "high"]
+Initial = Literal["learned", "bred"]
 Device = Literal["cpu", "cuda", "auto"]
 
 
@@ -72,6 +73,13 @@ class TrainOptions:
             "help": "`teacher`: measured states are put in at each row; `autoregressive`: never; "
             "a number between 0 and 1: a blend (1 is teacher).",
             "metavar": "teacher|autoregressive|BLEND",
+        },
+    )
+    initial: Initial = field(
+        default="learned",
+        metadata={
+            "help": "Initial states that are neither measured nor expressed: `learned`, or `bred` at the end, that is "
+            "brought onto the slow manifold by the dynamics themselves.",
         },
     )
     random_substeps: bool = field(
@@ -143,7 +151,7 @@ class TrainOptions:
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
-        for name, allowed in (("method", Method), ("effort", Effort), ("device", Device)):
+        for name, allowed in (("method", Method), ("effort", Effort), ("initial", Initial), ("device", Device)):
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
 

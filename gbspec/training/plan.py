@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gbspec.data.trajectories import Array
+from gbspec.training.breeding import Breeding
 from gbspec.training.context import Context, released_starts
 from gbspec.training.descent import Adam, LimitedMemory
 from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
@@ -89,11 +90,23 @@ class _Planner:
         self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
 
     def stages(self) -> list[Planned]:
+        return self._estimation() + ([self._breeding()] if self.options.initial == "bred" else [])
+
+    def _estimation(self) -> list[Planned]:
+        """The stages that estimate everything."""
         if self.options.method == "gradient-matching":
             return [self._starts("initial states", 1.0)]
         if self.options.method == "auto":
             return self._constants_alone() if not self.parameters.n_weights else self._automatic()
         return [self._starts("initial states", self.blend), self._chosen()]
+
+    def _breeding(self) -> Planned:
+        def make(theta: Array) -> Stage:
+            # Starts matter throughout a noisy fit's whole solutions, and for the first rows under teacher forcing.
+            blend = 0.0 if "autoregressive" in self.marks else self.blend
+            return Breeding(self.context, self.released, blend)
+
+        return Planned(Breeding.name, 1, make, lambda theta: bool(self.parameters.start_free.any()))
 
     def _chosen(self) -> Planned:
         """The one optimiser that was asked for."""
