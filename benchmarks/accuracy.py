@@ -22,6 +22,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -52,10 +53,12 @@ Layers = Sequence[Array]
 
 
 # ------------------------------------------------------------------------------------------------------ data and error
-def data(trajectories: int) -> Trajectories:
+def data(trajectories: int, span: float = 10.0) -> Trajectories:
     """What all fit."""
     model = gbspec.load("urp_gb2")
-    return model.simulate(trajectories=trajectories, sampling="gamma", channels="own-clock", seed=0, **REGION)
+    return model.simulate(
+        trajectories=trajectories, span=span, sampling="gamma", channels="own-clock", seed=0, **REGION
+    )
 
 
 def points() -> tuple[Array, Array]:
@@ -105,7 +108,7 @@ class Record:
         return out
 
 
-def fit_gbspec(table: Trajectories) -> Record:
+def fit_gbspec(table: Trajectories, **options: Any) -> Record:
     """`gbspec train`; snapshots are its own checkpoints, which are written more often than usual."""
     from gbspec.runs import files
     from gbspec.training import member
@@ -141,7 +144,7 @@ def fit_gbspec(table: Trajectories) -> Record:
     with tempfile.TemporaryDirectory() as folder:
         directory = Path(folder) / "run"
         record = Record()
-        run = model.train(table, directory, max_step=MAX_STEP, workers=1, threads=1, progress=Watch())
+        run = model.train(table, directory, max_step=MAX_STEP, workers=1, threads=1, progress=Watch(), **options)
         take_weights(run.member().weights)
     return record
 

@@ -1,6 +1,6 @@
 """What there is to wait for before anything is computed: start-up, check, compile, and the compilers of steps.
 
-    python -m benchmarks.startup [--rounds 5] [--no-peers]
+    python -m benchmarks.startup [--rounds 3] [--no-peers]
 
 Commands are timed as whole processes, beside what Python needs to import sympy and torch alone. Kernels are made in a
 process that has imported everything; "cached" is the same in another process that finds the compiled one.
@@ -118,8 +118,8 @@ def table(result: Mapping[str, Any]) -> str:
 
 def arguments() -> argparse.Namespace:
     options = parser(__doc__)
-    options.add_argument("--rounds", type=int, default=5)
-    options.add_argument("--kernel-rounds", type=int, default=2)
+    options.add_argument("--rounds", type=int, default=3)
+    options.add_argument("--kernel-rounds", type=int, default=1)
     options.add_argument("--no-peers", action="store_true")
     return options.parse_args()
 

@@ -15,7 +15,9 @@ from benchmarks.peers.jax_scan import parameters
 from benchmarks.workload import Workload
 
 RATE = 1e-2
-"""Peak learning rate of the weights."""
+"""Peak learning rate of weights and starts."""
+CONSTANTS = 5.0
+"""The factor of that of constants: they are few, and start far off."""
 BATCH = 25
 """Trajectories in a minibatch."""
 
@@ -57,6 +59,7 @@ def _fit(
             return loss({**natural(p), "start": p["start"][index]}, chosen)
 
         changes, state = optimiser.update(jax.grad(part)(p), state)
+        changes["constants"] *= CONSTANTS
         return jax.tree.map(lambda a, change: a - rate * change, p, changes), state
 
     rng, state = np.random.default_rng(0), optimiser.init(p)

@@ -14,7 +14,9 @@ from benchmarks.peers.torchdiffeq_rk4 import packed_loss
 from benchmarks.workload import Workload
 
 RATE = 1e-2
-"""Peak learning rate of the weights."""
+"""Peak learning rate of weights and starts."""
+CONSTANTS = 5.0
+"""The factor of that of constants: they are few, and start far off."""
 
 
 class Positive(nn.Module):
@@ -34,15 +36,17 @@ def fit(work: Workload, steps: Callable[[Callable[[], None]], int], record: Call
     model = Naive(work, torch.float32)
     parametrize.register_parametrization(model, "constants", Positive())
     loss = packed_loss(work, model, torch.float32)
-    optimiser = torch.optim.Adam(model.parameters(), lr=RATE)
+    constants = model.parametrizations.constants.original
+    optimiser = torch.optim.Adam([{"params": [*model.weights, model.start]}, {"params": [constants]}], lr=RATE)
 
     def step() -> None:
         optimiser.zero_grad()
-        loss().backward()  # type: ignore[no-untyped-call]  # torch's own
+        with parametrize.cached():
+            loss().backward()
         optimiser.step()
 
     total = steps(step)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=total + 1)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, [RATE, CONSTANTS * RATE], total_steps=total + 1)
     for _ in range(total):
         step()
         schedule.step()
