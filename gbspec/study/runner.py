@@ -9,6 +9,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -84,7 +85,7 @@ def check_settings(tasks: list[Task], place: Place) -> None:
 def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Callable[[Task], None]) -> None:
     """Keeps `--workers` processes busy until all tasks have a record."""
     running: dict[BaseProcess, Task] = {}
-    lost: list[Task] = []
+    lost: list[str] = []
     rest = list(waiting)
     try:
         while rest or running:
@@ -97,18 +98,23 @@ def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Cal
                 if read_record(place.record(task)) is not None:
                     finished(task)
                 else:
-                    lost.append(task)
+                    lost.append(f"{task.name} ({_ending(process)})")
             time.sleep(POLL)
     finally:
         for process in running:  # there are some only after an interruption; their checkpoints are seconds old
             process.terminate()
             process.join()
     if lost:
-        names = ", ".join(task.name for task in lost)
         raise ComputationError(
-            f"the process of {names} ended without a result",
-            remedy="perhaps for lack of memory: use fewer `--workers`; the same command continues the study",
+            f"the process of {', '.join(lost)} ended without a result",
+            remedy="where it was killed, perhaps for lack of memory, use fewer `--workers`; the same command continues "
+            "the study",
         )
+
+
+def _ending(process: BaseProcess) -> str:
+    code = process.exitcode or 0
+    return f"killed by signal {-code}" if code < 0 else f"exit status {code}"
 
 
 def _start(task: Task, place: Place, options: StudyOptions) -> BaseProcess:
@@ -132,7 +138,16 @@ def _work(task: Task, place: Place, threads: int, keep: bool) -> None:
     """One member, in its process, which leaves the terminal's process group: the parent alone hears Ctrl-C."""
     if hasattr(os, "setpgrp"):
         os.setpgrp()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     fit_member(task, place, threads, keep)
+
+
+def _end_with_parent() -> None:
+    """A worker whose study was killed does not go on alone: another study may already be at its member."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 @contextmanager

@@ -12,12 +12,16 @@ import pytest
 from typer.testing import CliRunner
 
 from gbspec.cli.app import build
-from gbspec.diagnostics import UserError
+from gbspec.diagnostics import ComputationError, UserError
+from gbspec.runs import files
 from gbspec.study import member as members
+from gbspec.study import runner
 from gbspec.study.member import Place, fit_member, read_record
 from gbspec.study.options import StudyOptions
-from gbspec.study.runner import check_settings
+from gbspec.study.runner import check_settings, run_study
 from gbspec.study.tasks import Task, study_of
+
+from .conftest import record
 
 
 def tasks(cases: Path) -> list[Task]:
@@ -84,3 +88,32 @@ def test_a_directory_of_something_else_is_left_alone(cases: Path) -> None:
     for to, code in ((cases.parent, "GB806"), (cases.parent / "file", "GB802")):
         result = CliRunner().invoke(build(["study"]), ["study", str(cases), "-o", str(to)])
         assert result.exit_code == 1 and code in result.stderr
+
+
+def test_a_worker_that_dies_is_told_and_the_others_are_kept(cases: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Dead:
+        exitcode = -9
+
+        def is_alive(self) -> bool:
+            return False
+
+        def join(self) -> None: ...
+
+        def terminate(self) -> None: ...
+
+    def start(task: Task, place: Place, options: StudyOptions) -> Any:
+        if task.member == 0:
+            files.write_json(place.record(task), record(0, 1e-3, settings=task.settings))
+        return Dead()
+
+    monkeypatch.setattr(runner, "_start", start)
+    with pytest.raises(ComputationError, match=r"ONE member 1 \(killed by signal 9\)"):
+        run_study(study_of([f"{cases}:ONE"], StudyOptions()), cases.parent / "out", StudyOptions(), "", lambda *_: None)
+    told = run_study(
+        study_of([f"{cases}:ONE"], StudyOptions()),
+        cases.parent / "out",
+        StudyOptions(table_only=True),
+        "gbspec study",
+        lambda *_: pytest.fail("nothing is fitted"),
+    )
+    assert told["cases"]["ONE"]["members"] == 1
