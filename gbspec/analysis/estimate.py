@@ -1,8 +1,9 @@
 """Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
 
 Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are the differences at all measured values, each over its channel's spread; a
-weak pull towards the first guess keeps what the data do not determine from running away.
+trajectory has its own. The residuals are the differences at all measured values, each over its channel's spread; what
+is known beforehand, from the trajectories of the training, pulls towards its centre: as strongly as the noise says
+where that is known, else just enough to keep what the data do not determine from running away.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PULL = 1e-3
-"""Weight of the pull towards the first guess, in units of the states' spread."""
+"""Least weight of the pull towards what was known beforehand, whose spread is its unit."""
 TOLERANCE = 1e-6
 """Relative tolerance of the solutions while a start is sought."""
 TRIALS = 8
@@ -81,12 +82,27 @@ def predictions(
 
 
 class Estimator:
-    """Least squares for the start of one trajectory. `spreads` [C] scale the channels' residuals."""
+    """Least squares for the start of one trajectory. `spreads` [C] scale the channels' residuals; `noise` [C], where it
+    is known, is the standard deviation of their measurements."""
 
-    def __init__(self, evaluator: Any, model: Model, spreads: Array) -> None:
+    def __init__(self, evaluator: Any, model: Model, spreads: Array, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.spreads = evaluator, model, spreads
+        self.pull = PULL if noise is None else max(PULL, float(np.median(noise / spreads)))
         self.prior = prior_of(evaluator.instance, model)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
+        self.own_spread = self._spread_of_own()
+        bounds = {k.name: (k.range.low, k.range.high) for k in model.learnables}
+        ends = [bounds.get(name, (-np.inf, np.inf)) for name in evaluator.instance.constants]
+        self.low, self.high = np.array(ends, dtype=float).reshape(-1, 2).T
+
+    def _spread_of_own(self) -> Array:
+        """The spread of each constant that a trajectory has for itself, over the training's trajectories."""
+        centre = np.abs(np.asarray(self.evaluator.constants, dtype=float)[list(self.own)])
+        found = [
+            self.evaluator.instance.weights.get(f"per_trajectory.{n}") for n in self.evaluator.instance.per_trajectory
+        ]
+        spread = [0.0 if values is None or len(values) < 2 else float(np.std(values, ddof=1)) for values in found]
+        return np.where(np.array(spread) > 0, spread, np.maximum(centre, 1e-3))
 
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` where no start can be integrated."""
@@ -111,7 +127,7 @@ class Estimator:
         from scipy.optimize import least_squares
 
         columns = list(free)
-        scale = np.concatenate([self.prior.spread[columns], np.maximum(np.abs(constants[list(self.own)]), 1e-3)])
+        scale = np.concatenate([self.prior.spread[columns], self.own_spread])
         weights = np.isfinite(item.values) / self.spreads
         measured = np.nan_to_num(item.values)
         worst = np.full(int(np.sum(weights > 0)) + len(scale), 1e3)
@@ -120,6 +136,7 @@ class Estimator:
             x0, k = state.copy(), constants.copy()
             x0[columns] += scale[: len(columns)] * z[: len(columns)]
             k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
+            k = np.clip(k, self.low, self.high)
             return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
 
         def residuals(z: Array) -> Array:
@@ -127,7 +144,7 @@ class Estimator:
             if found.failure:
                 return worst
             error = ((found.channels - measured) * weights)[weights > 0]
-            return np.concatenate([error, PULL * z])
+            return np.concatenate([error, self.pull * z])
 
         trials = self._trials(len(scale))
         costs = [float(np.sum(residuals(z) ** 2)) for z in trials]

@@ -232,7 +232,7 @@ class _Seer:
 
     def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, spreads: Array, noise: Array) -> None:
         self.evaluator, self.model, self.trajectories = evaluator, run.model, trajectories
-        self.estimator = Estimator(evaluator, run.model, spreads)
+        self.estimator = Estimator(evaluator, run.model, spreads, noise)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
         self.spreads, self.noise = spreads, noise
 
@@ -259,7 +259,7 @@ class _Seer:
         """
         free = [*needed(self.model, seen)]
         own = list(self.estimator.own)
-        scale = np.concatenate([self.estimator.prior.spread[free], np.maximum(np.abs(start.constants[own]), 1e-3)])
+        scale = np.concatenate([self.estimator.prior.spread[free], self.estimator.own_spread])
         columns = []
         for k in range(len(scale)):
             state, constants = start.state.copy(), start.constants.copy()
