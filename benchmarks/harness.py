@@ -135,9 +135,12 @@ def interleaved(
 
 
 def busyness(timings: Mapping[str, Timing], threads: Mapping[str, int] | None = None) -> float:
-    """Processor time over wall time of the runs on one core: 1 on a quiet machine."""
+    """Processor time over wall time of the runs on one core: 1 on a quiet machine, and told where it is far below."""
     alone = [t for name, t in timings.items() if (threads or {}).get(name, 1) == 1]
-    return sum(sum(t.cpu) for t in alone) / max(sum(sum(t.wall) for t in alone), 1e-12)
+    share = sum(sum(t.cpu) for t in alone) / max(sum(sum(t.wall) for t in alone), 1e-12)
+    if share < BUSY:
+        say(f"these runs had {100 * share:.0f} % of their core: repeat them on a quiet machine")
+    return share
 
 
 def peak_memory(run: Callable[[], object]) -> float | None:

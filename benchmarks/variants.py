@@ -38,7 +38,6 @@ class Variant:
     forcing: Literal["TF", "AR"] = "TF"
     same_steps: bool = True
     threads: int = 1
-    slow: bool = False
 
     def build(self, work: Workload, dtype: Dtype) -> Callable[[], Any]:
         """The step as a call without arguments; raises ImportError where the library is missing."""
@@ -57,9 +56,7 @@ VARIANTS: Mapping[str, Variant] = {
     "jax": Variant("JAX `lax.scan`", PEERS + "jax_scan", "plain"),
     "torch": Variant("torch eager, written well", PEERS + "torch_eager", "well_written"),
     "torch-naive": Variant("torch eager, naive, packed", PEERS + "torch_eager", "naive"),
-    "torch-aligned": Variant(
-        "torch eager, naive, all wait for the longest interval", PEERS + "torch_eager", "aligned", slow=True
-    ),
+    "torch-aligned": Variant("torch eager, naive, all wait for the longest interval", PEERS + "torch_eager", "aligned"),
     "torchdiffeq-packed": Variant(
         "torchdiffeq `rk4`, one `odeint` a packed step", PEERS + "torchdiffeq_rk4", "packed_step", same_steps=False
     ),
@@ -68,12 +65,9 @@ VARIANTS: Mapping[str, Variant] = {
         PEERS + "torchdiffeq_rk4",
         "interval",
         same_steps=False,
-        slow=True,
     ),
     "diffrax": Variant("diffrax, one solve, AR", PEERS + "diffrax_solve", "one_solve", forcing="AR"),
-    "diffrax-scan": Variant(
-        "diffrax, scan of solves an interval", PEERS + "diffrax_solve", "scan_of_solves", slow=True
-    ),
+    "diffrax-scan": Variant("diffrax, scan of solves an interval", PEERS + "diffrax_solve", "scan_of_solves"),
 }
 
 
