@@ -53,10 +53,14 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
 """Most iterations of each stage by effort."""
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes the second-order stages give way to Adam on minibatches of trajectories."""
+PASSES = 128
+"""Above this number of states, each a backward pass of a Jacobian (arrays), the networks are fitted by L-BFGS."""
 NOISE = 0.01
 """Above this typical residual after teacher forcing (in deviations of the data) the data count as noisy."""
 FEW = 600
 """Below this number of measured values the weights have a prior from the first."""
+SEARCH_RIDGE = 1e-2
+"""The ridge while constants are searched for whose solutions follow hidden states."""
 FIRST_RIDGE = 1e-3
 """The ridge before the data have set it, as a multiple of the squared typical residual (at least 1e-4)."""
 
@@ -114,12 +118,7 @@ class _Planner:
         if self.options.method == "adam":
             return self._adam(epochs or self.limits["adam"], lambda theta: True)
         if self.options.method == "lbfgs":
-            total = epochs or self.limits["adam"]
-
-            def make(theta: Array) -> Stage:
-                return LimitedMemory("lbfgs", total, self._at(self.blend), self.parameters, self.options.batch_size)
-
-            return Planned("lbfgs", total, make, lambda theta: True)
+            return self._quasi_newton(epochs or self.limits["adam"])
         total = epochs or self.limits["teacher"]
         return self._newton("lm", total, self._at(self.blend), lambda theta: True, LevenbergOptions(tolerance=1e-6))
 
@@ -142,6 +141,8 @@ class _Planner:
         limits = self.limits
         if 8 * self.values * self.parameters.n_shared > LARGEST:
             return [self._starts("initial states", self.blend), self._adam(limits["adam"], lambda theta: True)]
+        if len(self.context.model.states) > PASSES:
+            return [self._starts("initial states", self.blend), self._quasi_newton(limits["adam"])]
         if self.options.forcing != "teacher":
             first, last = self._at(1.0), self._at(self.blend)
             return [
@@ -150,7 +151,8 @@ class _Planner:
                 self._newton("forcing as asked", limits["autoregressive"], last, lambda theta: True, self._regular),
             ]
         return [
-            self._adam(limits["approach"], self._hidden),
+            Planned("search", 1, self._search, lambda theta: self._hidden(theta) and self._searchable()),
+            self._adam(limits["approach"], lambda theta: self._hidden(theta) and not self._searchable()),
             self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
             self._starts("initial states", 1.0),
             self._newton("teacher forcing", self._teacher_limit(), self._at(1.0), lambda theta: True, self._prior),
@@ -181,6 +183,10 @@ class _Planner:
     def _hidden(self, theta: Array) -> bool:
         """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
         return not self.context.points.equations or not self.options.warm_start
+
+    def _searchable(self) -> bool:
+        """Whether whole solutions for many values of the constants are cheap, and constants are what to begin with."""
+        return self.values < FEW and bool(self.parameters.model.learnables) and self.options.warm_start
 
     def _needs_imputing(self, theta: Array) -> bool:
         """Whether plain teacher forcing starts far worse than with every state imputed."""
@@ -215,6 +221,10 @@ class _Planner:
         return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
 
     # ---------------------------------------------------------------- stages
+    def _search(self, theta: Array) -> Stage:
+        """Whole solutions from many constants, the unknowns near their postulates."""
+        return Search(self.context.problem(0.0), self.released, self.context.seed, SEARCH_RIDGE)
+
     def _choice(self, theta: Array) -> Stage:
         earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
         context = self.context
@@ -236,6 +246,12 @@ class _Planner:
             return Adam("adam", epochs, self._at(self.blend), self.parameters, options, self.context.seed)
 
         return Planned("adam", epochs, make, wanted)
+
+    def _quasi_newton(self, epochs: int) -> Planned:
+        def make(theta: Array) -> Stage:
+            return LimitedMemory("lbfgs", epochs, self._at(self.blend), self.parameters, self.options.batch_size)
+
+        return Planned("lbfgs", epochs, make, lambda theta: True)
 
     def _newton(
         self,

@@ -26,7 +26,10 @@ from gbspec.training.priors import spread_of
 
 ELIMINATION_STEPS = 30
 REGRESSION_STEPS = 1000
-BATCH = 256
+BATCH, EVALUATIONS = 256, 8192
+"""Points of a minibatch: this many, fewer where unknowns are then evaluated more often than that (arrays)."""
+ELIMINATION_WORK = 2e9
+"""Multiplications in one step of the elimination; fewer points are used where it would take more."""
 PEAK_RATE = 5e-3
 PRIOR = 0.5
 """Deviation of the constants' prior around their starts, in trainable units: a factor of about e^1.5 either way."""
@@ -54,11 +57,14 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
 
     Where no balance can be compared, the rough ones serve, and the constants stay at `start`.
     """
-    count, equations = len(points), list(points.equations or points.rough)
+    equations = list(points.equations or points.rough)
     fixed = not points.equations
-    free = FreeOutputs(model, count)
-    with torch.no_grad():
-        evaluate_rhs(model, module, points, _constants_at(model, torch.from_numpy(start), count), free.functions())
+    free = _free_outputs(model, module, points, start)
+    enough = int(ELIMINATION_WORK / max(len(equations) * len(free.neutral) ** 2, 1)) + 1
+    if len(points) > enough:
+        points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
+        free = _free_outputs(model, module, points, start)
+    count = len(points)
     u, outputs = start.copy(), np.tile(np.array(free.neutral), (count, 1)).reshape(count, -1)
     scale = points.scale[equations]
     target = torch.from_numpy(points.slope)
@@ -123,6 +129,15 @@ def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
             width = spread_of(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
             centre[i], deviation[i] = at[i], width / slope[i]
     return centre, deviation
+
+
+def _free_outputs(model: Model, module: Any, points: Points, start: Array) -> FreeOutputs:
+    """Free outputs for some points, once evaluated, so that they know how many they are."""
+    free = FreeOutputs(model, len(points))
+    with torch.no_grad():
+        constants = _constants_at(model, torch.from_numpy(start), len(points))
+        evaluate_rhs(model, module, points, constants, free.functions())
+    return free
 
 
 def _eliminated_step(
@@ -217,8 +232,10 @@ def regress_slopes(parameters: Parameters, module: Any, points: Points, theta: A
     equations = list(points.equations)
     scale = torch.from_numpy(points.scale[equations])
     moments = Moments.zero(len(shared))
+    of_a_point = len(_free_outputs(model, module, points.some(np.arange(1)), np.zeros(len(model.learnables))).neutral)
+    size = min(BATCH, len(points), EVALUATIONS // of_a_point + 1)
     for i in range(REGRESSION_STEPS):
-        batch = points.some(rng.integers(0, len(points), min(BATCH, len(points))))
+        batch = points.some(rng.integers(0, len(points), size))
         leaf = torch.from_numpy(shared).requires_grad_()
         vector = torch.cat([leaf, rest])
         constants = parameters.constants(vector)[torch.from_numpy(batch.trajectory)]

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 
 from gbspec.backends.module import load_module
+from gbspec.data.sampling import SimulateOptions
+from gbspec.data.shipped import shipped_models
 from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import Findings
+from gbspec.driver import load_model, reference, simulate
+from gbspec.ir.model import Model
+from gbspec.training import TrainOptions, plan, train
 from gbspec.training.collocation import FreeOutputs, Points, evaluate_rhs
 from gbspec.training.jacobian import linearise
 from gbspec.training.unroll import measured_residuals, unroll
@@ -95,3 +104,32 @@ def test_free_outputs_stand_for_every_element() -> None:
     weights = {name: torch.from_numpy(value) for name, value in module.weights.items()}
     wanted = evaluate_rhs(model, module, points, constants, module.torch_networks(weights))
     assert torch.allclose(found, wanted, rtol=1e-12, atol=1e-13)
+
+
+@cache
+def spreading() -> tuple[Model, Trajectories]:
+    """The shipped model on 24 reaches, and two trajectories of its truth."""
+    model = load_model(shipped_models()["spreading_population"], Findings())
+    assert len(model.states) == 24
+    return model, simulate(reference(model), SimulateOptions(trajectories=2, span=4.0, dt=1.0))
+
+
+def test_a_pointwise_rate_is_learned_from_an_array(tmp_path: Path) -> None:
+    model, data = spreading()
+    run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
+    assert run.fit["constants"]["D"]["value"] == pytest.approx(0.3, rel=0.02)
+    u = torch.linspace(0.1, 0.9, 9, dtype=torch.float64)
+    found = run.member().functions["g"](u).detach()
+    assert float((found - 0.8 * u * (1 - u)).abs().max()) < 0.01
+
+
+def test_many_states_are_fitted_without_a_jacobian(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbspec.training.plan.PASSES", 10)
+    monkeypatch.setattr("gbspec.training.warm_start.ELIMINATION_WORK", 3e4)
+    monkeypatch.setattr("gbspec.training.warm_start.EVALUATIONS", 100)
+    monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 15)  # type: ignore[arg-type]
+    model, data = spreading()
+    run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
+    stages = run.fit["members"][0]["stages"]
+    assert [stage["name"] for stage in stages] == ["warm start", "lbfgs"]
+    assert stages[1]["loss"] < 0.5 * stages[0]["loss"]
