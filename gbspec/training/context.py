@@ -11,6 +11,7 @@ from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.collocation import Points, collocate
 from gbspec.training.device import device_of
+from gbspec.training.native import TORCH, Choice, choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Packed, default_max_step, pack
 from gbspec.training.parameters import Parameters, Weights
@@ -39,6 +40,7 @@ class Context:
     start_value: Array
     start_free: Array
     state_scale: Array
+    choice: Choice = TORCH
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
     def packed(self, fraction: float = 1.0, draw: int | None = None) -> Packed:
@@ -57,7 +59,8 @@ class Context:
         packed = self.packed(fraction, draw)
         forcing = teacher_forcing(self.model, packed, blend)
         scaling = scaling_of(self.model, packed, self.trajectories)
-        return Problem(self.model, self.module, packed, forcing, scaling, device=device_of(self.options.device))
+        device = device_of(self.options.device)
+        return Problem(self.model, self.module, packed, forcing, scaling, self.choice.kernel, device)
 
     def parameters(self, fixed: Weights, *, released: bool = False) -> Parameters:
         """The layout of the trainable vector, with the networks' scales `fixed`.
@@ -92,6 +95,7 @@ def build_context(
         value,
         free,
         state_scale,
+        choose(model, module, options, packed.substeps),
     )
     context._packed[1.0, None] = packed
     return context

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 import gbspec
-from gbspec.backends.module import generate
+from gbspec.backends.module import generate, load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
 from gbspec.training.device import device_of
+from gbspec.training.native import choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.parallel import Job, fit_jobs
 from gbspec.training.progress import Progress, Silent
@@ -38,9 +39,9 @@ def train(
     """Fits all members and writes the run directory.
 
     Raises UserError (GB850 options, GB855 the directory in use, GB856 nothing to learn from, GB860 no cluster, GB861 no
-    GPU), ComputationError where no member could be fitted (what was reached before stays in the directory; members that
-    failed beside others are told as messages), and KeyboardInterrupt on SIGINT after writing a run that can be used and
-    resumed.
+    GPU, GB863 no native kernel), ComputationError where no member could be fitted (what was reached before stays in the
+    directory; members that failed beside others are told as messages), and KeyboardInterrupt on SIGINT after writing a
+    run that can be used and resumed.
     """
     shown = progress or Silent()
     fitting = Fitting(model, trajectories, options, Path(directory), shown)
@@ -66,6 +67,8 @@ class Fitting:
         findings.raise_if_failed()
         if options.scheduler is None:
             device_of(options.device)
+            if options.backend == "native":
+                choose(model, load_module(model), options, 0)
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
         self.record = _record(model, trajectories, options)
@@ -169,7 +172,7 @@ def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
         findings.error("GB855", f"the run `{path}` was started with another model", None, help=_OTHER)
     if before.get("data", {}).get("sha256") != record["data"]["sha256"]:
         findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
-    may_change = {"members", "workers", "threads", "device"}
+    may_change = {"members", "workers", "threads", "device", "backend"}
     for name, value in record["options"].items():
         old = before.get("options", {}).get(name)
         if name not in may_change and old != value:

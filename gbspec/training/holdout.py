@@ -27,7 +27,7 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
     forcing = teacher_forcing(model, packed, 0.0 if single else 1.0)
     device = device_of(context.options.device)
-    problem = Problem(model, context.module, packed, forcing, scaling, device=device)
+    problem = Problem(model, context.module, packed, forcing, scaling, context.choice.kernel, device)
     value, free = start_states(model, held, fit_curves(model, held), packed)
     from dataclasses import replace
 

@@ -89,6 +89,8 @@ def fit_member(
             position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss)
             runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
             runner.record_preparation(time.monotonic() - began)
+        if runner.context.choice.remark and member == 0:
+            progress.message(runner.context.choice.remark)
         return runner.run(lambda: interrupted() or stop())
 
 

@@ -21,12 +21,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gbspec.backends.module.template.networks import _layers, _torch_like
-from gbspec.backends.native import Unavailable, compiled, source
-from gbspec.backends.native.flat import NUMBER_WORDS, NotCovered
+from gbspec.backends.native import CompilerError, compiled, source
+from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
 from gbspec.backends.native.source import TILE, Precision
 from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Defect, Diagnostic, UserError
 from gbspec.ir.model import Model
+from gbspec.training.device import device_of
 from gbspec.training.doses import arrivals
+from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
 
@@ -56,7 +59,7 @@ _FIELDS = (
 class _Data(ctypes.Structure):
     """`Data` of `driver.c`."""
 
-    _fields_ = [  # noqa: RUF012 - ctypes reads it as it stands
+    _fields_ = [
         ("depth", ctypes.c_int64),
         ("trajectories", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in _FIELDS),
@@ -133,7 +136,7 @@ class Swept:
 class Kernel:
     """The compiled unroll of one model in one precision.
 
-    Raises NotCovered for a model that it does not cover, Unavailable where it cannot be compiled.
+    Raises NotCoveredError for a model that it does not cover, CompilerError where it cannot be compiled.
     """
 
     def __init__(self, model: Model, precision: Precision = "float64") -> None:
@@ -239,11 +242,45 @@ def kernel_of(model: Model, module: type[Any], precision: Precision = "float64")
     if key not in _kernels:
         try:
             _kernels[key] = Kernel(model, precision)
-        except NotCovered as error:
+        except NotCoveredError as error:
             _kernels[key] = f"the native kernel does not cover this model: {error}"
-        except Unavailable as error:
+        except CompilerError as error:
             _kernels[key] = str(error)
     return _kernels[key]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What solves a problem: a kernel, or (None) the torch graph; `remark` says why it is not the kernel."""
+
+    kernel: Kernel | None = None
+    remark: str = ""
+
+
+TORCH = Choice()
+
+LEAST_SUBSTEPS = 4000
+"""With fewer sub-steps in the data, `--backend auto` does not wait for the compiler."""
+
+
+def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int) -> Choice:
+    """The choice of `--backend` for data of so many sub-steps.
+
+    Raises UserError (GB863) where the kernel was asked for and cannot be had.
+    """
+    wanted = options.backend == "native"
+    if options.backend == "torch" or not (wanted or substeps >= LEAST_SUBSTEPS):
+        return TORCH
+    if device_of(options.device) != "cpu":
+        found: Kernel | str = "the native kernel does not work on a GPU"
+    else:
+        found = kernel_of(model, module)
+    if not isinstance(found, str):
+        return Choice(found)
+    if wanted:
+        help_text = "leave `--backend` out: the torch graph then serves"
+        raise UserError([Diagnostic("GB863", f"`--backend native` cannot be had: {found}", None, help=help_text)])
+    return Choice(None, f"the torch graph serves: {found}")
 
 
 # ---------------------------------------------------------------------- from the trainable vector
@@ -319,7 +356,7 @@ class HalfSquares(torch.autograd.Function):
     """Half the sum of squared residuals; its gradient is found in the same call of the kernel as its value."""
 
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any, call: Callable[[], Swept], weights: Tensor, constants: Tensor, initial: Tensor, doses: Tensor
     ) -> Tensor:
         """`call` sweeps at the values of the other arguments."""
@@ -331,7 +368,7 @@ class HalfSquares(torch.autograd.Function):
         return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
 
     @staticmethod
-    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
         """The gradient found with the value."""
         return (None, *(scale * saved for saved in ctx.saved_tensors))
 
@@ -339,25 +376,25 @@ class HalfSquares(torch.autograd.Function):
 def half_squares(
     kernel: Kernel, problem: Problem, parameters: Parameters, theta: Array, index: Integers | None = None
 ) -> tuple[float, Array]:
-    """Half the sum of squared residuals of the trajectories `index` (None: all) and its gradient in the whole vector."""
+    """Half the sum of squared residuals of the trajectories `index` (None: all), its gradient in the whole vector."""
     vector = torch.from_numpy(theta).requires_grad_()
     n = Natural.of(problem, parameters, vector)
 
     def call() -> Swept:
         return kernel.sweep(problem.tables, n, True, index=index)
 
-    loss = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses)
+    loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses)  # type: ignore[no-untyped-call]  # torch's
     if not loss.requires_grad:
         return float(loss), np.zeros_like(theta)
     (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)
     return float(loss.detach()), np.zeros_like(theta) if gradient is None else gradient.numpy()
 
 
-def residuals_and_arrivals(
-    kernel: Kernel, problem: Problem, parameters: Parameters, theta: Array
-) -> tuple[Array, Array, Array]:
+def solved(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Array, Array, Array]:
     """Residuals [R, C], states on arrival at key rows [R, n_states] and initial states [N, n_states] at `theta`."""
+    if problem.kernel is None:
+        raise Defect("a problem without a kernel was to be solved by it")
     with torch.no_grad():
-        natural = Natural.of(problem, parameters, torch.from_numpy(theta))
-    swept = kernel.sweep(problem.tables, natural, False)
+        natural = Natural.of(problem, parameters, theta)
+    swept = problem.kernel.sweep(problem.tables, natural, False)
     return swept.residuals, swept.arrivals, natural.initial.numpy()

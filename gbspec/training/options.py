@@ -11,6 +11,7 @@ Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Effort = Literal["low", "normal", "high"]
 Initial = Literal["learned", "bred"]
 Device = Literal["cpu", "cuda", "auto"]
+Backend = Literal["auto", "native", "torch"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,13 @@ class TrainOptions:
     device: Device = field(
         default="cpu",
         metadata={"help": "Where the solver works: `cuda` is a GPU, `auto` one if there is one."},
+    )
+    backend: Backend = field(
+        default="auto",
+        metadata={
+            "help": "What solves the model: `native` is a kernel made for it by the C compiler, `torch` the graph of "
+            "torch; `auto` the kernel where there is a compiler and the data are large enough to wait for it."
+        },
     )
     scheduler: str | None = field(
         default=None,
@@ -151,7 +159,8 @@ class TrainOptions:
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
-        for name, allowed in (("method", Method), ("effort", Effort), ("initial", Initial), ("device", Device)):
+        chosen = {"method": Method, "effort": Effort, "initial": Initial, "device": Device, "backend": Backend}
+        for name, allowed in chosen.items():
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
 

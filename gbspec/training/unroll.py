@@ -36,8 +36,11 @@ class Unrolled:
 def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     """Steps every trajectory from its initial state through its key rows; differentiable in `theta`.
 
-    The work is done on the problem's device; `theta` and what comes out are on that of `theta`.
+    The work is done on the problem's device; `theta` and what comes out are on that of `theta`. Without gradients, a
+    problem's kernel does it, where it has one.
     """
+    if problem.kernel is not None and not (torch.is_grad_enabled() and theta.requires_grad):
+        return _by_kernel(problem, parameters, theta)
     packed, module = problem.packed, problem.module
     m, home, theta = problem.ops, theta.device, theta.to(problem.device)
     networks = module.torch_networks(parameters.weights(theta))
@@ -53,6 +56,15 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     residuals = row_residuals(problem, arrival, constants[owner], networks)
     departure = arrival - weight * (arrival - value)
     return Unrolled(arrival.to(home), departure.to(home), initial.to(home), residuals.to(home))
+
+
+def _by_kernel(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
+    """The same through the native kernel; no gradient passes."""
+    from gbspec.training.native import solved
+
+    residuals, arrival, initial = map(torch.from_numpy, solved(problem, parameters, theta))
+    value, weight = torch.from_numpy(problem.forcing.value), torch.from_numpy(problem.forcing.weight)
+    return Unrolled(arrival, arrival - weight * (arrival - value), initial, residuals)
 
 
 def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep], networks: Any) -> list[Tensor]:

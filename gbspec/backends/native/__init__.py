@@ -1,6 +1,6 @@
 """C for the whole unroll: solution and gradient of a packed batch in one call, compiled where there is a compiler."""
 
-from gbspec.backends.native.compiler import Unavailable, compiled
+from gbspec.backends.native.compiler import CompilerError, compiled
 from gbspec.backends.native.source import source
 
-__all__ = ["Unavailable", "compiled", "source"]
+__all__ = ["CompilerError", "compiled", "source"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import sympy
 from sympy.logic.boolalg import Boolean
 
-from gbspec.backends.native.flat import NotCovered, Operation
+from gbspec.backends.native.flat import NotCoveredError, Operation
 from gbspec.backends.printing.nodes import Guard, Where
 from gbspec.ir.forms import logistic, softplus
 from gbspec.ir.model import Expr
@@ -43,7 +43,7 @@ def contributions(operation: Operation, bar: sympy.Symbol) -> list[Contribution]
 
 def _terms(operation: Operation, bar: sympy.Symbol) -> list[tuple[sympy.Basic, Expr]]:
     node, v = operation.value, operation.symbol
-    if isinstance(node, Boolean) or isinstance(node, sympy.sign):
+    if isinstance(node, Boolean | sympy.sign):
         return []
     if type(node) in UNARY:
         return [(node.args[0], bar * UNARY[type(node)](node.args[0], v))]
@@ -70,7 +70,7 @@ def _terms(operation: Operation, bar: sympy.Symbol) -> list[tuple[sympy.Basic, E
         case Guard():
             condition, a = node.args
             return [(a, Where(condition, bar, sympy.S.Zero))]
-    raise NotCovered(f"it has no derivative for `{type(node).__name__}`")
+    raise NotCoveredError(f"it has no derivative for `{type(node).__name__}`")
 
 
 def _operands(node: sympy.Basic) -> tuple[Expr, Expr]:

@@ -19,12 +19,12 @@ TIME_LIMIT = 120.0
 """Seconds after which a compilation is given up."""
 
 
-class Unavailable(Exception):
+class CompilerError(Exception):
     """There is no compiler, or it failed; the message says so in a line."""
 
 
 def compiled(source: str) -> ctypes.CDLL:
-    """The library of a source, from the cache if it is there. Raises Unavailable."""
+    """The library of a source, from the cache if it is there. Raises CompilerError."""
     compiler = find_compiler()
     key = hashlib.sha256("\0".join([source, *_identity(compiler)]).encode()).hexdigest()
     return _load(source, compiler, key)
@@ -41,18 +41,18 @@ def _load(source: str, compiler: str, key: str) -> ctypes.CDLL:
         try:
             _loaded[key] = ctypes.CDLL(str(path))
         except OSError as error:
-            raise Unavailable(f"the compiled kernel cannot be loaded ({error})") from None
+            raise CompilerError(f"the compiled kernel cannot be loaded ({error})") from None
     return _loaded[key]
 
 
 @cache
 def find_compiler() -> str:
-    """The C compiler: `$CC`, else the first of cc, gcc and clang. Raises Unavailable."""
+    """The C compiler: `$CC`, else the first of cc, gcc and clang. Raises CompilerError."""
     for name in (os.environ.get("CC", ""), *COMPILERS):
         path = shutil.which(name) if name else None
         if path is not None:
             return path
-    raise Unavailable("there is no C compiler (cc, gcc, clang)")
+    raise CompilerError("there is no C compiler (cc, gcc, clang)")
 
 
 def cache_directory() -> Path:
@@ -104,7 +104,7 @@ def _compile(source: str, compiler: str, path: Path) -> None:
                     return
                 message = done.stderr.strip().splitlines()[0] if done.stderr.strip() else f"status {done.returncode}"
     except subprocess.TimeoutExpired:
-        raise Unavailable(f"{compiler} took longer than {TIME_LIMIT:.0f} s over the kernel") from None
+        raise CompilerError(f"{compiler} took longer than {TIME_LIMIT:.0f} s over the kernel") from None
     except OSError as error:
-        raise Unavailable(f"the kernel cannot be compiled ({error})") from None
-    raise Unavailable(f"{compiler} cannot compile the kernel ({message})")
+        raise CompilerError(f"the kernel cannot be compiled ({error})") from None
+    raise CompilerError(f"{compiler} cannot compile the kernel ({message})")

@@ -24,7 +24,7 @@ from gbspec.ir.model import NN, Expr, Model, Unknown
 Kind = Literal["state", "condition", "input", "constant", "time", "number"]
 
 
-class NotCovered(Exception):
+class NotCoveredError(Exception):
     """The model has a form that the kernel does not cover; the message says which."""
 
 
@@ -55,6 +55,12 @@ class Call:
 
 Environment = dict[sympy.Basic, sympy.Basic]
 
+MOST_OPERATIONS = 4000
+"""Above, a compiler would take too long over straight-line code; arrays of states are faster as torch's vectors."""
+
+MOST_CALLS = 64
+"""The most applications of unknowns to different arguments."""
+
 NUMBER_WORDS = ("center", "scale", "spread")
 
 
@@ -79,7 +85,7 @@ class Flat:
 
 
 def flatten(model: Model, outputs: Sequence[Expr]) -> Flat:
-    """Takes expressions of a model apart. Raises NotCovered at a node that has no rule."""
+    """Takes expressions of a model apart. Raises NotCoveredError at a node that has no rule."""
     worker = _Flattener(model)
     values = [worker.value(guarded(node), worker.top) for node in outputs]
     calls = [step for step in worker.steps if isinstance(step, Call)]
@@ -130,7 +136,7 @@ class _Flattener:
             return self._enter(node.func(*arguments))
         known = isinstance(node, sympy.Add | sympy.Mul | sympy.atan2 | Boolean) or type(node) in UNARY
         if not known:
-            raise NotCovered(f"it has no rule for `{type(node).__name__}`")
+            raise NotCoveredError(f"it has no rule for `{type(node).__name__}`")
         return self._enter(node.func(*arguments, evaluate=False))
 
     def _enter(self, node: sympy.Basic) -> sympy.Basic:
@@ -138,6 +144,8 @@ class _Flattener:
         if not node.free_symbols:
             return node
         if node not in self._operations:
+            if len(self.steps) > MOST_OPERATIONS:
+                raise NotCoveredError(f"its equations have more than {MOST_OPERATIONS} operations")
             symbol = temporary("v", real=not isinstance(node, Boolean))
             self.steps.append(Operation(symbol, node))
             self._operations[node] = symbol
@@ -192,6 +200,8 @@ class _Flattener:
     def _call(self, network: int, arguments: tuple[Expr, ...]) -> tuple[sympy.Symbol, ...]:
         key = (network, arguments)
         if key not in self._calls:
+            if len(self._calls) >= MOST_CALLS:
+                raise NotCoveredError(f"it applies unknowns to more than {MOST_CALLS} tuples of arguments")
             outputs = self.model.networks[network].sizes[-1]
             call = Call(network, arguments, tuple(temporary("y") for _ in range(outputs)))
             self.steps.append(call)

@@ -14,7 +14,7 @@ typedef int64_t bits;
 #endif
 #define R(x) ((real)(x))
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) && !defined(PLAIN_C)
 #if defined(__AVX512F__)
 #define VECTOR_BYTES 64
 #define COLUMNS 4
@@ -48,16 +48,14 @@ typedef real vec;
 #define SHIFT R(12582912.0) /* 1.5 * 2^23: adding it rounds to a whole number, kept in the low bits */
 #define LN2_HIGH R(0.693359375)
 #define LN2_LOW R(-2.12194440054690583e-4)
-#define EXP_LOW R(-87.0)
-#define EXP_HIGH R(88.0)
+#define EXP_MOST R(60.0)
 #define MANTISSA 23
 #define BIAS 127
 #else
 #define SHIFT R(6755399441055744.0)
 #define LN2_HIGH R(0.693147180369123816490)
 #define LN2_LOW R(1.90821492927058770002e-10)
-#define EXP_LOW R(-708.0)
-#define EXP_HIGH R(709.0)
+#define EXP_MOST R(300.0)
 #define MANTISSA 52
 #define BIAS 1023
 #endif
@@ -66,18 +64,18 @@ INLINE bits to_bits(real x) { bits b; memcpy(&b, &x, sizeof b); return b; }
 INLINE real from_bits(bits b) { real x; memcpy(&x, &b, sizeof x); return x; }
 
 /* exp(x) = s + s*q with s a power of two and q = exp(r) - 1, |r| <= ln 2/2, by its Taylor polynomial (error below half
-   a unit in the last place); arguments are kept where s is a normal number. */
+   a unit in the last place). Beyond EXP_MOST activations are flat to rounding; arguments are kept far enough from where
+   numbers lose digits that no product of theirs does, which costs a hundred times a usual product. */
 INLINE void exp_parts(real x, real *s, real *q) {
-    x = x < EXP_LOW ? EXP_LOW : x;
-    x = x > EXP_HIGH ? EXP_HIGH : x;
+    x = x < -EXP_MOST ? -EXP_MOST : x;
+    x = x > EXP_MOST ? EXP_MOST : x;
     const real shifted = x * R(1.44269504088896340736) + SHIFT;
     const real n = shifted - SHIFT;
     const real r = (x - n * LN2_HIGH) - n * LN2_LOW;
 #if REAL_IS_FLOAT
     real p = R(1.0 / 5040);
 #else
-    real p = R(1.0 / 6227020800.0);
-    p = p * r + R(1.0 / 479001600.0);
+    real p = R(1.0 / 479001600.0);
     p = p * r + R(1.0 / 39916800.0);
     p = p * r + R(1.0 / 3628800.0);
     p = p * r + R(1.0 / 362880.0);
@@ -96,7 +94,28 @@ INLINE void exp_parts(real x, real *s, real *q) {
 INLINE real v_exp(real x) { real s, q; exp_parts(x, &s, &q); return s + s * q; }
 INLINE real v_expm1(real x) { real s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
 
-INLINE real v_sigmoid(real x) { return R(1) / (R(1) + v_exp(-x)); }
+/* 1/d for d in [1, 2]: the polynomial of degree 5 with the least relative error, 1/T6(3), then Newton's iteration, which
+   squares the error. Divisions of whole vectors take several times as long. */
+INLINE real v_reciprocal(real d) {
+    real y = R(-2048.0 / 19601);
+    y = y * d + R(18432.0 / 19601);
+    y = y * d - R(68352.0 / 19601);
+    y = y * d + R(133632.0 / 19601);
+    y = y * d - R(145224.0 / 19601);
+    y = y * d + R(83160.0 / 19601);
+    y = y + y * (R(1) - d * y);
+#if !REAL_IS_FLOAT
+    y = y + y * (R(1) - d * y);
+#endif
+    return y;
+}
+
+/* The logistic function p(x), and 1 - p(x) as exactly. */
+INLINE void v_logistic(real x, real *p, real *rest) {
+    const real e = v_exp(-FN(fabs)(x)), large = v_reciprocal(R(1) + e), small = e * large;
+    *p = x < R(0) ? small : large;
+    *rest = x < R(0) ? large : small;
+}
 
 INLINE real v_tanh(real x) {
     const real size = FN(fabs)(x), e = v_expm1(size > R(22) ? R(44) : R(2) * size), y = e / (e + R(2));
@@ -242,15 +261,15 @@ enum { SILU, TANH, SOFTPLUS, RELU, GELU, SIGMOID, ELU, SIN };
 
 static void activate(int kind, real *restrict z, real *restrict slope, size_t n) {
     switch (kind) {
-    case SILU: EACH(const real p = v_sigmoid(x); y = x * p; s = p + y * (R(1) - p)) break;
+    case SILU: EACH(real p; real q; v_logistic(x, &p, &q); y = x * p; s = p + y * q) break;
     case TANH: EACH(y = v_tanh(x); s = R(1) - y * y) break;
-    case SOFTPLUS: EACH(y = x > R(40) ? x : v_softplus(x); s = v_sigmoid(x)) break;
+    case SOFTPLUS: EACH(real q; v_logistic(x, &s, &q); y = v_softplus(x)) break;
     case RELU: EACH(y = x > R(0) ? x : x != x ? x : R(0); s = x > R(0) ? R(1) : R(0)) break;
     case GELU:
         EACH(const real c = R(0.5) * (R(1) + FN(erf)(x * R(0.70710678118654752440))); y = x * c;
              s = c + x * R(0.39894228040143267794) * v_exp(R(-0.5) * x * x))
         break;
-    case SIGMOID: EACH(y = v_sigmoid(x); s = y * (R(1) - y)) break;
+    case SIGMOID: EACH(real q; v_logistic(x, &y, &q); s = y * q) break;
     case ELU: EACH(const real e = v_expm1(x < R(0) ? x : R(0)); y = x > R(0) ? x : x != x ? x : e;
                    s = x > R(0) ? R(1) : e + R(1)) break;
     default: EACH(y = FN(sin)(x); s = FN(cos)(x)) break;

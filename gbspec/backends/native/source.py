@@ -7,7 +7,7 @@ from functools import cache
 from importlib import resources
 from typing import Literal
 
-from gbspec.backends.native.flat import Leaf, NotCovered, flatten, numbers_of
+from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.sections import Equations
 from gbspec.ir.model import Model, Network
 from gbspec.ir.tableaus import RK4, Tableau
@@ -17,14 +17,11 @@ Precision = Literal["float64", "float32"]
 TILE = 4
 """Trajectories that run together."""
 
-KEPT_BYTES = 3 * 2**20
+KEPT_BYTES = 4 * 2**20
 """Activations kept at a time, per thread."""
 
 GROUP_BYTES = 16 * 2**10
 """Activations of a layer over which a block of the weights' gradient is summed at a time (they stay in the cache)."""
-
-MOST_OPERATIONS = 6000
-"""Above, a compiler would take too long over straight-line code."""
 
 MOST_LAYERS = 15
 MOST_ARGUMENTS = 32
@@ -44,7 +41,7 @@ OBSERVE_PLACES = RHS_PLACES | {
 
 
 def source(model: Model, precision: Precision = "float64") -> str:
-    """C of the unroll of a model. Raises NotCovered, with the reason, for a form that is left to torch."""
+    """C of the unroll of a model. Raises NotCoveredError, with the reason, for a form that is left to torch."""
     _check(model)
     rhs = Equations(model, flatten(model, model.balances), 0, _places(RHS_PLACES), "rhs")
     observe = Equations(
@@ -55,9 +52,6 @@ def source(model: Model, precision: Precision = "float64") -> str:
         "observe",
         skip="w->rows[t] < 0",
     )
-    operations = len(rhs.flat.steps) + len(observe.flat.steps)
-    if operations > MOST_OPERATIONS:
-        raise NotCovered(f"its equations have {operations} operations, more than the {MOST_OPERATIONS} that compile fast")
     head = [
         "#include <math.h>",
         "#include <stddef.h>",
@@ -78,12 +72,12 @@ def _text(name: str) -> str:
 def _check(model: Model) -> None:
     for network in model.networks:
         if len(network.sizes) > MOST_LAYERS or network.sizes[0] > MOST_ARGUMENTS:
-            raise NotCovered(f"the network `{network.name}` has too many layers or arguments")
+            raise NotCoveredError(f"the network `{network.name}` has too many layers or arguments")
     if not model.states:
-        raise NotCovered("it has no states")
+        raise NotCoveredError("it has no states")
     known = {constant.symbol: constant.value for constant in model.constants}
     if any(not dose.lag.subs(known).is_number for dose in model.doses):
-        raise NotCovered("the lag of a dose is learned or depends on conditions")
+        raise NotCoveredError("the lag of a dose is learned or depends on conditions")
 
 
 def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:

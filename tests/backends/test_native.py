@@ -1,0 +1,241 @@
+"""The native kernel has the loss and gradient of the torch graph: shipped models, all constructs, random models."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import gbspec
+from gbspec.backends.module import load_module
+from gbspec.backends.native import CompilerError, compiled, source
+from gbspec.backends.native import compiler as compiling
+from gbspec.backends.native.compiler import find_compiler
+from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.ir.model import Model
+from gbspec.training.native import Kernel, Natural, half_squares
+from gbspec.training.objective import objective
+from gbspec.training.packing import pack
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Forcing, Problem, scaling_of
+from tests import strategies
+from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, urp_data
+
+try:
+    find_compiler()
+except CompilerError as error:
+    pytest.skip(str(error), allow_module_level=True)
+
+DOUBLE, SINGLE = 1e-12, 1e-5
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def compare(problem: Problem, parameters: Parameters, theta: np.ndarray, precisions: tuple[str, ...]) -> None:
+    """Loss and gradient by the kernel against those by the graph, relative to the largest entry."""
+    loss, gradient = objective(problem, parameters, "torch")(theta)
+    assert np.isfinite(loss)
+    for precision in precisions:
+        found = objective(problem, parameters, "native", precision)(theta)  # type: ignore[arg-type]  # a literal
+        bound = DOUBLE if precision == "float64" else SINGLE
+        assert abs(found[0] - loss) <= bound * max(abs(loss), 1e-300)
+        assert np.abs(found[1] - gradient).max() <= bound * np.abs(gradient).max()
+
+
+def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem, Parameters, np.ndarray]:
+    """A problem of random data for any model: irregular rows, inputs, doses, forcing between 0 and 1."""
+    rng = np.random.default_rng(seed)
+    items = []
+    for i in range(5):
+        times = np.sort(rng.uniform(0.1, 1.6, 2 + i))
+        span = np.linspace(0.0, 2.0, 4)
+        events = (rng.uniform(0.0, 1.5, 2), rng.uniform(0.5, 1.0, 2))
+        values = rng.uniform(0.5, 2.0, (len(times), len(model.channels)))
+        values[rng.uniform(size=values.shape) < 0.3] = np.nan
+        items.append(
+            Trajectory(
+                label=str(i),
+                start=0.0,
+                times=times,
+                values=values,
+                counts=np.isfinite(values).astype(np.float64),
+                sd=np.full(values.shape, np.nan),
+                condition=rng.uniform(0.2, 1.0, len(model.conditions)),
+                inputs=tuple(Signal(span, rng.uniform(0.2, 1.0, 4)) for _ in model.inputs),
+                doses=tuple(DoseEvents(*events) for _ in model.doses),
+            )
+        )
+    names = tuple(channel.name for channel in model.channels)
+    data = Trajectories(tuple(items), names)
+    packed = pack(data, model, step, rng)
+    value, weight = rng.uniform(0.5, 1.5, (2, packed.rows, len(model.states)))
+    module = load_module(model).random(seed)
+    problem = Problem(
+        model, module, packed, Forcing(value, np.clip(weight - 0.5, 0.0, 1.0)), scaling_of(model, packed, data)
+    )
+    fixed = {name: v for name, v in module.weights.items() if name.endswith(("_center", "_scale"))}
+    shape = (len(items), len(model.states))
+    parameters = Parameters(model, rng.uniform(0.3, 1.0, shape), np.full(shape[1], 0.2), np.ones(shape), fixed)
+    theta = parameters.vector(module.weights)
+    return problem, parameters, theta + 0.1 * rng.standard_normal(len(theta))
+
+
+@pytest.mark.parametrize("name", ["urp_gb2", "bf_gb1", "fed_batch", "theophylline", "van_de_vusse", "algae_rotifers"])
+def test_shipped_models(name: str) -> None:
+    problem, parameters, theta = random_problem(gbspec.load(name).model, 1, 0.1)
+    compare(problem, parameters, theta, ("float64",))
+
+
+@pytest.mark.parametrize("blend", [1.0, 0.3, 0.0])
+def test_a_model_with_everything(blend: float) -> None:
+    problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(), 0.13, blend=blend)
+    rng = np.random.default_rng(3)
+    compare(problem, parameters, theta + 0.1 * rng.standard_normal(len(theta)), ("float64", "float32"))
+
+
+CONTRACTS = """model contracts
+state x in [0, 2]
+state y in [0, 2]
+input F linear
+learn k = 0.5 in [0, 3]
+unknown r(x in [0, 3], y in [0, 3]) >= 0, increasing in x, decreasing in y by mlp(9, 7)
+unknown g(y in [0, 3]) <= 2, zero at y = 0 by mlp(5)
+x' = F - r(x, y) - k*x*g(y)
+y' = r(x, y) - g(y)
+dose x
+observe x
+observe y
+"""
+
+
+def test_contracts_and_doses() -> None:
+    problem, parameters, theta = random_problem(model_of(CONTRACTS), 2)
+    assert len(problem.packed.doses.time)
+    compare(problem, parameters, theta, ("float64", "float32"))
+
+
+@settings(
+    max_examples=4,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+)
+@given(strategies.models(), st.integers(0, 1000))
+def test_random_models(model: Model, seed: int) -> None:
+    problem, parameters, theta = random_problem(model, seed, 0.5)
+    if np.isfinite(objective(problem, parameters, "torch")(theta)[0]):
+        compare(problem, parameters, theta, ("float64",))
+
+
+ACTIVATIONS = """model activations
+state x in [0, 1]
+{unknowns}
+x' = {terms} - x
+observe x
+"""
+
+
+def test_all_activations() -> None:
+    """Every activation, in networks of no, one and three hidden layers, some wider than a vector."""
+    names = strategies.ACTIVATIONS
+    shapes = ["9", "17, 3, 8"]
+    unknowns = "\n".join(f"unknown f{i}(x) by mlp({shapes[i % 2]}, activation={name})" for i, name in enumerate(names))
+    text = ACTIVATIONS.format(unknowns=unknowns, terms=" + ".join(f"f{i}(x)" for i in range(len(names))))
+    problem, parameters, theta = random_problem(model_of(text), 4)
+    compare(problem, parameters, 3 * theta, ("float64",))
+
+
+@pytest.fixture(scope="module")
+def small() -> tuple[Problem, Parameters, np.ndarray, Kernel]:
+    from tests.training.conftest import URP
+
+    model = model_of(URP)
+    problem, parameters, theta = problem_of(model, urp_data(9, 2.0, 1), 0.1)
+    return problem, parameters, theta, Kernel(model)
+
+
+def test_some_trajectories_and_threads(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
+    problem, parameters, theta, kernel = small
+    index = np.array([7, 2, 3])
+    part = problem.take(index)
+    loss, gradient = half_squares(kernel, part, parameters.take(index), parameters.take_vector(theta, index))
+    found = half_squares(kernel, problem, parameters, theta, index)
+    assert found[0] == pytest.approx(loss, rel=1e-13)
+    assert np.allclose(parameters.take_vector(found[1], index), gradient, rtol=1e-11, atol=1e-13)
+    alone = half_squares(kernel, problem, parameters, theta)
+    torch.set_num_threads(2)
+    together = half_squares(kernel, problem, parameters, theta)
+    assert np.allclose(alone[1], together[1], rtol=1e-12, atol=1e-14 * np.abs(alone[1]).max())
+
+
+def test_any_cotangent(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
+    """Products of the transposed Jacobian with any vector, linear in it; with the residuals it is the gradient."""
+    problem, parameters, theta, kernel = small
+    natural = Natural.of(problem, parameters, torch.from_numpy(theta))
+    own = kernel.sweep(problem.tables, natural, True)
+    again = kernel.sweep(problem.tables, natural, True, 3 * own.residuals)
+    assert np.allclose(again.d_weights, 3 * own.d_weights, rtol=1e-12, atol=1e-12)
+
+
+def test_memory_does_not_grow_with_the_length(
+    small: tuple[Problem, Parameters, np.ndarray, Kernel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trajectories of which only a part of the activations is kept have the same gradient; no work space is large."""
+    problem, parameters, theta, kernel = small
+    assert kernel.work_bytes(100_000) < 8 * 2**20
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 100_000)
+    short = Kernel(problem.model)
+    assert short.work_bytes(problem.packed.depth) < kernel.work_bytes(problem.packed.depth)
+    expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, short))
+    assert found[0] == expected[0]
+    assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())
+
+
+def test_a_blow_up_gives_no_finite_loss(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
+    problem, parameters, theta, kernel = small
+    wild = theta.copy()
+    wild[: parameters.n_weights] *= 1e6
+    with np.errstate(all="ignore"):
+        loss, _ = half_squares(kernel, problem, parameters, wild)
+    assert not np.isfinite(loss)
+
+
+# ---------------------------------------------------------------- compilation
+def test_kernels_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
+    text = "int answer(void) { return 42; }\n"
+    assert compiled(text).answer() == 42
+    assert [path.suffix for path in tmp_path.iterdir()] == [".so"]
+    monkeypatch.setattr(compiling, "_loaded", {})
+    monkeypatch.setattr(compiling, "_compile", lambda *_: pytest.fail("compiled again"))
+    assert compiled(text).answer() == 42
+
+
+def test_a_compiler_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
+    with pytest.raises(CompilerError, match="cannot compile"):
+        compiled("this is no C\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_instruction_set_is_assumed(
+    small: tuple[Problem, Parameters, np.ndarray, Kernel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Standard C, a vector being one number."""
+    problem, parameters, theta, kernel = small
+    monkeypatch.setattr("gbspec.training.native.source", lambda *given: "#define PLAIN_C\n" + source(*given))
+    expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, Kernel(problem.model)))
+    assert found[0] == pytest.approx(expected[0], rel=1e-13)
+    assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())
