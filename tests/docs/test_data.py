@@ -18,7 +18,7 @@ def test_the_example_of_cases_is_read(tmp_path: Path) -> None:
     (tmp_path / "urp_bb.gb").write_text("model urp_bb\n")
     (tmp_path / "cases.toml").write_text(example)
     found = load_cases(tmp_path / "cases.toml")
-    case = found.case("B")
+    case = found.case("B_PUBLISHED")
     assert (case.training.max_step, case.sampling.trajectories, case.metrics.points) == (0.5, 100, 20)
 
 
