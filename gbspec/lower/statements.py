@@ -49,6 +49,7 @@ class _Lowering:
         self._stoichiometry: dict[str, tuple[tuple[str, Expr], ...]] = {}
         self._fixed_lets: dict[sympy.Symbol, Expr] = {}
         self._short = ShortForms(checked, self._build)
+        self._position_of = {s.declarator.name.text: i for i, s in enumerate(checked.all(ast.StateStatement))}
 
     # ----------------------------------------------------------------------------------------------------- expressions
 
@@ -319,7 +320,6 @@ class _Lowering:
     def _channel(self, s: ast.ObserveStatement) -> ir.Channel:
         name = target_name(s.target).text
         value = symbol(name) if s.value is None else self._expression(s.value)
-        states = [x.declarator.name.text for x in self._checked.all(ast.StateStatement)]
         noise = None
         if s.noise is not None:
             scale = self._number(s.noise.arguments[0]) or 0.0
@@ -327,7 +327,7 @@ class _Lowering:
         return ir.Channel(
             name,
             value,
-            states.index(value.name) if value.is_Symbol and value.name in states else None,
+            self._position_of.get(value.name) if value.is_Symbol else None,
             noise,
             s.column.value if s.column is not None else name,
             unit=unit_text(s.unit),

@@ -11,15 +11,15 @@ from sympy.polys.matrices import DomainMatrix
 
 from gbspec.ir.dump import written
 from gbspec.ir.model import Expr, Model
-from gbspec.passes.terms import Opened, constants_of
+from gbspec.passes.terms import Opened, constants_of, larger_than
 
 K = TypeVar("K")
 
 PRIME = 2**61 - 1
 """Ranks are first computed modulo this prime, constants at random residues (wrong with probability about 1e-15)."""
 
-LARGEST = 30_000
-"""Rates are written out only where the model has at most this many operations; else each rate counts as free."""
+LARGEST = 70_000
+"""Rates are written out only where expressions have at most this many nodes; else each rate counts as free."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def linear_laws(model: Model) -> tuple[Law, ...]:
     are the left null space of the matrix of coefficients, over the field of rational functions of the constants.
     """
     laws = _laws(model, model.balances, 0)
-    if sum(b.count_ops() for b in model.balances) + sum(i.value.count_ops() for i in model.intermediates) > LARGEST:
+    if larger_than(model, LARGEST):
         return laws
     return _completed(laws, _laws(model, model.inlined(model.balances), len(laws)))
 
@@ -93,7 +93,8 @@ def _left_null_support(rows: Sequence[Mapping[Expr, Expr]]) -> tuple[list[int], 
     pivots: dict[Expr, tuple[dict[Expr, int], dict[int, int]]] = {}
     support: set[int] = set()
     count = 0
-    for index, row in enumerate(numeric):
+    for index in _core(numeric):
+        row = numeric[index]
         current = {column: c for column, c in row.items() if c}
         combination = {index: 1}
         while current:
@@ -112,6 +113,29 @@ def _left_null_support(rows: Sequence[Mapping[Expr, Expr]]) -> tuple[list[int], 
             support.update(combination)
             count += 1
     return sorted(support), count
+
+
+def _core(rows: Sequence[Mapping[Expr, int]]) -> list[int]:
+    """The rows that are left when those are taken away, again and again, that have a column to themselves.
+
+    Such a row takes part in no vanishing combination; what is left has little fill-in where elimination begins.
+    """
+    users: dict[Expr, set[int]] = {}
+    for index, row in enumerate(rows):
+        for column, value in row.items():
+            if value:
+                users.setdefault(column, set()).add(index)
+    left = set(range(len(rows)))
+    lone = [column for column, own in users.items() if len(own) == 1]
+    while lone:
+        for index in users[lone.pop()] & left:
+            left.discard(index)
+            for column, value in rows[index].items():
+                if value:
+                    users[column].discard(index)
+                    if len(users[column]) == 1:
+                        lone.append(column)
+    return sorted(left)
 
 
 def _subtract(target: dict[K, int], other: Mapping[K, int], factor: int) -> None:

@@ -21,6 +21,16 @@ def exact(expression: Expr) -> Expr:
     return expression.xreplace({f: sympy.Rational(repr(float(f))) for f in floats}) if floats else expression
 
 
+def larger_than(model: Model, most: int) -> bool:
+    """Whether balances and intermediates have more than `most` nodes together (sympy's own count is slow)."""
+    waiting: list[sympy.Basic] = [*model.balances, *(item.value for item in model.intermediates)]
+    for _ in range(most):
+        if not waiting:
+            return False
+        waiting.extend(waiting.pop().args)
+    return bool(waiting)
+
+
 def term_count(expression: Expr) -> int:
     """How many terms the expression has once its products are multiplied out (powers of sums are not)."""
     if expression.is_Add:

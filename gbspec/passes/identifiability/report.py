@@ -14,9 +14,10 @@ from gbspec.passes.identifiability.directions import Directions, absorbers, find
 from gbspec.passes.identifiability.problem import Problem, pose
 from gbspec.passes.identifiability.series import Array
 from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries
+from gbspec.passes.terms import larger_than
 
 MOST_STATES = 40
-MOST_OPERATIONS = 20_000
+MOST_NODES = 50_000
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
 """Warnings on a constant that say already why it cannot be learned: never used, only compared with."""
 
@@ -58,8 +59,7 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     """
     if not model.learnables and len(model.unknowns) < 2:
         return Identifiability(True)
-    large = sum(b.count_ops() for b in model.balances) + sum(i.value.count_ops() for i in model.intermediates)
-    if len(model.states) > MOST_STATES or large > MOST_OPERATIONS or not model.channels:
+    if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
         return Identifiability(False)
     deadline = time.process_time() + budget
     try:
