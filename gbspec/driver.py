@@ -6,7 +6,7 @@ Every stage is imported when it is used, so that checking a model loads neither 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -101,11 +101,23 @@ def is_run(path: str | Path) -> bool:
     return Path(path).is_dir()
 
 
-def open_run(path: str | Path) -> Run:
-    """A trained run. Raises `UserError` (GB851 to GB853) where the path is none, or damaged."""
+def open_run(path: str | Path, values: Mapping[str, float] | None = None) -> Run:
+    """A trained run, with `values` in place of constants, learned or known, and of conditions' defaults.
+
+    Raises `UserError`: GB851 to GB853 where the path is none, or damaged; GB804 where a name cannot be set.
+    """
     from gbspec.runs.store import open_run as open_directory
 
-    return open_directory(path)
+    return set_values(open_directory(path), values)
+
+
+def set_values(run: Run, values: Mapping[str, float] | None) -> Run:
+    """The run with other values for constants and conditions, in its truth too. Raises `UserError` (GB804)."""
+    from gbspec.passes import with_values
+
+    if not values:
+        return run
+    return replace(run, model=with_values(run.model, values), values={**run.values, **values})
 
 
 def subject(path: str | Path, values: Mapping[str, float], findings: Findings, member: int | None = None) -> Subject:
@@ -118,16 +130,10 @@ def subject(path: str | Path, values: Mapping[str, float], findings: Findings, m
 def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
     """What a member of a run learned (the best one where none is named). Raises `UserError` (GB804, GB854)."""
     from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.passes import with_values
 
+    run = set_values(run, values)
     instance = run.member(run.best if member is None else member)
-    model = with_values(run.model, values or {})
-    if values:
-        constants = [
-            values.get(k, old) for k, old in zip(instance.constants, instance.weights["constants"], strict=True)
-        ]
-        instance = type(instance)({**instance.weights, "constants": constants}, instance.info)
-    return Subject(model, Evaluator(instance), run, values or {})
+    return Subject(run.model, Evaluator(instance), run, run.values)
 
 
 def reference(model: Model, values: Mapping[str, float] | None = None) -> Subject:

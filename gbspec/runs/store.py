@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,16 @@ from gbspec.runs import files
 
 @dataclass(frozen=True)
 class Run:
-    """A run directory. `fit` is the content of `fit.json`; `numbers` are the members that have weights."""
+    """A run directory. `fit` is the content of `fit.json`; `numbers` are the members that have weights.
+
+    `values` are constants that were set by hand: every member has them in place of what it learned.
+    """
 
     path: Path
     model: Model
     fit: dict[str, Any]
     numbers: tuple[int, ...]
+    values: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def module(self) -> type[Any]:
@@ -48,12 +52,23 @@ class Run:
             raise UserError([Diagnostic("GB854", message, None, help=f"its members are {there}")])
         if number not in self._loaded:
             try:
-                self._loaded[number] = self.module.load(self.path, number)
+                self._loaded[number] = self._set(self.module.load(self.path, number))
             except (ValueError, OSError, KeyError) as error:
                 message = f"the weights of member {number} of `{self.path}` cannot be read: {error}"
                 help_text = "train again, or restore the file from a copy"
                 raise UserError([Diagnostic("GB853", message, None, help=help_text)]) from None
         return self._loaded[number]
+
+    def _set(self, member: Any) -> Any:
+        """The member with `values` in its constants; those of which each trajectory has its own are all set."""
+        if not self.values:
+            return member
+        learned = zip(member.constants, member.weights["constants"], strict=True)
+        weights = {**member.weights, "constants": np.array([self.values.get(name, value) for name, value in learned])}
+        for name in member.per_trajectory:
+            if name in self.values and f"per_trajectory.{name}" in weights:
+                weights[f"per_trajectory.{name}"] = np.full_like(weights[f"per_trajectory.{name}"], self.values[name])
+        return type(member)(weights, member.info)
 
     @property
     def members(self) -> tuple[Any, ...]:

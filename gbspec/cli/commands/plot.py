@@ -8,6 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
 
 Kind = Literal[
     "fit", "functions", "function", "constants", "history", "residuals", "phase", "initial-states", "summary"
@@ -32,6 +33,7 @@ def run(
     show: Annotated[
         list[str] | None, typer.Option("--show", help="A trajectory to show; may be repeated.", metavar="LABEL")
     ] = None,
+    set_values: Settings = None,
 ) -> None:
     """Draw a figure of a run: its fit, functions, constants, residuals, and others, or all in one (summary)."""
     from gbspec import driver
@@ -40,7 +42,7 @@ def run(
 
     form_of(to)
     findings = Findings()
-    made = driver.open_run(directory)
+    made = driver.open_run(directory, settings(set_values))
     measured = driver.training_data(made, findings) if data is None else driver.read_data(data, made.model, findings)
     output.findings(findings)
     save(driver.figure(kind, made, measured, show or ()), to)

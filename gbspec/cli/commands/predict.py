@@ -8,6 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 
@@ -35,6 +36,7 @@ def run(
             metavar="ROWS",
         ),
     ] = None,
+    set_values: Settings = None,
 ) -> None:
     """Predict trajectories from their first rows: mean, 90 % interval, and what each row was used for."""
     from gbspec import driver
@@ -44,7 +46,7 @@ def run(
     rows = window_of(from_start, window)
     path = target(to)
     findings = Findings()
-    opened = driver.open_run(directory)
+    opened = driver.open_run(directory, settings(set_values))
     table = driver.read_data(data, opened.model, findings, require_channels=False)
     output.findings(findings)
     with output.console().status("predicting"):

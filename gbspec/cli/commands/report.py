@@ -9,6 +9,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 
@@ -31,6 +32,7 @@ def run(
     ] = None,
     ends: Annotated[tuple[float, float] | None, typer.Option("--range", help="Its range.", metavar="LO HI")] = None,
     cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
+    set_values: Settings = None,
 ) -> None:
     """Write one self-contained page: the model, its fit, what was learned, how good it is, how to reproduce it."""
     from gbspec import driver
@@ -41,7 +43,7 @@ def run(
         message = "`--over` and `--range` belong together"
         raise UserError([Diagnostic("GB814", message, None, help="write both: `--over Da --range 0.2 0.5`")])
     findings = Findings()
-    opened = driver.open_run(directory)
+    opened = driver.open_run(directory, settings(set_values))
     path = writable(to if to is not None else Path(directory) / "report.html")
     table = driver.training_data(opened, findings) if data is None else driver.read_data(data, opened.model, findings)
     output.findings(findings)

@@ -8,6 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 
@@ -19,13 +20,14 @@ def run(
         str | None, typer.Argument(help="A table; without it the one trained on.", metavar="[DATA]")
     ] = None,
     member: Annotated[str, typer.Option("--member", help="A member, or the mean of all.", metavar="K|mean")] = "mean",
+    set_values: Settings = None,
 ) -> None:
     """Give the errors of a run: on data, at half the step, by an adaptive solver, and against the truth."""
     from gbspec import driver
     from gbspec.diagnostics import Findings
 
     findings = Findings()
-    made = driver.open_run(directory)
+    made = driver.open_run(directory, settings(set_values))
     chosen = which(member)
     measured = driver.training_data(made, findings) if data is None else driver.read_data(data, made.model, findings)
     output.findings(findings)
