@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from benchmarks.harness import busyness, interleaved, markdown, parser, say, write
-from benchmarks.variants import VARIANTS, Dtype, build
+from benchmarks.variants import VARIANTS, Dtype, agree, build
 from benchmarks.workload import Size, Workload, make
 
 AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {
@@ -30,6 +30,9 @@ AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {
 
 SIMULATED = 50
 """Trajectories that are simulated; more are repeats of them."""
+
+COMPARED = 100_000
+"""Sub-steps up to which gradients are compared: the reference stores all activations."""
 
 STORING = ("graph", "jax", "torch", "torch-naive", "torch-aligned", "torchdiffeq", "torchdiffeq-packed")
 """Variants that keep all activations of all sub-steps."""
@@ -66,6 +69,8 @@ def case(size: Size, names: Sequence[str], before: Mapping[str, float], rounds: 
         else:
             chosen.append(name)
     candidates = [c for name in chosen for c in build(work, [name], [dtype_of(name)])]
+    if work.substeps <= COMPARED:
+        agree(work, candidates)
     timings = interleaved({c.name: c.run for c in candidates}, rounds, seconds=3 * most)
     return {
         "size": asdict(size),
@@ -112,7 +117,7 @@ def arguments() -> argparse.Namespace:
     options.add_argument("--axes", nargs="+", choices=list(AXES), default=list(AXES))
     chosen = ["native", "jax-checkpoint", "torch"]
     options.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=chosen, metavar="NAME")
-    options.add_argument("--most", type=float, default=6.0, help="seconds that a step may take")
+    options.add_argument("--most", type=float, default=10.0, help="seconds that a step may take")
     return options.parse_args()
 
 

@@ -8,7 +8,7 @@ from functools import partial
 import torch
 
 from benchmarks.workload import Array, Workload
-from gbspec.training.native import half_squares, kernel_of
+from gbspec.training.native import _spaces, half_squares, kernel_of
 from gbspec.training.unroll import measured_residuals, unroll
 
 Step = Callable[[], tuple[float, Array]]
@@ -43,6 +43,11 @@ def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
         return loss / work.measured, gradient / work.measured
 
     return run
+
+
+def release() -> None:
+    """Gives back the work space that a step keeps for the next one, which then takes all that it needs itself."""
+    _spaces.clear()
 
 
 native_2 = partial(native, threads=2)

@@ -19,8 +19,9 @@ from typing import Any
 
 import torch
 
+from benchmarks import own
 from benchmarks.harness import busyness, interleaved, markdown, parser, peak_memory, pinned, say, write
-from benchmarks.variants import VARIANTS, Candidate, Dtype, build, prepare_jax
+from benchmarks.variants import VARIANTS, Candidate, Dtype, agree, build, prepare_jax
 from benchmarks.workload import Size, Workload, make
 
 DTYPES: tuple[Dtype, ...] = ("float32", "float64")
@@ -73,6 +74,7 @@ def _memory(name: str, dtype: Dtype, size: Size) -> None:
     prepare_jax()
     with pinned(VARIANTS[name].threads):
         VARIANTS[name].build(make(TINY), dtype)()
+        own.release()
         run = VARIANTS[name].build(make(size, simulated=20), dtype)
         print(json.dumps(peak_memory(run)))
 
@@ -132,6 +134,7 @@ def main() -> None:
         return
     work = make(size)
     candidates = build(work, options.variants, DTYPES, say)
+    agree(work, candidates, say)
     result = measure(work, candidates, options.rounds, options.seconds)
     memory: dict[str, float | None] = {}
     for candidate in [] if options.no_memory else candidates:

@@ -126,29 +126,30 @@ class DisagreementError(AssertionError):
 def build(
     work: Workload, names: Iterable[str], dtypes: Iterable[Dtype], say: Callable[[str], None] = lambda text: None
 ) -> list[Candidate]:
-    """Builds variants and holds each against the reference; those whose library is missing are left out, and told.
-
-    Raises DisagreementError where a loss or gradient is not the reference's.
-    """
+    """Builds variants; those whose library is missing are left out, and told."""
     prepare_jax()
-    references = {"TF": reference(work)}
     made = []
     for name in names:
         variant = VARIANTS[name]
-        if variant.forcing not in references:
-            references[variant.forcing] = reference(work.autoregressive())
-        for dtype in [d for d in dtypes if d in variant.dtypes]:
-            try:
-                with pinned(variant.threads):
-                    candidate = Candidate(name, dtype, variant.build(work, dtype))
-                    found = candidate.gradient(work)
-            except ImportError as error:
-                say(f"{name}: left out: {error} (`pip install .[benchmarks]` brings the peers)")
-                break
-            error = compare(candidate, found, references[variant.forcing])
-            say(f"{candidate.label}: built, gradient within {error:.1e} of the reference")
-            made.append(candidate)
+        try:
+            with pinned(variant.threads):
+                made += [Candidate(name, d, variant.build(work, d)) for d in dtypes if d in variant.dtypes]
+        except ImportError as error:
+            say(f"{name}: left out: {error} (`pip install .[benchmarks]` brings the peers)")
     return made
+
+
+def agree(work: Workload, candidates: Iterable[Candidate], say: Callable[[str], None] = lambda text: None) -> None:
+    """Holds each against the reference; raises DisagreementError where a loss or gradient is not the reference's."""
+    references: dict[str, tuple[float, Array]] = {}
+    for candidate in candidates:
+        forcing = candidate.variant.forcing
+        if forcing not in references:
+            references[forcing] = reference(work if forcing == "TF" else work.autoregressive())
+        with pinned(candidate.variant.threads):
+            found = candidate.gradient(work)
+        error = compare(candidate, found, references[forcing])
+        say(f"{candidate.label}: gradient within {error:.1e} of the reference")
 
 
 def compare(candidate: Candidate, found: tuple[float, Array], expected: tuple[float, Array]) -> float:

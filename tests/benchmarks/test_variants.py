@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from benchmarks import growth, step
-from benchmarks.variants import VARIANTS, Candidate, DisagreementError, build, compare, reference
+from benchmarks.variants import VARIANTS, Candidate, DisagreementError, agree, build, compare, reference
 from benchmarks.workload import Size, Workload, make
 
 LIBRARIES = {"jax": "jax", "torchdiffeq": "torchdiffeq"}
@@ -42,6 +42,8 @@ def test_a_variant_agrees_with_the_generated_module(name: str, work: Workload) -
     if name.startswith("native") and not made:
         pytest.skip(told[0])
     assert [candidate.dtype for candidate in made] == list(dtypes)
+    agree(work, made, told.append)
+    assert len(told) == len(made)
 
 
 def test_a_wrong_gradient_is_found_out(work: Workload) -> None:
@@ -57,7 +59,7 @@ def test_a_wrong_gradient_is_found_out(work: Workload) -> None:
     other = replace(work, h=1.01 * work.h)
     wrong = Candidate("torch", "float64", VARIANTS["torch"].build(other, "float64"))
     with pytest.raises(DisagreementError):
-        compare(wrong, wrong.gradient(work), expected)
+        agree(work, [wrong])
 
 
 def test_a_missing_library_is_told(work: Workload, monkeypatch: pytest.MonkeyPatch) -> None:
