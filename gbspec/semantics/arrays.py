@@ -7,11 +7,12 @@ What an index means is decided here, so that all later checks see names only. An
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
-from gbspec.diagnostics import Findings, Label
+from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged, declared
@@ -35,6 +36,11 @@ class Array:
     def name(self) -> str:
         """The array's name."""
         return self.statement.declarator.name.text
+
+    @property
+    def range(self) -> str:
+        """`1 to 512`."""
+        return f"{self.first} to {self.last}"
 
     def element(self, index: int) -> str:
         """The name of the state that an element is."""
@@ -86,6 +92,7 @@ class _Expansion:
         self._arrays: dict[str, Array] = {}
         self._unsure: set[str] = set()
         self._named: set[str] = set()
+        self._told: Counter[Span] = Counter()
         self._functions = {
             i.statement.name.text: i.statement for i in merged.items if isinstance(i.statement, ast.FunctionStatement)
         }
@@ -125,6 +132,8 @@ class _Expansion:
         value = Evaluator({**self._values, **(extra or {})}, self._functions)(node)
         if value is not None and value == int(value):
             return int(value)
+        if not self._first_at(node):  # of an index that is wrong for many elements, one is told
+            return None
         self._findings.error(
             "GB240",
             f"{what} must be a whole number" + ("" if value is None else f", not {value:g}"),
@@ -132,6 +141,11 @@ class _Expansion:
             help="write numbers and constants there, and `i` in a balance for every `i`",
         )
         return None
+
+    def _first_at(self, node: ast.Node, most: int = 1) -> bool:
+        """Whether fewer than `most` mistakes were told of this place in the text; counts this one."""
+        self._told[node.span] += 1
+        return self._told[node.span] <= most
 
     def _declare(self, statement: ast.StateStatement) -> None:
         declarator = statement.declarator
@@ -164,7 +178,7 @@ class _Expansion:
                 "GB241",
                 f"`{array.name}[{index}]` is a state, so it needs a balance and not an equation",
                 statement.target.span,
-                labels=[Label(array.statement.declarator.span, f"from {array.first} to {array.last}")],
+                labels=[Label(array.statement.declarator.span, f"from {array.range}")],
                 help=f"an equation closes an end: `{array.name}[{array.first - 1}] = …`; a start is `initial`",
             )
         array.ends[index] = statement
@@ -223,23 +237,38 @@ class _Expansion:
                 return []
             return [self._rewritten(item, {})] if name.text not in self._unsure else []
         loop = running_index(target, self._values)
+        if isinstance(item.statement, ast.ObserveStatement) and item.statement.value is not None:
+            self._channel_like_a_state(array, target)
+            return []
         if loop is None and isinstance(target, ast.Index):
             index = self._whole(target.index, "an index")
-            if index is None or not self._exists(array, index, target):
+            if index is None or not self._exists(array, index, target, f"its elements are {array.range}"):
                 return []
             return [self._element(item, array, index, {})]
         bound = [{loop: i} if loop else {} for i in range(array.first, array.last + 1)]
         return [self._element(item, array, array.first + k, values) for k, values in enumerate(bound)]
 
-    def _exists(self, array: Array, index: int, node: ast.Node) -> bool:
+    def _channel_like_a_state(self, array: Array, target: ast.Name | ast.Index) -> None:
+        self._findings.error(
+            "GB202",
+            f"`{array.name}` is declared twice",
+            target.span,
+            label="again",
+            labels=[Label(array.statement.declarator.span, "first declared here")],
+            help=f"to measure it as it is write `observe {target.span.text}`; an expression needs a name of its own",
+        )
+
+    def _exists(self, array: Array, index: int, node: ast.Node, help_text: str = "") -> bool:
         if array.first <= index <= array.last:
             return True
+        if not self._first_at(node, most=2):  # both ends are told of an index that is wrong for many elements
+            return False
         self._findings.error(
             "GB242",
             f"`{array.name}` has no element {index}",
             node.span,
-            labels=[Label(array.statement.declarator.span, f"from {array.first} to {array.last}")],
-            help=f"close this end by an equation: `{array.name}[{index}] = …`",
+            labels=[Label(array.statement.declarator.span, f"from {array.range}")],
+            help=help_text or f"close this end by an equation: `{array.name}[{index}] = …`",
         )
         return False
 
