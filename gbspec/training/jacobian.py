@@ -108,8 +108,9 @@ class _Sweep:
         packed, parameters = self.problem.packed, self.parameters
         observed = self._observations()
         sensitivity_shared, sensitivity_local = self._initial()
-        rows_shared: list[Tensor] = []
-        rows_local: list[Tensor] = []
+        # Filled as it goes: for much data this is by far the largest array, and it is made only once.
+        shared = self._zeros((len(self.residuals), self.shared_columns))
+        local = self._zeros((len(self.residuals), parameters.n_local))
         release = self._tensor(1.0 - self.problem.forcing.weight)[:, :, None]
         owner = self._tensor(packed.row_trajectory)
         position = 0
@@ -120,17 +121,12 @@ class _Sweep:
             who = owner[rows]
             s_shared = torch.baddbmm(j_shared, a, sensitivity_shared[who]) if not self.only_local else j_shared
             s_local = torch.baddbmm(j_local, a, sensitivity_local[who])
-            rows_shared.append(observed.apply_shared(rows, s_shared))
-            rows_local.append(observed.apply_local(rows, s_local))
+            part = observed.of_rows(rows)
+            shared[part] = observed.apply_shared(rows, s_shared)
+            local[part] = observed.apply_local(rows, s_local)
             sensitivity_shared[who] = s_shared * release[rows]
             sensitivity_local[who] = s_local * release[rows]
-        width = (self.shared_columns, parameters.n_local)
-        return Linearised(
-            self.residuals,
-            self._of_trained_weights(torch.cat([*rows_shared, self._zeros((0, width[0]))])),
-            torch.cat([*rows_local, self._zeros((0, width[1]))]),
-            owner[observed.row],
-        )
+        return Linearised(self.residuals, self._of_trained_weights(shared), local, owner[observed.row])
 
     def _of_trained_weights(self, shared: Tensor) -> Tensor:
         """Columns of the weights in use as those of the trained ones (they differ where contracts need signs)."""
@@ -386,8 +382,12 @@ class _Observed:
     shared: Tensor | None
     local: Tensor | None
 
+    def of_rows(self, rows: slice) -> slice:
+        """The residuals of some key rows."""
+        return slice(int(self.bounds[rows.start]), int(self.bounds[rows.stop]))
+
     def _apply(self, rows: slice, sensitivity: Tensor, direct: Tensor | None) -> Tensor:
-        part = slice(int(self.bounds[rows.start]), int(self.bounds[rows.stop]))
+        part = self.of_rows(rows)
         which = self.row[part] - rows.start
         out = torch.bmm(self.state[part][:, None, :], sensitivity[which])[:, 0]
         return out if direct is None else out + direct[part]

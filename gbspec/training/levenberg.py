@@ -77,7 +77,7 @@ class Cholesky:
 
 
 class NormalEquations:
-    """The linearised problem at one vector, solved for any damping.
+    """The linearised problem at one vector, solved for any damping; it takes the system over and scales it in place.
 
     `weights` [m] are those of the residuals; `ridge` is the precision of the prior on network weights around zero, in
     units of the residuals.
@@ -86,8 +86,9 @@ class NormalEquations:
     def __init__(self, system: Linearised, parameters: Parameters, weights: Array, ridge: float, theta: Array) -> None:
         root = np.sqrt(weights)
         self.parameters = parameters
-        self.shared = system.shared.numpy() * root[:, None]
-        self.local = system.local.numpy() * root[:, None]
+        self.shared, self.local = system.shared.numpy(), system.local.numpy()
+        for part in (self.shared, self.local):  # in place, as the first is as large as memory may allow
+            part *= root[:, None]
         self.residuals = system.residuals.numpy() * root
         self.owner = system.owner.numpy()
         self.root = root

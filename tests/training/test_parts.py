@@ -69,9 +69,9 @@ def test_steps_solve_the_damped_normal_equations(ridge: float, many: bool) -> No
     system = linearise(problem, parameters, theta)
     residuals = system.residuals.numpy()
     weights = huber_weights(residuals, 0.2)
+    J = system.dense(parameters).numpy() * np.sqrt(weights)[:, None]
     equations = NormalEquations(system, parameters, weights, ridge, theta)
     assert equations.dual is not many
-    J = system.dense(parameters).numpy() * np.sqrt(weights)[:, None]
     penalised = np.arange(parameters.size) < parameters.n_weights
     damping = 0.05
     matrix = J.T @ J + damping * np.eye(parameters.size) + ridge * np.diag(penalised)
