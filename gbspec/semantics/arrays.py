@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -16,6 +16,7 @@ from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged, declared
+from gbspec.semantics.rewriting import rebuilt
 from gbspec.syntax import ast
 from gbspec.syntax.walk import children
 
@@ -83,6 +84,10 @@ def _inside(root: ast.Node) -> Iterator[ast.Node]:
 
 def _is_sum(node: ast.Node) -> bool:
     return isinstance(node, ast.Call) and node.function.text == "sum"
+
+
+def _is_place(node: ast.Expression) -> bool:
+    return isinstance(node, ast.Name | ast.Index) or _is_sum(node)
 
 
 class _Expansion:
@@ -315,7 +320,7 @@ class _Expansion:
                 case _:
                     return node
 
-        return _rebuilt(root, put)
+        return rebuilt(root, put, _is_place)
 
     def _index(
         self,
@@ -383,60 +388,3 @@ def _formals(statement: ast.Statement) -> frozenset[str]:
             return frozenset(p.text for p in parameters or ())
         case _:
             return frozenset()
-
-
-def _rebuilt(root: ast.Expression, put: Callable[[ast.Expression], ast.Expression]) -> ast.Expression:
-    """The expression with `put` applied to every name, index and call of `sum`; iterative, unchanged parts shared."""
-    results: list[ast.Expression] = []
-    stack: list[tuple[ast.Expression, int]] = [(root, -1)]
-    while stack:
-        node, count = stack.pop()
-        if isinstance(node, ast.Name | ast.Index) or _is_sum(node):
-            results.append(put(node))
-        elif count < 0:
-            below = _operands(node)
-            stack.append((node, len(below)))
-            stack.extend((part, -1) for part in reversed(below))
-        else:
-            split = len(results) - count
-            parts = results[split:]
-            del results[split:]
-            same = all(new is old for new, old in zip(parts, _operands(node), strict=True))
-            results.append(node if same else _with_operands(node, parts))
-    return results[0]
-
-
-def _operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
-    match node:
-        case ast.Call(arguments=arguments):
-            return arguments
-        case ast.Unary(operand=operand):
-            return (operand,)
-        case (
-            ast.Binary(left=left, right=right)
-            | ast.Comparison(left=left, right=right)
-            | ast.Logic(left=left, right=right)
-        ):
-            return left, right
-        case ast.Conditional(condition=condition, then=then, otherwise=otherwise):
-            return condition, then, otherwise
-        case ast.Group(inner=inner):
-            return (inner,)
-        case _:
-            return ()
-
-
-def _with_operands(node: ast.Expression, parts: list[ast.Expression]) -> ast.Expression:
-    match node:
-        case ast.Call():
-            return dataclasses.replace(node, arguments=tuple(parts))
-        case ast.Unary():
-            return dataclasses.replace(node, operand=parts[0])
-        case ast.Binary() | ast.Comparison() | ast.Logic():
-            return dataclasses.replace(node, left=parts[0], right=parts[1])
-        case ast.Conditional():
-            return dataclasses.replace(node, condition=parts[0], then=parts[1], otherwise=parts[2])
-        case ast.Group():
-            return dataclasses.replace(node, inner=parts[0])
-        case _:
-            return node
