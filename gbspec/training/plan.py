@@ -59,8 +59,6 @@ NOISE = 0.01
 """Above this typical residual after teacher forcing (in deviations of the data) the data count as noisy."""
 FEW = 600
 """Below this number of measured values the weights have a prior from the first."""
-SEARCH_RIDGE = 1e-2
-"""The ridge while constants are searched for whose solutions follow hidden states."""
 FIRST_RIDGE = 1e-3
 """The ridge before the data have set it, as a multiple of the squared typical residual (at least 1e-4)."""
 
@@ -151,8 +149,7 @@ class _Planner:
                 self._newton("forcing as asked", limits["autoregressive"], last, lambda theta: True, self._regular),
             ]
         return [
-            Planned("search", 1, self._search, lambda theta: self._hidden(theta) and self._searchable()),
-            self._adam(limits["approach"], lambda theta: self._hidden(theta) and not self._searchable()),
+            self._adam(limits["approach"], self._hidden),
             self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
             self._starts("initial states", 1.0),
             self._newton("teacher forcing", self._teacher_limit(), self._at(1.0), lambda theta: True, self._prior),
@@ -183,10 +180,6 @@ class _Planner:
     def _hidden(self, theta: Array) -> bool:
         """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
         return not self.context.points.equations or not self.options.warm_start
-
-    def _searchable(self) -> bool:
-        """Whether whole solutions for many values of the constants are cheap, and constants are what to begin with."""
-        return self.values < FEW and bool(self.parameters.model.learnables) and self.options.warm_start
 
     def _needs_imputing(self, theta: Array) -> bool:
         """Whether plain teacher forcing starts far worse than with every state imputed."""
@@ -221,10 +214,6 @@ class _Planner:
         return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
 
     # ---------------------------------------------------------------- stages
-    def _search(self, theta: Array) -> Stage:
-        """Whole solutions from many constants, the unknowns near their postulates."""
-        return Search(self.context.problem(0.0), self.released, self.context.seed, SEARCH_RIDGE)
-
     def _choice(self, theta: Array) -> Stage:
         earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
         context = self.context
