@@ -26,6 +26,7 @@ from gbspec.analysis.predict import (
     needed,
     predict,
 )
+from gbspec.data.window import recognised
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
@@ -113,9 +114,15 @@ class Estimator:
             return Start(self.evaluator.initial(state, item.condition, constants), constants, "known")
         return self._estimate(item, state, constants, free)
 
+    def spread(self, item: Trajectory) -> Array:
+        """How uncertain each state's start [n] is before the trajectory is fitted: less where it was recognised."""
+        found = recognised(self.evaluator.instance.weights, self.model, item)
+        return self.prior.spread if found is None else np.minimum(self.prior.spread, found[1])
+
     def _nearest(self, item: Trajectory) -> Array:
-        """The prior's centre, with the first value of every state that is measured early in the trajectory."""
-        state = self.prior.centre.copy()
+        """The prior's centre, or what a recognition network says; with early measurements of states put in."""
+        found = recognised(self.evaluator.instance.weights, self.model, item)
+        state = (self.prior.centre if found is None else found[0]).copy()
         early = max(3, len(item.times) // 10)
         for j, channel in enumerate(self.model.channels):
             rows = np.flatnonzero(np.isfinite(item.values[:early, j]))
@@ -127,7 +134,7 @@ class Estimator:
         from scipy.optimize import least_squares
 
         columns = list(free)
-        scale = np.concatenate([self.prior.spread[columns], self.own_spread])
+        scale = np.concatenate([self.spread(item)[columns], self.own_spread])
         weights = np.isfinite(item.values) / self.spreads
         measured = np.nan_to_num(item.values)
         worst = np.full(int(np.sum(weights > 0)) + len(scale), 1e3)

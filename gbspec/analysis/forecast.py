@@ -259,7 +259,7 @@ class _Seer:
         """
         free = [*needed(self.model, seen)]
         own = list(self.estimator.own)
-        scale = np.concatenate([self.estimator.prior.spread[free], self.estimator.own_spread])
+        scale = np.concatenate([self.estimator.spread(seen)[free], self.estimator.own_spread])
         columns = []
         for k in range(len(scale)):
             state, constants = start.state.copy(), start.constants.copy()

@@ -23,6 +23,7 @@ from gbspec.training.parameters import Parameters
 from gbspec.training.plan import Planned, plan
 from gbspec.training.preparation import prepare
 from gbspec.training.progress import Progress, Update
+from gbspec.training.recognition import recognition
 from gbspec.training.stages import Outcome, Stage, State
 from gbspec.training.summary import MemberResult, summarise
 
@@ -248,6 +249,9 @@ class _Runner:
             self.context, self.parameters, position.best, position.loss, position.seconds, position.stages
         )
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
+        if position.finished and self.context.options.initial == "recognition":
+            blend = 0.0 if "autoregressive" in position.marks else self.context.options.blend
+            weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             "max_step": self.context.max_step,
             "seed": self.context.seed,

@@ -9,7 +9,7 @@ from gbspec.diagnostics import Findings
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Effort = Literal["low", "normal", "high"]
-Initial = Literal["learned", "bred"]
+Initial = Literal["learned", "bred", "recognition"]
 Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
 
@@ -86,8 +86,9 @@ class TrainOptions:
     initial: Initial = field(
         default="learned",
         metadata={
-            "help": "Initial states that are neither measured nor expressed: `learned`, or `bred` at the end, that is "
-            "brought onto the slow manifold by the dynamics themselves.",
+            "help": "Initial states that are neither measured nor expressed: `learned`; `bred` at the end, that is "
+            "brought onto the slow manifold by the dynamics themselves; or learned, with a `recognition` network that "
+            "gives those of new trajectories from their first measurements.",
         },
     )
     random_substeps: bool = field(

@@ -83,6 +83,7 @@ class Template:  # {{class}}
     #   network.NAME.input_low, .input_high [in]: the trained range, for reports (optional)
     #   constants [n_constants]: in the order of `constants`
     #   initial [n_trajectories, n_states], per_trajectory.NAME [n_trajectories]: of the training data (optional)
+    #   recognition.*: a network that gives initial states of new trajectories (optional)
 
     def __init__(self, weights: Mapping[str, Any] | None = None, info: Mapping[str, Any] | None = None) -> None:
         """Takes weights by name (none needed without unknown functions) and a table of remarks to keep with them.
@@ -167,6 +168,8 @@ class Template:  # {{class}}
                 shape = (*value.shape[:1], len(self.states))
             elif name.startswith("per_trajectory.") and name.partition(".")[2] in self.per_trajectory:
                 shape = value.shape[:1]
+            elif name.startswith("recognition."):
+                shape = value.shape
             if shape is None:
                 wrong.append(f"`{name}` belongs to no part of this model")
             elif value.shape != shape:
