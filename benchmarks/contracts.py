@@ -1,6 +1,6 @@
 """What contracts cost: a training step with them against one of the plain network, in interleaved runs.
 
-    python benchmarks/contracts.py [--repeats 15]
+    python -m benchmarks.contracts [--repeats 15] [--only CONTRACTS ...]
 
 Workload: URP (two states, network 3-64-64-1), 200 trajectories of one in [0, 10], measured about every 0.5, RK4 with
 step 0.1, one thread, float64, processor time. "Adam" is forward and backward through the unrolled solver, "Jacobian"
@@ -128,12 +128,15 @@ def seconds(step: Callable[[], object]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=15)
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--only", nargs="*", default=list(CONTRACTS), metavar="CONTRACTS", choices=list(CONTRACTS))
+    chosen = parser.parse_args()
+    repeats = chosen.repeats
     torch.set_num_threads(1)
     trajectories = data(200)
     candidates = {
         name: steps(model_of(text, "x2" if name.startswith(ALONE) else "x1, x2, Da"), trajectories)
         for name, text in CONTRACTS.items()
+        if name in (*chosen.only, "plain", ALONE)
     }
     print(f"{'contracts on phi':<42} {'Adam':>10} {'x plain':>8} {'Jacobian':>10} {'x plain':>8}")
     for name, pair in candidates.items():

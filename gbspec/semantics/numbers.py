@@ -230,6 +230,7 @@ class Numbers:
                 "GB232",
                 f"`{what} {kind}` takes {count} number{'s' if count > 1 else ''}: {location}{scale}",
                 distribution.span,
+                help=f"write `{what} {kind}({'3, 0.5' if count == 2 else '0.1'})` with your numbers",
             )
             return
         values = [self.value(argument) for argument in distribution.arguments]

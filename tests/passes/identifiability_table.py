@@ -1,0 +1,77 @@
+"""The table of known answers as a page: what `gbspec check` says of each case of `test_identifiability`.
+
+python -m tests.passes.identifiability_table        writes docs/identifiability.md anew
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+from gbspec.diagnostics import Diagnostic, Findings, Span
+from gbspec.ir.model import Model
+from gbspec.passes.identifiability import identifiability
+from tests.passes.test_identifiability import CASES, PAPER, paper
+from tests.texts import model_of
+
+PAGE = Path(__file__).parents[2] / "docs" / "identifiability.md"
+
+HEAD = """# What no data can separate: a table of known answers
+
+Made by `python -m tests.passes.identifiability_table` from the cases of the tests; each row is what `gbspec check` says.
+Functions declared `unknown` are free functions of their arguments. Lines count from `model m`, the first.
+
+| case | model | not to be told apart | transformation, or why | lines | what would resolve it |
+|---|---|---|---|---|---|
+"""
+
+
+@cache
+def cases() -> dict[str, tuple[str, Model]]:
+    """Every case: how its model is shown, and the model."""
+    found = {name: (_shown(text), model_of("model m\n" + text)) for name, (text, *_) in CASES.items()}
+    for name, unseen, *_ in PAPER:
+        hidden = " and ".join(f"`{state}`" for state in unseen)
+        title = f"`{name}`" + (f" without {hidden}" if unseen else "")
+        found[title] = (
+            f"shipped as `{name}`" + (f", {hidden} not observed" if unseen else ""),
+            model_of("model m\n" + paper(name, unseen)),
+        )
+    return found
+
+
+def row(name: str, shown: str, model: Model) -> str:
+    """One row of the table."""
+    findings = Findings()
+    if not identifiability(model, findings, budget=60).decided:
+        return f"| {name} | {shown} | undecided | | | |\n"
+    told = [finding for finding in findings if finding.code in ("GB401", "GB402", "GB403", "GB404")]
+    if not told:
+        return f"| {name} | {shown} | nothing | | | |\n"
+    columns = [
+        "<br>".join(finding.message.split(" cannot ")[0] for finding in told),
+        "<br>".join("; ".join(finding.notes) or finding.label for finding in told),
+        "<br>".join(_lines(finding) for finding in told),
+        "<br>".join(finding.help for finding in told),
+    ]
+    return f"| {name} | {shown} | " + " | ".join(column.replace("|", "\\|") for column in columns) + " |\n"
+
+
+def _lines(finding: Diagnostic) -> str:
+    """The lines that a finding points to."""
+    spans = [span for span in (finding.place, *(label.span for label in finding.labels)) if isinstance(span, Span)]
+    return ", ".join(str(line) for line in sorted({span.position[0] for span in spans}))
+
+
+def _shown(text: str) -> str:
+    """A model's text in a cell of a table."""
+    return "<br>".join(f"`{line}`" for line in text.strip().replace("|", "\\|").splitlines())
+
+
+def main() -> None:
+    """Writes the page."""
+    PAGE.write_text(HEAD + "".join(row(name, *case) for name, case in cases().items()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
