@@ -92,7 +92,19 @@ def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem
     return problem, parameters, theta + 0.1 * rng.standard_normal(len(theta))
 
 
-@pytest.mark.parametrize("name", ["urp_gb2", "bf_gb1", "fed_batch", "theophylline", "van_de_vusse", "algae_rotifers"])
+@pytest.fixture
+def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler does not optimise, which takes most of its time."""
+    monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiling, "_flag_sets", lambda: [["-std=gnu11", "-O0", "-shared", "-fPIC"]])
+    monkeypatch.setattr("gbspec.training.native._kernels", {})
+
+
+SHIPPED = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*/*.gb"))
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_models(name: str) -> None:
     problem, parameters, theta = random_problem(gbspec.load(name).model, 1, 0.1)
     compare(problem, parameters, theta, ("float64",))
@@ -120,17 +132,19 @@ observe y
 """
 
 
+@pytest.mark.usefixtures("quick")
 def test_contracts_and_doses() -> None:
     problem, parameters, theta = random_problem(model_of(CONTRACTS), 2)
     assert len(problem.packed.doses.time)
     compare(problem, parameters, theta, ("float64", "float32"))
 
 
+@pytest.mark.usefixtures("quick")
 @settings(
     max_examples=4,
     deadline=None,
     derandomize=True,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
+    suppress_health_check=[*HealthCheck],
 )
 @given(strategies.models(), st.integers(0, 1000))
 def test_random_models(model: Model, seed: int) -> None:
@@ -147,6 +161,7 @@ observe x
 """
 
 
+@pytest.mark.usefixtures("quick")
 def test_all_activations() -> None:
     """Every activation, in networks of no, one and three hidden layers, some wider than a vector."""
     names = strategies.ACTIVATIONS

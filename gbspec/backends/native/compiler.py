@@ -26,7 +26,7 @@ class CompilerError(Exception):
 def compiled(source: str) -> ctypes.CDLL:
     """The library of a source, from the cache if it is there. Raises CompilerError."""
     compiler = find_compiler()
-    key = hashlib.sha256("\0".join([source, *_identity(compiler)]).encode()).hexdigest()
+    key = hashlib.sha256("\0".join([source, *_identity(compiler), repr(_flag_sets())]).encode()).hexdigest()
     return _load(source, compiler, key)
 
 

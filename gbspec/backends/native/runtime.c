@@ -29,15 +29,27 @@ typedef int64_t bits;
 #define COLUMNS 2
 #endif
 typedef real vec __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
+typedef bits mask __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
 #define LANES ((int)(VECTOR_BYTES / sizeof(real)))
+#define LANES_HALVED 1
 #define INLINE static inline __attribute__((always_inline))
+#define APART static __attribute__((noinline))
 #define UNROLL _Pragma("GCC unroll 8")
+#define BITS(x) ((mask)(x))
+#define FROM_BITS(b) ((vec)(b))
+#define SELECT(condition, a, b) FROM_BITS((BITS(a) & (mask)(condition)) | (BITS(b) & ~(mask)(condition)))
 #else
 typedef real vec;
+typedef bits mask;
 #define COLUMNS 4
 #define LANES 1
+#define LANES_HALVED 0
 #define INLINE static inline
+#define APART static
 #define UNROLL
+INLINE bits BITS(real x) { bits b; memcpy(&b, &x, sizeof b); return b; }
+INLINE real FROM_BITS(bits b) { real x; memcpy(&x, &b, sizeof x); return x; }
+#define SELECT(condition, a, b) ((condition) ? (a) : (b))
 #endif
 #define ROWS 4
 #define PAD(n) (((n) + LANES - 1) / LANES * LANES)
@@ -60,49 +72,42 @@ typedef real vec;
 #define BIAS 1023
 #endif
 
-INLINE bits to_bits(real x) { bits b; memcpy(&b, &x, sizeof b); return b; }
-INLINE real from_bits(bits b) { real x; memcpy(&x, &b, sizeof x); return x; }
+INLINE vec load(const real *p) { return *(const vec *)p; }
+INLINE void store(real *p, vec v) { *(vec *)p = v; }
+INLINE vec splat(real x) { return (vec){0} + x; }
+INLINE vec size_of(vec x) { return SELECT(x < splat(0), -x, x); }
 
 /* exp(x) = s + s*q with s a power of two and q = exp(r) - 1, |r| <= ln 2/2, by its Taylor polynomial (error below half
    a unit in the last place). Beyond EXP_MOST activations are flat to rounding; arguments are kept far enough from where
    numbers lose digits that no product of theirs does, which costs a hundred times a usual product. */
-INLINE void exp_parts(real x, real *s, real *q) {
-    x = x < -EXP_MOST ? -EXP_MOST : x;
-    x = x > EXP_MOST ? EXP_MOST : x;
-    const real shifted = x * R(1.44269504088896340736) + SHIFT;
-    const real n = shifted - SHIFT;
-    const real r = (x - n * LN2_HIGH) - n * LN2_LOW;
+INLINE void exp_parts(vec x, vec *s, vec *q) {
+    x = SELECT(x < splat(-EXP_MOST), splat(-EXP_MOST), x);
+    x = SELECT(x > splat(EXP_MOST), splat(EXP_MOST), x);
+    const vec shifted = x * R(1.44269504088896340736) + SHIFT;
+    const vec n = shifted - SHIFT;
+    const vec r = (x - n * LN2_HIGH) - n * LN2_LOW;
+    const vec r2 = r * r, r4 = r2 * r2; /* in pairs, so that fewer operations wait for each other */
 #if REAL_IS_FLOAT
-    real p = R(1.0 / 5040);
+    const vec high = r * R(1.0 / 5040.0) + R(1.0 / 720.0);
 #else
-    real p = R(1.0 / 479001600.0);
-    p = p * r + R(1.0 / 39916800.0);
-    p = p * r + R(1.0 / 3628800.0);
-    p = p * r + R(1.0 / 362880.0);
-    p = p * r + R(1.0 / 40320.0);
-    p = p * r + R(1.0 / 5040.0);
+    const vec top = (r * R(1.0 / 39916800.0) + R(1.0 / 3628800.0)) + r2 * R(1.0 / 479001600.0);
+    const vec middle = (r * R(1.0 / 362880.0) + R(1.0 / 40320.0)) * r2 + (r * R(1.0 / 5040.0) + R(1.0 / 720.0));
+    const vec high = top * r4 + middle;
 #endif
-    p = p * r + R(1.0 / 720.0);
-    p = p * r + R(1.0 / 120.0);
-    p = p * r + R(1.0 / 24.0);
-    p = p * r + R(1.0 / 6.0);
-    p = p * r + R(0.5);
-    *q = r + r * r * p;
-    *s = from_bits((bits)((uint64_t)(to_bits(shifted) + BIAS) << MANTISSA));
+    const vec low = (r * R(1.0 / 120.0) + R(1.0 / 24.0)) * r2 + (r * R(1.0 / 6.0) + R(0.5));
+    *q = r + r2 * (high * r4 + low);
+    *s = FROM_BITS((BITS(shifted) + BIAS) << MANTISSA);
 }
 
-INLINE real v_exp(real x) { real s, q; exp_parts(x, &s, &q); return s + s * q; }
-INLINE real v_expm1(real x) { real s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
+INLINE vec v_exp(vec x) { vec s, q; exp_parts(x, &s, &q); return s + s * q; }
+INLINE vec v_expm1(vec x) { vec s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
 
 /* 1/d for d in [1, 2]: the polynomial of degree 5 with the least relative error, 1/T6(3), then Newton's iteration, which
    squares the error. Divisions of whole vectors take several times as long. */
-INLINE real v_reciprocal(real d) {
-    real y = R(-2048.0 / 19601);
-    y = y * d + R(18432.0 / 19601);
-    y = y * d - R(68352.0 / 19601);
-    y = y * d + R(133632.0 / 19601);
-    y = y * d - R(145224.0 / 19601);
-    y = y * d + R(83160.0 / 19601);
+INLINE vec v_reciprocal(vec d) {
+    const vec d2 = d * d;
+    const vec top = d * R(-2048.0 / 19601) + R(18432.0 / 19601), low = d * R(-145224.0 / 19601) + R(83160.0 / 19601);
+    vec y = (top * d2 + (d * R(-68352.0 / 19601) + R(133632.0 / 19601))) * d2 + low;
     y = y + y * (R(1) - d * y);
 #if !REAL_IS_FLOAT
     y = y + y * (R(1) - d * y);
@@ -111,23 +116,24 @@ INLINE real v_reciprocal(real d) {
 }
 
 /* The logistic function p(x), and 1 - p(x) as exactly. */
-INLINE void v_logistic(real x, real *p, real *rest) {
-    const real e = v_exp(-FN(fabs)(x)), large = v_reciprocal(R(1) + e), small = e * large;
-    *p = x < R(0) ? small : large;
-    *rest = x < R(0) ? large : small;
+INLINE void v_logistic(vec x, vec *p, vec *rest) {
+    const vec e = v_exp(-size_of(x)), large = v_reciprocal(R(1) + e), small = e * large;
+    *p = SELECT(x < splat(0), small, large);
+    *rest = SELECT(x < splat(0), large, small);
 }
 
-INLINE real v_tanh(real x) {
-    const real size = FN(fabs)(x), e = v_expm1(size > R(22) ? R(44) : R(2) * size), y = e / (e + R(2));
-    return x < R(0) ? -y : y;
+INLINE vec v_tanh(vec x) {
+    const vec e = v_expm1(R(2) * size_of(x)), y = e / (e + R(2));
+    return SELECT(x < splat(0), -y, y);
 }
 
 /* log(1 + u) for u in [0, 1]: 2 artanh(u/(2 + u)), a series in at most 1/9. */
-INLINE real v_log1p_unit(real u) {
-    const real s = u / (R(2) + u), q = s * s;
-    real p = R(1.0 / 17);
-#if !REAL_IS_FLOAT
-    p = R(1.0 / 33);
+INLINE vec v_log1p_unit(vec u) {
+    const vec s = u / (R(2) + u), q = s * s;
+#if REAL_IS_FLOAT
+    vec p = splat(R(1.0 / 17));
+#else
+    vec p = splat(R(1.0 / 33));
     p = p * q + R(1.0 / 31);
     p = p * q + R(1.0 / 29);
     p = p * q + R(1.0 / 27);
@@ -147,10 +153,7 @@ INLINE real v_log1p_unit(real u) {
     return R(2) * s + R(2) * s * q * p;
 }
 
-INLINE real v_softplus(real x) {
-    const real larger = x > R(0) ? x : R(0);
-    return larger + v_log1p_unit(v_exp(-FN(fabs)(x))) + (x - x); /* the last term keeps NaN */
-}
+INLINE vec v_softplus(vec x) { return SELECT(x > splat(0), x, x - x) + v_log1p_unit(v_exp(-size_of(x))); }
 
 /* ---------------------------------------------------------------- functions of the equations */
 
@@ -180,9 +183,6 @@ INLINE real f_logistic(real x) { return R(1) / (R(1) + FN(exp)(-x)); }
 
 /* ---------------------------------------------------------------- products of small matrices */
 
-INLINE vec load(const real *p) { return *(const vec *)p; }
-INLINE void store(real *p, vec v) { *(vec *)p = v; }
-
 static void zero(real *p, size_t n) { memset(p, 0, n * sizeof(real)); }
 
 /* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:]; A is read at r*ars + k*acs. */
@@ -208,7 +208,7 @@ INLINE void block_product(const int rows, const int cols, size_t depth, const re
 
 /* C[rows][width] = init + A B, width a multiple of LANES. The three products of a layer (forward, back to its inputs,
    gradient of its weights) all have this form, none needs a transpose in its loops. */
-static void product(size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
+APART void product(size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
                     size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
     for (size_t j = 0; j < width;) {
         const size_t left = (width - j) / LANES;
@@ -231,13 +231,35 @@ static void product(size_t rows, size_t width, size_t depth, const real *A, size
     }
 }
 
+#if LANES_HALVED
+/* Halves are added to each other while they are vectors; the two or four numbers left, one by one. */
+#define HALVED(bytes) real half_##bytes __attribute__((vector_size(bytes)))
+typedef HALVED(16);
+#if VECTOR_BYTES >= 32
+typedef HALVED(32);
+INLINE half_16 sum_32(half_32 v) { union { half_32 whole; half_16 part[2]; } u = {v}; return u.part[0] + u.part[1]; }
+#endif
+#if VECTOR_BYTES >= 64
+typedef HALVED(64);
+INLINE half_32 sum_64(half_64 v) { union { half_64 whole; half_32 part[2]; } u = {v}; return u.part[0] + u.part[1]; }
+#endif
 INLINE real lane_sum(vec v) {
-    real part[LANES];
-    memcpy(part, &v, sizeof part);
-    for (int half = LANES / 2; half > 0; half /= 2)
-        for (int i = 0; i < half; i++) part[i] += part[i + half];
-    return part[0];
+#if VECTOR_BYTES == 64
+    const half_16 rest = sum_32(sum_64((half_64)v));
+#elif VECTOR_BYTES == 32
+    const half_16 rest = sum_32((half_32)v);
+#else
+    const half_16 rest = (half_16)v;
+#endif
+#if REAL_IS_FLOAT
+    return (rest[0] + rest[2]) + (rest[1] + rest[3]);
+#else
+    return rest[0] + rest[1];
+#endif
 }
+#else
+INLINE real lane_sum(vec v) { return v; }
+#endif
 
 /* Sum over n (a multiple of LANES) of a*b. */
 INLINE real dot(const real *a, const real *b, size_t n) {
@@ -251,28 +273,50 @@ INLINE real dot(const real *a, const real *b, size_t n) {
 enum { SILU, TANH, SOFTPLUS, RELU, GELU, SIGMOID, ELU, SIN };
 
 #define EACH(body) \
-    for (size_t i = 0; i < n; i++) { \
-        const real x = z[i]; \
-        real y, s; \
+    for (size_t i = 0; i < n; i += LANES) { \
+        const vec x = load(z + i); \
+        vec y, s; \
         body; \
-        z[i] = y; \
-        slope[i] = s; \
+        store(z + i, y); \
+        store(slope + i, s); \
     }
 
-static void activate(int kind, real *restrict z, real *restrict slope, size_t n) {
+#define EACH_ALONE(body) \
+    for (size_t i = 0; i < n; i++) { \
+        const real x = z[i]; \
+        body; \
+    }
+
+/* n is a multiple of LANES. */
+APART void activate(int kind, real *restrict z, real *restrict slope, size_t n) {
     switch (kind) {
-    case SILU: EACH(real p; real q; v_logistic(x, &p, &q); y = x * p; s = p + y * q) break;
+    case SILU: EACH(vec p; vec q; v_logistic(x, &p, &q); y = x * p; s = p + y * q) break;
     case TANH: EACH(y = v_tanh(x); s = R(1) - y * y) break;
-    case SOFTPLUS: EACH(real q; v_logistic(x, &s, &q); y = v_softplus(x)) break;
-    case RELU: EACH(y = x > R(0) ? x : x != x ? x : R(0); s = x > R(0) ? R(1) : R(0)) break;
-    case GELU:
-        EACH(const real c = R(0.5) * (R(1) + FN(erf)(x * R(0.70710678118654752440))); y = x * c;
-             s = c + x * R(0.39894228040143267794) * v_exp(R(-0.5) * x * x))
+    case SOFTPLUS: EACH(vec q; v_logistic(x, &s, &q); y = v_softplus(x)) break;
+    case RELU: EACH(y = SELECT(x < splat(0), splat(0), x); s = SELECT(x > splat(0), splat(1), splat(0))) break;
+    case SIGMOID: EACH(vec q; v_logistic(x, &y, &q); s = y * q) break;
+    case ELU:
+        EACH(const vec e = v_expm1(SELECT(x > splat(0), splat(0), x)); y = SELECT(x > splat(0), x, e);
+             s = SELECT(x > splat(0), splat(1), e + R(1)))
         break;
-    case SIGMOID: EACH(real q; v_logistic(x, &y, &q); s = y * q) break;
-    case ELU: EACH(const real e = v_expm1(x < R(0) ? x : R(0)); y = x > R(0) ? x : x != x ? x : e;
-                   s = x > R(0) ? R(1) : e + R(1)) break;
-    default: EACH(y = FN(sin)(x); s = FN(cos)(x)) break;
+    case GELU:
+        EACH_ALONE(const real c = R(0.5) * (R(1) + FN(erf)(x * R(0.70710678118654752440))); z[i] = x * c;
+                   slope[i] = c + x * R(0.39894228040143267794) * FN(exp)(R(-0.5) * x * x))
+        break;
+    default: EACH_ALONE(z[i] = FN(sin)(x); slope[i] = FN(cos)(x)) break;
+    }
+}
+
+/* A part of a layer, of any length. */
+APART void activate_part(int kind, real *z, real *slope, size_t n) {
+    for (size_t begin = 0; begin < n; begin += LANES) {
+        const size_t count = n - begin < (size_t)LANES ? n - begin : (size_t)LANES;
+        real value[LANES], s[LANES];
+        zero(value, LANES);
+        memcpy(value, z + begin, count * sizeof(real));
+        activate(kind, value, s, LANES);
+        memcpy(z + begin, value, count * sizeof(real));
+        memcpy(slope + begin, s, count * sizeof(real));
     }
 }
 
@@ -302,7 +346,7 @@ typedef struct {
 
 static const real nothing[WIDEST + LANES]; /* zeros, as many as the widest layer has units */
 
-static void net_forward(const Net *net, const Site *site, size_t block) {
+APART void net_forward(const Net *net, const Site *site, size_t block) {
     const int last = net->layers - 1;
     const int n_in = net->size[0], n_out = net->size[last + 1];
     const real *below = site->args + block * TILE * n_in;
@@ -316,8 +360,8 @@ static void net_forward(const Net *net, const Site *site, size_t block) {
         } else {
             for (int t = 0; t < TILE; t++)
                 for (int i = 0, begin = 0; i < net->kinds[l + 1]; begin += net->count[l + 1][i++])
-                    activate(net->kind[l + 1][i], z + t * width + begin, slope + t * width + begin,
-                             net->count[l + 1][i]);
+                    activate_part(net->kind[l + 1][i], z + t * width + begin, slope + t * width + begin,
+                                  net->count[l + 1][i]);
         }
         below = z;
         stride = width;
@@ -335,7 +379,7 @@ static void net_forward(const Net *net, const Site *site, size_t block) {
 }
 
 /* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments that `wanted` has a bit for. */
-static void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
+APART void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
     const int last = net->layers - 1;
     const int n_in = net->size[0], n_out = net->size[last + 1];
     const real *above = site->yb + block * TILE * n_out;
@@ -361,7 +405,7 @@ static void net_backward(const Net *net, const Site *site, size_t block, unsigne
 }
 
 /* Adds to the gradients what the samples of `blocks` blocks from `block` on give. */
-static void net_gradient(const Net *net, const Site *site, size_t block, size_t blocks) {
+APART void net_gradient(const Net *net, const Site *site, size_t block, size_t blocks) {
     const int last = net->layers - 1;
     const size_t n_in = net->size[0], n_out = net->size[last + 1], samples = blocks * TILE;
     const real *args = site->args + block * TILE * n_in, *yb = site->yb + block * TILE * n_out;
