@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from gbspec.study.options import StudyOptions
-from gbspec.study.tasks import study_of
+from gbspec.studies.options import StudyOptions
+from gbspec.studies.tasks import study_of
 from tests.cli.command_lines import accepted
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.study.crossvalidation import SUMMARY, CrossOptions
+from gbspec.studies.crossvalidation import SUMMARY, CrossOptions
 from gbspec.training.options import TrainOptions
 
 
@@ -39,8 +39,8 @@ def run(
     """
     from gbspec import driver
     from gbspec.cli.progress import shown
-    from gbspec.study.crossvalidation import crossvalidate
-    from gbspec.study.folds import Fold
+    from gbspec.studies.crossvalidation import crossvalidate
+    from gbspec.studies.folds import Fold
     from gbspec.training import Progress
 
     findings = Findings()

@@ -13,7 +13,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report.text import number
-from gbspec.study.options import StudyOptions
+from gbspec.studies.options import StudyOptions
 
 
 @command(
@@ -37,8 +37,8 @@ def run(
     The directory gets `table.md`, `results.csv` (a row a member) and `study.json`, anew after each member. The same
     command continues a study that was stopped; members that are finished are not fitted again.
     """
-    from gbspec.study.runner import run_study
-    from gbspec.study.tasks import Task, study_of
+    from gbspec.studies.runner import run_study
+    from gbspec.studies.tasks import Task, study_of
 
     study = study_of(cases, options)
     root = directory(to)

@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 from gbspec.cli.app import build
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import files
-from gbspec.study import member as members
-from gbspec.study import runner
-from gbspec.study.member import Place, fit_member, read_record
-from gbspec.study.options import StudyOptions
-from gbspec.study.runner import check_settings, run_study
-from gbspec.study.tasks import Task, study_of
+from gbspec.studies import member as members
+from gbspec.studies import runner
+from gbspec.studies.member import Place, fit_member, read_record
+from gbspec.studies.options import StudyOptions
+from gbspec.studies.runner import check_settings, run_study
+from gbspec.studies.tasks import Task, study_of
 
 from .conftest import record
 

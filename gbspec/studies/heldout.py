@@ -11,7 +11,7 @@ import numpy as np
 
 from gbspec.analysis.metrics import finite
 from gbspec.data.trajectories import Array
-from gbspec.study.folds import Fold
+from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
     from gbspec.runs.store import Run

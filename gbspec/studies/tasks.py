@@ -19,7 +19,7 @@ from gbspec.data.names import similar
 from gbspec.data.overlay import overlay
 from gbspec.data.shipped import models_folder
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
-from gbspec.study.options import StudyOptions
+from gbspec.studies.options import StudyOptions
 from gbspec.training.options import TrainOptions
 
 SET_BY_THE_STUDY = ("members", "seed", "workers", "threads", "scheduler", "resume")

@@ -8,8 +8,8 @@ import pytest
 
 from gbspec.data.shipped import models_folder
 from gbspec.diagnostics import UserError
-from gbspec.study.options import StudyOptions
-from gbspec.study.tasks import study_of
+from gbspec.studies.options import StudyOptions
+from gbspec.studies.tasks import study_of
 
 
 def code_of(texts: list[str], options: StudyOptions = StudyOptions()) -> str:  # noqa: B008 - it is frozen

@@ -60,7 +60,7 @@ def cases(tmp_path: Path) -> Path:
 
 
 def record(member: int, solution: float, **more: Any) -> dict[str, Any]:
-    """A finished member as `gbspec.study.member` writes it."""
+    """A finished member as `gbspec.studies.member` writes it."""
     return {
         "case": "ONE",
         "member": member,

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
-from gbspec.study.member import Place, fit_member, read_record
-from gbspec.study.options import StudyOptions
-from gbspec.study.tables import write_tables
-from gbspec.study.tasks import Study, Task
+from gbspec.studies.member import Place, fit_member, read_record
+from gbspec.studies.options import StudyOptions
+from gbspec.studies.tables import write_tables
+from gbspec.studies.tasks import Study, Task
 
 POLL = 0.2
 """Seconds between looks at the workers."""

@@ -13,9 +13,9 @@ from typing import Any
 from gbspec.data.cases import Case
 from gbspec.files import write_text
 from gbspec.runs import files
-from gbspec.study.member import NORMS, Place, read_record
-from gbspec.study.start_tables import joined, sections
-from gbspec.study.tasks import Study
+from gbspec.studies.member import NORMS, Place, read_record
+from gbspec.studies.start_tables import joined, sections
+from gbspec.studies.tasks import Study
 
 METRICS = {"solution": "solution", "rhs": "right-hand side", "functions": "functions", "constants": "constants"}
 """Metrics of the truth as the records have them, and as the table calls them."""

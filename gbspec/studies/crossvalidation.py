@@ -20,8 +20,8 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import write_text
 from gbspec.runs import files
-from gbspec.study.folds import Fold, Over, folds, way
-from gbspec.study.heldout import Errors, Point, errors, held_out
+from gbspec.studies.folds import Fold, Over, folds, way
+from gbspec.studies.heldout import Errors, Point, errors, held_out
 
 if TYPE_CHECKING:
     from gbspec.ir.model import Model

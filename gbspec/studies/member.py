@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gbspec.diagnostics import ComputationError, Findings, UserError
 from gbspec.runs import files
-from gbspec.study.tasks import Task
+from gbspec.studies.tasks import Task
 
 if TYPE_CHECKING:
     from gbspec.analysis.validate import Validation
@@ -154,7 +154,7 @@ def starts(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
     """The tables on starts that the case asks for, by what is known of simulated data."""
     if not task.case.tables or task.case.data is not None:
         return {}
-    from gbspec.study.starts import Starts
+    from gbspec.studies.starts import Starts
 
     known = Starts.of(run, data, replace(task.case.sampling, seed=task.seed))
     asked = {"eigenvalues": known.eigenvalues, "initial-states": known.initial_states}

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from gbspec.runs import files
-from gbspec.study.member import Place
-from gbspec.study.options import StudyOptions
-from gbspec.study.tables import Spread, write_tables
-from gbspec.study.tasks import study_of
+from gbspec.studies.member import Place
+from gbspec.studies.options import StudyOptions
+from gbspec.studies.tables import Spread, write_tables
+from gbspec.studies.tasks import study_of
 
 from .conftest import record
 

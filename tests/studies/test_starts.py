@@ -15,11 +15,11 @@ from gbspec.backends.module.loader import load_module
 from gbspec.data.sampling import SimulateOptions
 from gbspec.diagnostics import Findings
 from gbspec.passes.truth import with_truth
-from gbspec.study.member import Place, fit_member
-from gbspec.study.options import StudyOptions
-from gbspec.study.start_tables import joined, sections
-from gbspec.study.starts import matched
-from gbspec.study.tasks import study_of
+from gbspec.studies.member import Place, fit_member
+from gbspec.studies.options import StudyOptions
+from gbspec.studies.start_tables import joined, sections
+from gbspec.studies.starts import matched
+from gbspec.studies.tasks import study_of
 
 LINEAR = """\
 model linear "Two modes"

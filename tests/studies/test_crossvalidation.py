@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from gbspec.cli.app import build
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import UserError
-from gbspec.study.folds import folds, way
-from gbspec.study.heldout import Point, errors
+from gbspec.studies.folds import folds, way
+from gbspec.studies.heldout import Point, errors
 
 from .conftest import DECAY
 
