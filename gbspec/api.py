@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
+    from gbspec.studies.crossvalidation import CrossValidation
     from gbspec.training.profile import Profile
     from gbspec.training.progress import Progress
 
@@ -99,6 +100,26 @@ class Specification:
         model = driver.specified(self.model, values or {})
         made = driver.train(model, _table(data, model), Path(directory), TrainOptions(**options), progress)
         return FittedRun(made)
+
+    def crossvalidate(
+        self,
+        data: str | Path | Trajectories,
+        directory: str | Path,
+        *,
+        folds: int | None = None,
+        over: Literal["trajectories", "time"] | None = None,
+        window: int | None = None,
+        progress: Progress | None = None,
+        **options: Any,
+    ) -> CrossValidation:
+        """Errors of predicting what fits did not see, fold by fold; `options` are the fields of `TrainOptions`."""
+        from gbspec.studies.crossvalidation import CrossOptions, crossvalidate
+        from gbspec.training import Silent
+        from gbspec.training.options import TrainOptions
+
+        shown, division = progress or Silent(), CrossOptions(folds, over, window)
+        table = _table(data, self.model)
+        return crossvalidate(self.model, table, Path(directory), TrainOptions(**options), division, lambda fold: shown)
 
     def eigen(
         self,
@@ -277,6 +298,21 @@ def simulate(source: str | Path, path: str | Path | None = None, **options: Any)
 def train(model: str | Path, data: str | Path | Trajectories, directory: str | Path, **options: Any) -> FittedRun:
     """Trains a model file on data, into a run directory; see `Specification.train`."""
     return load(model).train(data, directory, **options)
+
+
+def study(cases: str | Sequence[str], directory: str | Path, **options: Any) -> dict[str, Any]:
+    """Fits cases many times into a directory and gives what is in its `study.json`; see `gbspec study`.
+
+    `options` are the fields of `StudyOptions`. Workers are processes of their own: a script that calls this with data
+    to fit needs `if __name__ == "__main__":`.
+    """
+    from gbspec.studies.options import StudyOptions
+    from gbspec.studies.runner import run_study
+    from gbspec.studies.tasks import study_of
+
+    chosen = StudyOptions(**options)
+    named = [cases] if isinstance(cases, str) else list(cases)
+    return run_study(study_of(named, chosen), Path(directory), chosen, f"gbspec.study({cases!r})", lambda *_: None)
 
 
 def _table(data: str | Path | Trajectories, model: Model) -> Trajectories:
