@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,10 @@ import numpy as np
 import pytest
 
 from gbspec.diagnostics import UserError
-from gbspec.runs import open_run
+from gbspec.runs import Run, open_run
 from gbspec.training import TrainOptions, Update, train
 from tests.training.conftest import URP, model_of, urp_data
+from tests.training.test_training import Recorder
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
@@ -59,9 +61,22 @@ class Killer:
         raise AssertionError(text)
 
 
-def test_a_killed_worker_changes_nothing(scheduler: Any, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The run in this process, one member after the other."""
+    options = TrainOptions(**OPTIONS, workers=1)  # type: ignore[arg-type]
+    return train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path_factory.mktemp("alone") / "run")
+
+
+def assert_equal(run: Run, alone: Run) -> None:
+    assert not run.fit["warnings"]
+    for member in range(3):
+        for name, value in alone.member(member).weights.items():
+            assert np.array_equal(run.member(member).weights[name], value), name
+
+
+def test_a_killed_worker_changes_nothing(scheduler: Any, alone: Run, tmp_path: Path) -> None:
     model, data = model_of(URP), urp_data(4, 2.0, 6)
-    alone = train(model, data, TrainOptions(**OPTIONS, workers=1), tmp_path / "alone")  # type: ignore[arg-type]
     killer = Killer(scheduler)
     options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
     train(model, data, options, tmp_path / "cluster", killer)
@@ -69,12 +84,18 @@ def test_a_killed_worker_changes_nothing(scheduler: Any, tmp_path: Path) -> None
     assert killer.killed is not None
     assert killer.starts == {0: 1, 1: 1, 2: 1}, "the lost member goes on from its checkpoint"
     assert {(member, "lm", 3) for member in range(3)} <= killer.told
-    run = open_run(tmp_path / "cluster")
-    assert not run.fit["warnings"]
-    for member in range(3):
-        for name, value in alone.member(member).weights.items():
-            assert np.array_equal(run.member(member).weights[name], value), name
+    assert_equal(open_run(tmp_path / "cluster"), alone)
     assert not list((tmp_path / "cluster" / "members").glob(".*")), "nothing is left behind"
+
+
+def test_an_interrupted_run_goes_on_without_the_cluster(scheduler: Any, alone: Run, tmp_path: Path) -> None:
+    model, data = model_of(URP), urp_data(4, 2.0, 6)
+    options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
+    with pytest.raises(KeyboardInterrupt):
+        train(model, data, options, tmp_path / "run", Recorder(interrupt_after=1))
+    assert open_run(tmp_path / "run").fit["warnings"]
+    run = train(model, data, TrainOptions(**OPTIONS, workers=1, resume=True), tmp_path / "run")  # type: ignore[arg-type]
+    assert_equal(run, alone)
 
 
 def test_a_worker_that_does_not_see_the_directory_sends_its_files(
@@ -100,3 +121,6 @@ def test_no_scheduler_is_the_users_mistake(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(UserError, match=r"GB850.*--scheduler nowhere"):
         train(model, data, TrainOptions(scheduler="nowhere"), tmp_path / "other")
     assert not (tmp_path / "other").exists()
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UserError, match=r"GB860.*is not installed"):
+        train(model, data, TrainOptions(scheduler="tcp://127.0.0.1:1"), tmp_path / "another")
