@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint format environment benchmarks clean
+.PHONY: demo test lint format environment benchmarks notebook clean
 
 demo: $(STAMP)
 	$(BIN)/gbspec demo
@@ -47,6 +47,10 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PIP) install --quiet -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) $(TORCH)
 	$(PIP) install --quiet -c constraints.txt -e '.[dev]'
 	@touch $(STAMP)
+
+# The example notebook, executed anew: a few minutes.
+notebook: $(STAMP)
+	$(BIN)/jupyter-execute --inplace --timeout=1200 docs/urp.ipynb
 
 clean:
 	rm -rf $(VENV) build dist demo .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

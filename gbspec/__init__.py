@@ -8,11 +8,36 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gbspec.api import FittedRun, Specification, check, load, open_run, simulate, study, train
+    from gbspec.api import (
+        FittedRun,
+        Specification,
+        bifurcate,
+        check,
+        figure,
+        load,
+        open_run,
+        simulate,
+        study,
+        train,
+        validate,
+    )
 
 __version__ = "0.1.0"
 
-__all__ = ["FittedRun", "Specification", "__version__", "check", "load", "open_run", "simulate", "study", "train"]
+__all__ = [
+    "FittedRun",
+    "Specification",
+    "__version__",
+    "bifurcate",
+    "check",
+    "figure",
+    "load",
+    "open_run",
+    "simulate",
+    "study",
+    "train",
+    "validate",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -20,6 +20,9 @@ from typing import TYPE_CHECKING, Any, Literal
 from gbspec import driver
 from gbspec.diagnostics import Diagnostic, Findings
 from gbspec.ir.model import Model
+from gbspec.report.notebook import register
+
+register()
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +30,8 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.forecast import Forecast
+    from gbspec.analysis.initial_states import InitialStates
+    from gbspec.analysis.plane_diagram import PlaneDiagram
     from gbspec.analysis.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
@@ -212,6 +217,23 @@ class FittedRun:
         """The bifurcation diagram of what was learned over a condition, input or constant."""
         return driver.bifurcate(driver.learned(self.run, values, member), over, low, high, cycles=cycles)
 
+    def bifurcation_plane(
+        self,
+        first: tuple[str, float, float],
+        second: tuple[str, float, float],
+        *,
+        values: Mapping[str, float] | None = None,
+        member: int | None = None,
+    ) -> PlaneDiagram:
+        """Hopf and fold curves of what was learned over two parameters, each given as (name, low, high)."""
+        names, boxes = (first[0], second[0]), (first[1:], second[1:])
+        return driver.bifurcation_plane(driver.learned(self.run, values, member), names, boxes)
+
+    def initial_states(self, data: str | Path | None = None, *, member: int | None = None) -> InitialStates:
+        """Learned, bred and true initial states of the trajectories that it was trained on."""
+        table = driver.trained_on(self.run, data, Findings())
+        return driver.initial_states(driver.learned(self.run, None, member), table)
+
     def plot(
         self,
         kind: str,
@@ -298,6 +320,24 @@ def simulate(source: str | Path, path: str | Path | None = None, **options: Any)
 def train(model: str | Path, data: str | Path | Trajectories, directory: str | Path, **options: Any) -> FittedRun:
     """Trains a model file on data, into a run directory; see `Specification.train`."""
     return load(model).train(data, directory, **options)
+
+
+def validate(run: str | Path, data: str | Path | Trajectories | None = None) -> Validation:
+    """Errors of a run, by path; see `FittedRun.validate`."""
+    return open_run(run).validate(data)
+
+
+def bifurcate(source: str | Path, over: str, low: float, high: float, **options: Any) -> Diagram:
+    """The bifurcation diagram of a model's truth or of a run, by path; see `Specification.bifurcate`."""
+    subject: Specification | FittedRun = open_run(source) if driver.is_run(source) else load(source)
+    return subject.bifurcate(over, low, high, **options)
+
+
+def figure(result: Any) -> Figure:
+    """The figure of a diagram, of curves in a plane, of initial states or of a profile."""
+    from gbspec.report.notebook import figure as draw
+
+    return draw(result)
 
 
 def study(cases: str | Sequence[str], directory: str | Path, **options: Any) -> dict[str, Any]:

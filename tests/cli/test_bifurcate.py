@@ -53,5 +53,5 @@ def test_hopf_and_fold_curves_in_a_plane(here: Path, gbspec: Run) -> None:
 )
 def test_options_of_a_plane_that_do_not_go_together(here: Path, gbspec: Run, wrong: tuple[object, ...]) -> None:
     result = gbspec("bifurcate", "urp_gb2", "--over", "Da", "--range", 0.2, 0.5, *wrong)
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "GB814" in result.stderr

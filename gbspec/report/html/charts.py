@@ -10,6 +10,7 @@ import numpy as np
 
 from gbspec.analysis.bifurcate import NAMES, Diagram
 from gbspec.analysis.eigen import Eigen
+from gbspec.analysis.initial_states import InitialStates
 from gbspec.report.content import ChannelFit, History, LearnedFunction, Orbit, Plane, Residuals, Slice
 from gbspec.report.style import LEARNED, MEASURED, MEMBERS, MUTED, TRUTH
 
@@ -18,6 +19,10 @@ Trained = tuple[float, float] | None
 DIGITS = 7
 """Significant digits of numbers in a chart: more than a screen can show."""
 CYCLE = "#3a8f5c"
+LOGARITHMIC: Chart = {"type": "log", "exponentformat": "power", "dtick": 1}
+"""An axis with powers of ten alone."""
+MOST_EIGENVALUES = 400
+"""Points whose eigenvalues are drawn; of more than these, evenly chosen ones: more would be one black spot."""
 
 
 def numbers(values: Any) -> list[float | None]:
@@ -104,7 +109,7 @@ def history(members: Sequence[History]) -> list[Chart]:
         curves = [line(m.seconds, m.constants[name], f"member {m.member}", MEMBERS[k % len(MEMBERS)], width=1.6)
                   for k, m in enumerate(members)]  # fmt: skip
         constants.append(chart(curves, "seconds", name, height=240))
-    return [chart(losses, "seconds", "loss", yaxis={"type": "log"}), *constants]
+    return [chart(losses, "seconds", "loss", yaxis=LOGARITHMIC), *constants]
 
 
 def slice_of(name: str, piece: Slice, trained: Trained, postulate: Any = None) -> Chart:
@@ -159,13 +164,32 @@ def phase(orbits: Sequence[Orbit], x: str, y: str) -> Chart:
 def eigenvalues(found: Eigen) -> Chart:
     """Eigenvalues in the complex plane at all points."""
     data = []
-    learned = np.concatenate([point.eigenvalues for point in found.points])
+    points = found.points[:: -(-len(found.points) // MOST_EIGENVALUES)]
+    learned = np.concatenate([point.eigenvalues for point in points])
     data.append(dots(learned.real, learned.imag, "learned", LEARNED, size=5, opacity=0.6))
-    true = [point.truth for point in found.points if point.truth is not None]
+    true = [point.truth for point in points if point.truth is not None]
     if true:
         values = np.concatenate(true)
         data.append(dots(values.real, values.imag, "truth", TRUTH, size=7, opacity=0.5, symbol="circle-open"))
     return chart(data, "real part", "imaginary part", xaxis={"zeroline": True})
+
+
+def initial_states(found: InitialStates) -> list[Chart]:
+    """Of each mode, slowest first, how far learned and bred starts are off; one point a trajectory."""
+    labels = [item.trajectory for item in found.items]
+    panels = []
+    for rank, rate in enumerate(found.rates):
+        drawn = [("learned", LEARNED, [item.learned_off[rank] for item in found.items])]
+        bred = [item.bred_off[rank] for item in found.items if item.bred_off is not None]
+        drawn += [("bred", MEASURED, bred)] if bred else []
+        marks = [
+            {**dots(range(len(labels)), sizes, word, color), "hovertext": [f"trajectory {label}" for label in labels]}
+            for word, color, sizes in drawn
+        ]
+        pace = f"decays in {-1 / rate:.3g}" if rate < 0 else "grows"
+        panels.append(chart(marks, "trajectory", f"off {found.reference}", f"mode {rank + 1}: {pace}",
+                            yaxis=LOGARITHMIC))  # fmt: skip
+    return panels
 
 
 def functions_parity(function: LearnedFunction) -> Chart | None:

@@ -11,6 +11,7 @@ import sympy
 
 from gbspec.analysis.predict import input_values
 from gbspec.data.trajectories import Array
+from gbspec.diagnostics import UserError
 from gbspec.ir.model import NN, Model, Unknown
 from gbspec.report import collect, unknowns
 from gbspec.report.content import ChannelFit, LearnedFunction, Slice
@@ -110,6 +111,15 @@ def _postulated(fitted: collect.Fitted, unknown: Unknown, function: LearnedFunct
     columns = [piece.x if name == piece.argument else values[name] for name in names]
     computed = sympy.lambdify([sympy.Symbol(name, real=True) for name in names], bare, modules="numpy")(*columns)
     return np.asarray(np.broadcast_to(computed, piece.x.shape), dtype=np.float64)
+
+
+# ------------------------------------------------------------------------------------------------- initial states
+def starts(fitted: collect.Fitted, indices: Sequence[int]) -> tuple[charts.Chart, ...]:
+    """Learned initial states beside bred and true ones in each mode; empty where nothing was learned of them."""
+    try:
+        return tuple(charts.initial_states(collect.initial_states(fitted, indices)))
+    except UserError:
+        return ()
 
 
 # --------------------------------------------------------------------------------------------------------- parity

@@ -94,6 +94,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, add: Add)
         "functions": panels(gather.functions(fitted)) if fitted else [],
         "constants": gather.constants_table(run),
         "metrics": gather.metrics_tables(validation),
+        "starts": [add(c) for c in gather.starts(fitted, indices)] if fitted else [],
         "parity": [add(c) for c in gather.parity(fitted)] if fitted else [],
         "diagram": _diagram(found, add),
         "eigen": add(charts.eigenvalues(found.eigen)) if found.eigen and found.eigen.points else None,
