@@ -10,6 +10,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -167,11 +168,15 @@ def _fitted(
     try:
         run = driver.train(model, fold.kept, place, resumed, progress)
         points = held_out(run, fold, options.window)
-        record["points"] = [{k: v for k, v in asdict(p).items() if v == v} for p in points]
+        record["points"] = [{k: v for k, v in asdict(p).items() if k in _KNOWN or math.isfinite(v)} for p in points]
     except ComputationError as error:
         record["failure"] = " - ".join(part for part in (error.what, error.where) if part)
     files.write_json(path, record)
     return record
+
+
+_KNOWN = ("trajectory", "time", "channel", "measured")
+"""What a held-out measurement always has; a prediction that is not finite (it blew up) is left out of the record."""
 
 
 def _spreads(data: Trajectories) -> dict[str, float]:

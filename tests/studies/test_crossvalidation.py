@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import gbspec
 from gbspec.cli.app import build
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import UserError
@@ -107,6 +108,9 @@ def test_the_command_predicts_what_it_left_out(tmp_path: Path, trajectories: int
     (out / "folds" / "1.json").unlink()  # as if it had been stopped there
     again = CliRunner().invoke(build(["crossvalidate"]), arguments)
     assert json.loads(again.stdout) == found and (out / "folds" / "0.json").stat().st_mtime_ns == before
+    how = {"method": "lm", "epochs": 8, "warm_start": False, "threads": 1}
+    from_python = gbspec.load(model).crossvalidate(tmp_path / "t.csv", out, folds=3, **how)
+    assert from_python.to_json() == found
     other = CliRunner().invoke(build(["crossvalidate"]), [*arguments, "--seed", "1"])
     assert other.exit_code == 1 and "GB820" in other.stderr
 

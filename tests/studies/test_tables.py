@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import gbspec
 from gbspec.runs import files
 from gbspec.studies.member import Place
 from gbspec.studies.options import StudyOptions
@@ -67,3 +68,8 @@ def test_a_failure_is_told(cases: Path) -> None:
     assert "| ONE | solution | 1.00e-02 | failed | failed | failed |  |  |" in text
     assert "| ONE | the first | 2 of 2 | 1 | 0 | 10 (10) |" in text
     assert "it blew up" in (place.root / "results.csv").read_text()
+
+
+def test_from_python(cases: Path) -> None:
+    found = gbspec.study(str(cases), cases.parent / "out", table_only=True)
+    assert found["cases"]["ONE"]["members"] == 0 and (cases.parent / "out" / "table.md").is_file()
