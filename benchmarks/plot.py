@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.accuracy import FITS, reached
 from benchmarks.harness import markdown, parser, say
+from benchmarks.step import quickest_first
 from benchmarks.variants import VARIANTS
 
 Result = Mapping[str, Any]
@@ -35,8 +36,7 @@ def steps(axes: Axes, result: Result) -> None:
     """A bar a variant and precision, in multiples of the limit."""
     timings, limits = result["timings"], result["limit_ms"]
     ratios = {label: t["ms"] / limits[label.partition(" ")[2]] for label, t in timings.items()}
-    names = list(dict.fromkeys(label.partition(" ")[0] for label in timings))
-    names.sort(key=lambda name: min(r for label, r in ratios.items() if label.partition(" ")[0] == name))
+    names = quickest_first(timings)
     for offset, (dtype, color) in enumerate((("float32", DARK), ("float64", LIGHT))):
         bars = [(i + 0.4 * offset, ratios[f"{n} {dtype}"]) for i, n in enumerate(names) if f"{n} {dtype}" in ratios]
         drawn = axes.barh([at for at, _ in bars], [ratio for _, ratio in bars], 0.38, color=color, label=dtype)
@@ -45,6 +45,7 @@ def steps(axes: Axes, result: Result) -> None:
     axes.set_yticks([i + 0.2 for i in range(len(names))], [plain(VARIANTS[n].title) for n in names], fontsize=7)
     axes.invert_yaxis()
     axes.set_xscale("log")
+    axes.set_xlim(right=2 * max(ratios.values()))
     axes.set_xlabel("time of a training step / time of its matrix products")
     axes.legend(fontsize=7)
 
@@ -67,7 +68,7 @@ def growth(axes: Axes, result: Result) -> None:
 def accuracy(axes: Axes, result: Result) -> None:
     """Error of the learned right-hand side over processor time."""
     for name, curve in result["curves"].items():
-        axes.loglog([p["seconds"] for p in curve], [p["error"] for p in curve], label=plain(FITS[name][0]))
+        axes.semilogy([p["seconds"] for p in curve], [p["error"] for p in curve], label=plain(FITS[name][0]))
     axes.set_xlabel("processor seconds")
     axes.set_ylabel("error of the right-hand side (L2)")
     axes.legend(fontsize=7)
@@ -104,17 +105,13 @@ def summary(folder: Path, picture: str) -> str:
 
 def _steps(result: Result) -> list[str]:
     timings, limits, machine = result["timings"], result["limit_ms"], result["machine"]
-    names = dict.fromkeys(label.partition(" ")[0] for label in timings)
 
     def cells(name: str, dtype: str) -> list[str]:
         ms = timings.get(f"{name} {dtype}", {}).get("ms")
         return ["", ""] if ms is None else [f"{ms:.1f}", f"{ms / limits[dtype]:.1f}"]
 
-    def quickest(name: str) -> float:
-        return min(t["ms"] for label, t in timings.items() if label.partition(" ")[0] == name)
-
     rows = []
-    for name in sorted(names, key=quickest):
+    for name in quickest_first(timings):
         memory = result["memory_mb"].get(name)
         used = "" if memory is None else f"{memory:.1f}"
         rows.append([VARIANTS[name].title, *cells(name, "float32"), *cells(name, "float64"), used])
