@@ -18,9 +18,11 @@ def evaluate(signal: Signal, interpolation: Interpolation, t: ArrayLike, side: S
 
     At a jump of a held input, `side` "right" gives the value from there on (what a step that begins there sees), "left"
     the one before (what a step that ends there sees). The first value holds before the first time, the last after the
-    last.
+    last; an input without any value is zero.
     """
     moments = np.asarray(t, dtype=np.float64)
+    if not len(signal.times):
+        return np.zeros_like(moments)
     if interpolation == "linear":
         return np.interp(moments, signal.times, signal.values)
     index = np.searchsorted(signal.times, moments, side=side) - 1

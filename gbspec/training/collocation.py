@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
-from gbspec.training.packing import Integers, evaluate_signal
+from gbspec.training.packing import Integers
 from gbspec.training.problem import torch_arithmetic
 from gbspec.training.splines import Curves
 
@@ -109,7 +110,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
 def _inputs_at(model: Model, signals: Sequence[Any], t: Array) -> Array:
     out = np.zeros((len(t), len(model.inputs)))
     for j, (spec, signal) in enumerate(zip(model.inputs, signals, strict=True)):
-        out[:, j] = evaluate_signal(signal, spec.interpolation, t, "right")
+        out[:, j] = evaluate(signal, spec.interpolation, t)
     return out
 
 

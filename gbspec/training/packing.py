@@ -17,7 +17,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array, Signal, Trajectories, Trajectory
+from gbspec.data.signals import evaluate
+from gbspec.data.trajectories import Array, Trajectories, Trajectory
 from gbspec.ir.model import Dose, Model
 from gbspec.ir.tableaus import RK4
 
@@ -149,16 +150,6 @@ def default_max_step(trajectories: Trajectories) -> float:
         typical = max(max(spans, default=1.0), 1e-12) / 50
     scale = 10.0 ** np.floor(np.log10(typical))
     return float(scale * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(np.log(m * scale / typical))))
-
-
-def evaluate_signal(signal: Signal, interpolation: str, times: Array, side: str) -> Array:
-    """Values of an input at `times` [n]; at a jump of a held input the limit from `side` ("right" or "left")."""
-    if len(signal.times) == 0:
-        return np.zeros_like(times)
-    if interpolation == "linear":
-        return np.asarray(np.interp(times, signal.times, signal.values), dtype=np.float64)
-    index = np.searchsorted(signal.times, times, side="right" if side == "right" else "left") - 1
-    return np.asarray(signal.values[np.clip(index, 0, len(signal.values) - 1)], dtype=np.float64)
 
 
 def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.random.Generator | None = None) -> Packed:
@@ -304,18 +295,18 @@ def _split(interval: float, max_step: float, rng: np.random.Generator | None) ->
 def _step_inputs(item: Trajectory, model: Model, t: Array, h: Array) -> Array:
     out = np.zeros((len(t), len(NODES), len(model.inputs)))
     for j, (spec, signal) in enumerate(zip(model.inputs, item.inputs, strict=True)):
-        middle = evaluate_signal(signal, spec.interpolation, t + h / 2, "right")
+        middle = evaluate(signal, spec.interpolation, t + h / 2)
         for k, node in enumerate(NODES):
             if spec.interpolation == "held":
                 # Breakpoints are step boundaries, so a held input is constant within a step: its value at the middle.
                 out[:, k, j] = middle
             else:
-                out[:, k, j] = evaluate_signal(signal, "linear", t + node * h, "right")
+                out[:, k, j] = evaluate(signal, "linear", t + node * h)
     return out
 
 
 def _row_inputs(item: Trajectory, model: Model, times: Array) -> Array:
     out = np.zeros((len(times), len(model.inputs)))
     for j, (spec, signal) in enumerate(zip(model.inputs, item.inputs, strict=True)):
-        out[:, j] = evaluate_signal(signal, spec.interpolation, times, "right")
+        out[:, j] = evaluate(signal, spec.interpolation, times)
     return out

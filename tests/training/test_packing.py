@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Signal, Trajectories
-from gbspec.training.packing import default_max_step, evaluate_signal, pack
+from gbspec.training.packing import default_max_step, pack
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, trajectory, urp_data
 
 MODEL = model_of(URP)
@@ -58,14 +59,14 @@ def test_breakpoints_of_inputs_are_step_boundaries() -> None:
         held = packed.inputs[:n, i, :, 0]
         assert (held == held[:, :1]).all(), "a held input does not change within a step"
         t = packed.t[:n, i]
-        assert np.allclose(packed.inputs[:n, i, 0, 1], evaluate_signal(item.inputs[1], "linear", t, "right"))
+        assert np.allclose(packed.inputs[:n, i, 0, 1], evaluate(item.inputs[1], "linear", t, "right"))
 
 
 def test_held_input_takes_the_right_limit_at_a_jump() -> None:
     signal = Signal(np.array([0.0, 1.0]), np.array([5.0, 7.0]))
     times = np.array([-1.0, 0.5, 1.0, 2.0])
-    assert evaluate_signal(signal, "held", times, "right").tolist() == [5.0, 5.0, 7.0, 7.0]
-    assert evaluate_signal(signal, "held", times, "left").tolist() == [5.0, 5.0, 5.0, 7.0]
+    assert evaluate(signal, "held", times, "right").tolist() == [5.0, 5.0, 7.0, 7.0]
+    assert evaluate(signal, "held", times, "left").tolist() == [5.0, 5.0, 5.0, 7.0]
 
 
 def test_random_substeps_differ_and_end_in_the_same_place() -> None:
