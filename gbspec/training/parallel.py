@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -204,7 +205,11 @@ def _processes(workers: int, threads: int) -> Iterator[Engine]:
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     try:
-        with spawn.Manager() as manager, ProcessPoolExecutor(workers, mp_context=spawn) as pool:
+        with (
+            _without_main(),
+            spawn.Manager() as manager,
+            ProcessPoolExecutor(workers, mp_context=spawn) as pool,
+        ):
             yield _Processes(pool, manager.Queue(), manager.Event(), threads)
     finally:
         for name, value in before.items():
@@ -212,6 +217,18 @@ def _processes(workers: int, threads: int) -> Iterator[Engine]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Within it spawned processes do not run the main script again: a script that trains would train there too."""
+    main = sys.modules["__main__"]
+    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    vars(main)["__spec__"] = None
+    try:
+        yield
+    finally:
+        vars(main).update(hidden)
 
 
 class _Processes:
