@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gbspec.analysis.metrics import finite
+from gbspec.data.fingerprint import fingerprint
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import write_text
@@ -130,8 +131,9 @@ def crossvalidate(
 
 def _begin(directory: Path, model: Model, data: Trajectories, training: TrainOptions, options: CrossOptions) -> None:
     """Writes down what the cross-validation is of, or refuses to continue one of something else (GB820)."""
-    fixed = {name: v for name, v in training.to_json().items() if name not in ("workers", "threads")}
-    parts = [hashlib.sha256(model.text.encode()).hexdigest(), data.sha256, fixed, asdict(options)]
+    fixed = {name: v for name, v in training.to_json().items() if name not in ("workers", "threads", "scheduler")}
+    content = [fingerprint(item) for item in data.items]
+    parts = [hashlib.sha256(model.text.encode()).hexdigest(), content, fixed, asdict(options)]
     settings = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     path = directory / "folds" / "settings.json"
     before = _read(path)
