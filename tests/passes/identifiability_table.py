@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "identifiability.md"
 
 HEAD = """# What no data can separate: a table of known answers
 
-Made by `python -m tests.passes.identifiability_table` from the cases of the tests; each row is what `gbspec check` says.
+Made by `python -m tests.passes.identifiability_table` from cases of the tests; each row is what `gbspec check` says.
 Functions declared `unknown` are free functions of their arguments. Lines count from `model m`, the first.
 
 | case | model | not to be told apart | transformation, or why | lines | what would resolve it |
