@@ -66,6 +66,11 @@ class Array:
         """The array in `Element` and `Total`."""
         return sympy.Symbol(self.name, real=True)
 
+    @property
+    def range(self) -> str:
+        """`c[1..512]`."""
+        return f"{self.name}[{self.first}..{self.last}]"
+
     def at(self, index: int) -> Expr:
         """What an element is: the symbol of a state, or beyond the range what closes that end."""
         if self.first <= index <= self.last:

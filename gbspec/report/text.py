@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import sympy
 
+from gbspec.ir.arrays import Family
 from gbspec.ir.dump import guarantee
-from gbspec.ir.model import Initial, Learnable, Model, Range
+from gbspec.ir.model import Initial, Learnable, Model, Range, State
 
 if TYPE_CHECKING:
     from gbspec.runs.store import Run
@@ -41,7 +42,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def model_summary(model: Model) -> str:
     """What a person wants to see confirmed: states and their starts, what is learned, what is measured."""
     lines = [f"{model.name}" + (f': "{model.title}"' if model.title else "")]
-    rows = [(s.name, start(s.initial), _range(s.range), s.unit or "-", s.description or "-") for s in model.states]
+    rows = [(name, begin, _range(s.range), s.unit or "-", s.description or "-") for name, begin, s in _states(model)]
     lines.append(_left(("state", "starts", "range", "unit", "description"), rows))
     for network in model.networks:
         arguments = ", ".join(argument.name for argument in network.arguments)
@@ -55,11 +56,42 @@ def model_summary(model: Model) -> str:
     for word, names in (
         ("conditions", [c.name for c in model.conditions]),
         ("inputs", [f"{i.name} ({i.interpolation})" for i in model.inputs]),
-        ("measured", [c.name for c in model.channels]),
+        ("measured", _measured(model)),
     ):
         if names:
             lines.append(f"{word} {', '.join(names)}")
     return "\n".join(lines) + "\n"
+
+
+def _states(model: Model) -> Iterator[tuple[str, str, State]]:
+    """Name and start of each state; arrays as one where all of their elements start alike."""
+    families = {family.begin: family for family in model.families if family.vector == "starts"}
+    arrays = {array.position: array for array in model.arrays}
+    place = 0
+    while place < len(model.states):
+        state, array, family = model.states[place], arrays.get(place), families.get(place)
+        alike = array is not None and all(s.initial == state.initial for s in model.states[place : place + array.count])
+        if array is not None and (alike or family is not None):
+            value = state.initial if family is None else Initial("expression", family.value)
+            yield array.range, start(value), state
+            place += array.count
+        else:
+            yield state.name, start(state.initial), state
+            place += 1
+
+
+def _measured(model: Model) -> list[str]:
+    """Names of the channels; of an array that is measured as a whole its range."""
+    arrays = {array.name: array.range for array in model.arrays}
+    runs = model.runs("channels")
+    return [
+        arrays[run.array] if not isinstance(run, int) and run.array else model.channels[_first(run)].name
+        for run in runs
+    ]
+
+
+def _first(run: Family | int) -> int:
+    return run if isinstance(run, int) else run.begin
 
 
 def start(initial: Initial) -> str:

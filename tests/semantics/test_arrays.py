@@ -5,6 +5,7 @@ from __future__ import annotations
 from gbspec.ir.dump import dump
 from gbspec.ir.model import symbol
 from gbspec.passes import with_truth
+from gbspec.report.text import model_summary
 from tests.texts import codes, model_of
 
 COLUMN = """model column
@@ -85,3 +86,15 @@ def test_one_mistake_in_a_balance_for_every_element_is_told_once() -> None:
 def test_five_hundred_states() -> None:
     text = COLUMN.replace("const N = 4", "const N = 500")
     assert len(model_of(text).balances) == 500
+
+
+def test_the_summary_names_arrays_as_a_whole() -> None:
+    text = (
+        "model m\nstate w\nstate c[0..2] in [0, 1]\nc[i]' = -i*c[i]\nw' = sum(c)\ninitial c[i] = i/2\n"
+        "observe c\nobserve w\n"
+    )
+    lines = model_summary(model_of(text)).splitlines()
+    assert [line.split()[:3] for line in lines[2:4]] == [["w", "measured,", "else"], ["c[0..2]", "=", "i/2"]]
+    assert lines[-1] == "measured c[0..2], w"
+    apart = model_summary(model_of(text.replace("initial c[i] = i/2", "initial c[1] = 0")))
+    assert "\nc_1    = 0  " in apart

@@ -57,11 +57,6 @@ def places_of(model: Model, places: Sequence[int | None]) -> tuple[object, ...]:
     return tuple(found)
 
 
-def described(array: Array) -> str:
-    """`c[1..512]`."""
-    return f"{array.name}[{array.first}..{array.last}]"
-
-
 def _regular(array: Array) -> bool:
     return array.count > 2 and all(name == f"{array.name}_{array.first + k}" for k, name in enumerate(array.names))
 

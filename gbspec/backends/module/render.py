@@ -9,7 +9,7 @@ from typing import Literal
 
 import gbspec
 from gbspec.backends.module import attributes, equations
-from gbspec.backends.module.elements import described, runs_of
+from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
 from gbspec.ir.arrays import Vector
@@ -88,7 +88,7 @@ def _module_document(model: Model) -> str:
         table = {item.name: item for item in items}
         for i, run in enumerate(runs_of(model, tuple(table))):
             name = run if isinstance(run, str) else run.names[0]
-            entry = _entry(table[name], name if isinstance(run, str) else described(run))
+            entry = _entry(table[name], name if isinstance(run, str) else run.range)
             entry += " (learned)" if name in learned else ""
             parts.append(f"{heading if not i else '':<12}{entry}")
     for i, network in enumerate(model.networks):
