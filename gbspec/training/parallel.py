@@ -223,7 +223,7 @@ def _processes(workers: int, threads: int) -> Iterator[Engine]:
 def _without_main() -> Iterator[None]:
     """Within it spawned processes do not run the main script again: a script that trains would train there too."""
     main = sys.modules["__main__"]
-    hidden = {name: vars(main).pop(name) for name in ("__file__", "__spec__") if name in vars(main)}
+    hidden: dict[str, Any] = {name: vars(main).pop(name) for name in ["__file__", "__spec__"] if name in vars(main)}
     vars(main)["__spec__"] = None
     try:
         yield
