@@ -31,6 +31,7 @@ FIGURES = (
     ("gbspec.analysis.plane_diagram", "PlaneDiagram"),
     ("gbspec.analysis.initial_states", "InitialStates"),
     ("gbspec.training.profile", "Profile"),
+    ("matplotlib.figure", "Figure"),
 )
 """What is drawn too."""
 
@@ -49,6 +50,8 @@ def register() -> None:
 
 def figure(shown: Any) -> Figure:
     """The figure of a diagram, curves in a plane, initial states or a profile. Raises `TypeError` for others."""
+    from matplotlib.figure import Figure
+
     from gbspec.analysis.bifurcate import Diagram
     from gbspec.analysis.initial_states import InitialStates
     from gbspec.analysis.plane_diagram import PlaneDiagram
@@ -56,6 +59,8 @@ def figure(shown: Any) -> Figure:
     from gbspec.training.profile import Profile
 
     match shown:
+        case Figure():
+            return shown
         case Diagram():
             return diagram.diagram(shown)
         case PlaneDiagram():

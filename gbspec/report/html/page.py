@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.validate import Validation
 
+IN_PLANE = 8
+"""Trajectories in the phase portrait: more would hide each other."""
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 HARMLESS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
 """Characters that could end a script element, as JSON writes them within strings."""
@@ -99,7 +101,9 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, add: Add)
         "diagram": _diagram(found, add),
         "eigen": add(charts.eigenvalues(found.eigen)) if found.eigen and found.eigen.points else None,
         "fast": [mode.to_json() for mode in found.eigen.fast_modes] if found.eigen else [],
-        "phase": add(charts.phase(collect.orbits(fitted, indices, (0, 1)), *names[:2]))
+        "phase": add(
+            charts.phase(collect.orbits(fitted, collect.spaced(len(fitted.data), IN_PLANE), (0, 1)), *names[:2])
+        )
         if fitted and len(names) > 1
         else None,
         "reproduce": _reproduce(run),
