@@ -75,8 +75,9 @@ def check_settings(tasks: list[Task], place: Place) -> None:
         record = read_record(place.record(task))
         if record is None:
             continue
-        now = settings.setdefault(task.case.name, task.settings)
-        if record["settings"] != now or record["seed"] != task.seed:
+        if task.case.name not in settings:
+            settings[task.case.name] = task.settings
+        if record["settings"] != settings[task.case.name] or record["seed"] != task.seed:
             message = f"the study in `{place.root}` was begun with other settings of the case `{task.case.name}`"
             advice = "name another directory with `-o`, or give the options (and the case) as they were"
             raise UserError([Diagnostic("GB820", message, None, help=advice)])

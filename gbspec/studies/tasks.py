@@ -61,11 +61,16 @@ class Task:
 
     @property
     def settings(self) -> str:
-        """A fingerprint of everything that the result depends on but the seed and gbspec itself."""
+        """A fingerprint of everything that the result depends on but the seed and gbspec itself.
+
+        Raises UserError where the model is wrong.
+        """
+        from gbspec import driver
+
         sampling, metrics = (dataclasses.asdict(part) for part in (self.case.sampling, self.case.metrics))
         training = {name: value for name, value in self.training.to_json().items() if name not in SET_BY_THE_STUDY}
         sampling.pop("seed")
-        source = self.case.model.read_bytes() if self.case.model else b""
+        source = driver.load_model(str(self.case.model), Findings()).text.encode()  # what it extends is in there
         data = self.case.data.read_bytes() if self.case.data else b""
         parts = [hashlib.sha256(source).hexdigest(), hashlib.sha256(data).hexdigest(), sampling, metrics, training]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
