@@ -152,6 +152,15 @@ def test_random_arrays_agree_with_what_they_are_written_out(text: str, seed: int
     close(slopes[0][1], slopes[1][1], "its gradient")
 
 
+def test_arrays_of_different_lengths_with_one_running_index() -> None:
+    model = model_of(
+        "model m\nstate c[1..6]\nstate d[1..3]\nc[i]' = c[i+1] - i*c[i]\nd[i]' = c[i+1]*d[i] + c[2*i] - d[i+1]*i\n"
+        "c[7] = 1\nd[4] = c[1]\nobserve c\nobserve d\n"
+    )
+    assert len(model.families) == 4
+    check_agreement(model, point(model, 3), 3)
+
+
 def test_contracts_hold_their_form_for_vectors() -> None:
     text = TUBE.replace("unknown m(x) by mlp(4)", "unknown m(x in [0, 3]) >= 0, increasing in x\n  by mlp(4)")
     model = model_of(text)

@@ -7,7 +7,7 @@ component. `Program` then orders and prints these statements like all others.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 
 import sympy
 from sympy.core.function import AppliedUndef
@@ -36,7 +36,7 @@ class Vectors:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._arrays = {array.symbol: array for array in model.arrays}
-        self._known: dict[sympy.Basic, sympy.Symbol] = {}
+        self._known: dict[Hashable, sympy.Symbol] = {}
         self.definitions: list[Assignment] = []
         for run in model.runs("intermediates") if model.arrays else range(len(model.intermediates)):
             item = model.intermediates[run if isinstance(run, int) else run.begin]
@@ -97,7 +97,7 @@ class Vectors:
         parts += [self._end(array, k) for k in after]
         shift = first - array.first
         wish = f"{array.name}_{'m' if shift < 0 else 'p'}{abs(shift)}" if step == 1 else f"{array.name}_part"
-        return self._define(element, parts[0] if len(inside) == len(indices) else Join(STATE, *parts), wish)
+        return self._define((array, indices), parts[0] if len(inside) == len(indices) else Join(STATE, *parts), wish)
 
     def _end(self, array: Array, index: int) -> Expr:
         value = self._without_totals(array.at(index))
@@ -113,7 +113,7 @@ class Vectors:
         value = Indices(STATE, family.first, family.first + family.count)
         return self._define(value, value, str(family.index))
 
-    def _define(self, key: sympy.Basic, value: Expr, wish: str) -> sympy.Symbol:
+    def _define(self, key: Hashable, value: Expr, wish: str) -> sympy.Symbol:
         if key not in self._known:
             self._known[key] = VectorTemporary(wish, real=True)
             self.definitions.append(Assignment(self._known[key], value, wish))
