@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -204,7 +205,7 @@ class Kernel:
                 out.d_initial.ctypes.data,
                 out.d_doses.ctypes.data,
                 int(gradient),
-                _work(i, size).ctypes.data,
+                _work(size).ctypes.data,
             )
 
         if count == 1:
@@ -223,14 +224,15 @@ def _pool(threads: int, process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="gbspec-kernel")
 
 
-_spaces: dict[int, NDArray[np.uint8]] = {}
+_spaces = threading.local()
 
 
-def _work(thread: int, size: int) -> NDArray[np.uint8]:
-    """The work space of a thread, kept between calls."""
-    if thread not in _spaces or len(_spaces[thread]) < size:
-        _spaces[thread] = np.empty(size, dtype=np.uint8)
-    return _spaces[thread]
+def _work(size: int) -> NDArray[np.uint8]:
+    """The work space of the thread that asks, kept between calls."""
+    space: NDArray[np.uint8] | None = getattr(_spaces, "bytes", None)
+    if space is None or len(space) < size:
+        space = _spaces.bytes = np.empty(size, dtype=np.uint8)
+    return space
 
 
 _kernels: dict[tuple[type[Any], Precision], Kernel | str] = {}

@@ -52,7 +52,6 @@ static real *take_real(char **place, size_t n) { return (real *)take(place, n * 
 /* Sets every array of a work space that begins at `place`, and tells where it ends. */
 static char *arrange(Work *w, char *place, int64_t depth) {
     set_networks(w);
-    char *weights = place;
     for (int i = 0; i < NETWORKS; i++) {
         Net *net = &w->nets[i];
         for (int l = 0; l < net->layers; l++) {
@@ -74,7 +73,6 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     }
     w->n_gradients = (size_t)(place - (char *)w->gradients) / sizeof(real);
     w->totals = take(&place, w->n_gradients * sizeof(double));
-    (void)weights;
     /* What a step keeps: the states of its stages, arrivals, and of every call arguments, activations and outputs. */
     size_t step = (STAGES + 1) * STATES * TILE;
     for (int i = 0; i < SITES; i++) {
@@ -358,10 +356,9 @@ static void run_tile(Work *w, const double *initial, const double *cotangent, do
 
 /* Bytes of work space for trajectories of at most `depth` steps. */
 int64_t work_bytes(int64_t depth) {
-    Work *w = NULL;
-    const size_t head = (sizeof *w + 63) / 64 * 64;
-    char *base = (char *)(uintptr_t)4096;
     Work work;
+    char *base = (char *)(uintptr_t)4096; /* nothing is read or written there */
+    const size_t head = (sizeof work + 63) / 64 * 64;
     return (int64_t)((size_t)(arrange(&work, base, depth) - base) + head + 64);
 }
 

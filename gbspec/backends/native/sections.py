@@ -153,7 +153,7 @@ class Equations:
         return ["    for (int t = 0; t < TILE; t++) {", *(INDENT + line for line in (*skip, *body)), "    }"]
 
     def _pointers(self, sites: Iterable[Site], *arrays: str) -> list[str]:
-        """Lines that declare where a site's arrays of this block begin (once a function: a scope is opened)."""
+        """Lines that name where a site's arrays of this block begin."""
         widths = {"args": "inputs", "ab": "inputs", "y": "outputs", "yb": "outputs"}
         lines = []
         for site in sites:
