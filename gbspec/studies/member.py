@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import platform
 import shutil
 import time
@@ -141,7 +142,7 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
 
     found = validate(run, data, member=0, sampling=task.case.sampling, metrics=task.case.metrics)
     return {
-        "errors": truth_norms(found),
+        "errors": errors_of(found),
         "nrmse": {name: errors.nrmse for name, errors in found.channels.items()},
         "unsolved": list(found.failed),
         "step_check": found.step_check.to_json(),
@@ -161,11 +162,15 @@ def starts(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
     return {name.replace("-", "_"): make() for name, make in asked.items() if name in task.case.tables}
 
 
-def truth_norms(found: Validation) -> dict[str, Mapping[str, float | int]]:
-    """The norms of each metric against the truth; of constants the mean relative error, as `L2` (the paper's name)."""
+def errors_of(found: Validation) -> dict[str, Mapping[str, float | int]]:
+    """The norms of each metric against the truth; of constants the mean relative error, as `L2` (the paper's name).
+
+    Without a truth, the mean NRMSE of the channels on the data, infinite where a trajectory could not be solved.
+    """
     truth = found.truth
     if truth is None:
-        return {}
+        nrmse = [one.nrmse for one in found.channels.values() if one.n]
+        return {"data": {"L2": sum(nrmse) / len(nrmse) if nrmse else math.nan, "failed": len(found.failed)}}
     norms = {"solution": truth.solution, "rhs": truth.rhs}
     if truth.functions:
         norms["functions"] = truth.functions["all"]

@@ -17,8 +17,16 @@ from gbspec.studies.member import NORMS, Place, read_record
 from gbspec.studies.start_tables import joined, sections
 from gbspec.studies.tasks import Study
 
-METRICS = {"solution": "solution", "rhs": "right-hand side", "functions": "functions", "constants": "constants"}
-"""Metrics of the truth as the records have them, and as the table calls them."""
+METRICS = {
+    "solution": "solution",
+    "rhs": "right-hand side",
+    "functions": "functions",
+    "constants": "constants",
+    "data": "data (nrmse)",
+}
+"""Metrics as the records have them, and as the table calls them; the data's where there is no truth."""
+SINGLE = ("constants", "data")
+"""Metrics of which there is one number instead of three norms."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +148,8 @@ def results(records: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     return text.getvalue()
 
 
-_COLUMNS = [(metric, norm) for metric in METRICS for norm in NORMS if metric != "constants" or norm == "L2"]
-"""What a row of results has: of constants one number, the mean relative error."""
+_COLUMNS = [(metric, norm) for metric in METRICS for norm in NORMS if metric not in SINGLE or norm == "L2"]
+"""What a row of results has."""
 
 
 # ---------------------------------------------------------------------------------------------------------- table.md

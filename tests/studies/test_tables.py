@@ -6,13 +6,17 @@ import csv
 import io
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import gbspec
+from gbspec.analysis.metrics import ChannelErrors
+from gbspec.analysis.step_check import StepCheck
+from gbspec.analysis.validate import TrajectoryError, Validation
 from gbspec.runs import files
-from gbspec.studies.member import Place
+from gbspec.studies.member import Place, errors_of
 from gbspec.studies.options import StudyOptions
 from gbspec.studies.tables import Spread, write_tables
 from gbspec.studies.tasks import study_of
@@ -73,3 +77,12 @@ def test_a_failure_is_told(cases: Path) -> None:
 def test_from_python(cases: Path) -> None:
     found = gbspec.study(str(cases), cases.parent / "out", table_only=True)
     assert found["cases"]["ONE"]["members"] == 0 and (cases.parent / "out" / "table.md").is_file()
+
+
+def test_without_a_truth_the_errors_are_those_on_the_data() -> None:
+    channels = {"N": ChannelErrors(4, 1.0, 0.2, 1.0, 1.0), "M": ChannelErrors(4, 1.0, 0.4, 1.0, 1.0)}
+    trajectory = TrajectoryError("1", 0.3, "learned")
+    found = Validation(0, channels, (trajectory,), StepCheck(None, None))
+    assert errors_of(found) == {"data": {"L2": pytest.approx(0.3), "failed": 0}}
+    unsolved = replace(found, trajectories=(trajectory, TrajectoryError("2", math.nan, "failed", "it blew up")))
+    assert errors_of(unsolved)["data"]["failed"] == 1

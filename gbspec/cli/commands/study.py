@@ -70,7 +70,5 @@ def line(record: dict[str, Any]) -> str:
     if record.get("failure"):
         return f"failed: {record['failure']}"
     errors = [f"{name} {number(entry['L2'], 3)}" for name, entry in record["errors"].items()]
-    if not errors:
-        errors = [f"{name} nrmse {number(value, 3)}" for name, value in record["nrmse"].items()]
     warned = ["step warned"] if record["step_warning"] else []
     return ", ".join([*errors, *warned, f"CPU {record['cpu_seconds']:.0f} s"])
