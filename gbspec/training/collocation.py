@@ -141,9 +141,8 @@ class FreeOutputs:
 
         def apply(*arguments: Tensor) -> tuple[Tensor, ...]:
             tensors = [torch.as_tensor(a, dtype=torch.float64).detach() for a in arguments]
-            shape = np.broadcast_shapes((self.count,), *(a.shape for a in tensors if a.ndim < 2))
-            if any(a.ndim > 1 for a in tensors):
-                shape = np.broadcast_shapes((self.count, 1), *(a.shape for a in tensors))
+            points = (self.count, 1) if any(a.ndim > 1 for a in tensors) else (self.count,)
+            shape = np.broadcast_shapes(points, *(a.shape for a in tensors))
             table = torch.stack([a.expand(shape) for a in tensors], -1).reshape(self.count, -1, len(tensors))
             self.arguments.append((index, table.numpy()))
             begin, each = self._position, table.shape[1]
