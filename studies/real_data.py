@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gbspec.ir.model import Model
-    from gbspec.study.crossvalidation import CrossValidation
+    from gbspec.studies.crossvalidation import CrossValidation
     from gbspec.training import TrainOptions
 
 KNOWN = "hare_lynx with Lotka's and Volterra's term"
@@ -64,7 +64,7 @@ def judged(name: str, data: Path, out: Path, options: TrainOptions) -> CrossVali
     """The cross-validation of a part, run or taken from `out`."""
     from gbspec import driver
     from gbspec.diagnostics import Findings
-    from gbspec.study.crossvalidation import CrossOptions, crossvalidate
+    from gbspec.studies.crossvalidation import CrossOptions, crossvalidate
     from gbspec.training.progress import Silent
 
     part = PARTS[name]
