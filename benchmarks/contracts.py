@@ -3,9 +3,10 @@
     python -m benchmarks.contracts [--repeats 15] [--only CONTRACTS ...]
 
 Workload: URP (two states, network 3-64-64-1), 200 trajectories of one in [0, 10], measured about every 0.5, RK4 with
-step 0.1, one thread, float64, processor time. "Adam" is forward and backward through the unrolled solver, "Jacobian"
-(a step of Levenberg-Marquardt) the exact derivatives of all residuals, on a tenth of the trajectories. Prints medians,
-and the median of the ratios of neighbouring runs.
+step 0.1, one thread, float64, processor time. "kernel" and "graph" are the loss and its gradient (a step of Adam) by
+the native kernel, which trains where there is a compiler, and by the torch graph; "Jacobian" (a step of
+Levenberg-Marquardt) the exact derivatives of all residuals, on a tenth of the trajectories. Prints medians, and the
+median of the ratios of neighbouring runs.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from gbspec.semantics import check
 from gbspec.syntax.parser import parse
 from gbspec.training.context import build_context
 from gbspec.training.jacobian import linearise
+from gbspec.training.objective import objective
 from gbspec.training.options import TrainOptions
-from gbspec.training.unroll import measured_residuals, unroll
 
 TEXT = """model urp
 state x1 in [0, 1]
@@ -101,8 +102,8 @@ def data(count: int) -> Trajectories:
     return Trajectories(tuple(items), ("x1", "x2"))
 
 
-def steps(model: Model, trajectories: Trajectories) -> tuple[Callable[[], object], Callable[[], object]]:
-    """One training step of Adam (without the update), and one Jacobian."""
+def steps(model: Model, trajectories: Trajectories) -> tuple[Callable[[], object], ...]:
+    """The loss and its gradient by the native kernel and by the torch graph, and one Jacobian."""
     options = TrainOptions(max_step=0.1)
     context = build_context(model, load_module(model), trajectories, options, 0)
     fixed = {k: v for k, v in context.module.weights.items() if "center" in k or "scale" in k}
@@ -111,14 +112,12 @@ def steps(model: Model, trajectories: Trajectories) -> tuple[Callable[[], object
     theta = parameters.vector(context.module.weights)
     few = np.arange(max(1, len(trajectories) // 10))
     small, part = problem.take(few), parameters.take(few)
-
-    def adam() -> object:
-        vector = torch.from_numpy(theta).requires_grad_()
-        residuals = measured_residuals(problem, unroll(problem, parameters, vector).residuals)
-        (residuals**2).mean().backward()
-        return vector.grad
-
-    return adam, lambda: linearise(small, part, parameters.take_vector(theta, few))
+    kernel, graph = (objective(problem, parameters, backend) for backend in ("native", "torch"))
+    return (
+        lambda: kernel(theta),
+        lambda: graph(theta),
+        lambda: linearise(small, part, parameters.take_vector(theta, few)),
+    )
 
 
 def seconds(step: Callable[[], object]) -> float:
@@ -138,11 +137,13 @@ def main() -> None:
         for name, text in CONTRACTS.items()
         if name in (*chosen.only, "plain", ALONE)
     }
-    print(f"{'contracts on phi':<42} {'Adam':>10} {'x plain':>8} {'Jacobian':>10} {'x plain':>8}")
-    for name, pair in candidates.items():
+    print(
+        f"{'contracts on phi':<42}" + "".join(f" {what:>10} {'x plain':>8}" for what in ("kernel", "graph", "Jacobian"))
+    )
+    for name, kinds in candidates.items():
         texts = []
         base = candidates[ALONE if name.startswith(ALONE) else "plain"]
-        for plain, step in zip(base, pair, strict=True):
+        for plain, step in zip(base, kinds, strict=True):
             seconds(plain), seconds(step)
             both = [(seconds(plain), seconds(step)) for _ in range(repeats)]
             ratio = statistics.median(b / a for a, b in both)
