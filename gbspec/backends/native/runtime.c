@@ -127,30 +127,21 @@ INLINE vec v_tanh(vec x) {
     return SELECT(x < splat(0), -y, y);
 }
 
-/* log(1 + u) for u in [0, 1]: 2 artanh(u/(2 + u)), a series in at most 1/9. */
+/* log(1 + u) for u in [0, 1]: with 1 + u = m or 2m, m = 1 + f between sqrt(1/2) and sqrt(2), log(m) = f - (f*f/2 - s*(f*f/2 + R)),
+   s = f/(2 + f); R in powers of s*s as in Sun's fdlibm (e_log.c), in single precision the first terms of the series of 2 artanh(s). */
 INLINE vec v_log1p_unit(vec u) {
-    const vec s = u / (R(2) + u), q = s * s;
+    const vec f = SELECT(u > splat(R(0.41421356237309504880)), (u - R(1)) * R(0.5), u);
+    const vec s = f * (v_reciprocal((f + R(2)) * R(0.625)) * R(0.625)), q = s * s, q2 = q * q, half = f * f * R(0.5);
 #if REAL_IS_FLOAT
-    vec p = splat(R(1.0 / 17));
+    const vec rest = q * ((R(2.0 / 3) + q * R(2.0 / 5)) + q2 * (R(2.0 / 7) + q * R(2.0 / 9)));
 #else
-    vec p = splat(R(1.0 / 33));
-    p = p * q + R(1.0 / 31);
-    p = p * q + R(1.0 / 29);
-    p = p * q + R(1.0 / 27);
-    p = p * q + R(1.0 / 25);
-    p = p * q + R(1.0 / 23);
-    p = p * q + R(1.0 / 21);
-    p = p * q + R(1.0 / 19);
-    p = p * q + R(1.0 / 17);
+    const vec low = (R(6.666666666666735130e-01) + q * R(3.999999999940941908e-01)) +
+                    q2 * (R(2.857142874366239149e-01) + q * R(2.222219843214978396e-01));
+    const vec high = (R(1.818357216161805012e-01) + q * R(1.531383769920937332e-01)) + q2 * R(1.479819860511658591e-01);
+    const vec rest = q * (low + q2 * q2 * high);
 #endif
-    p = p * q + R(1.0 / 15);
-    p = p * q + R(1.0 / 13);
-    p = p * q + R(1.0 / 11);
-    p = p * q + R(1.0 / 9);
-    p = p * q + R(1.0 / 7);
-    p = p * q + R(1.0 / 5);
-    p = p * q + R(1.0 / 3);
-    return R(2) * s + R(2) * s * q * p;
+    const vec log_m = f - (half - s * (half + rest));
+    return SELECT(u > splat(R(0.41421356237309504880)), log_m + R(0.69314718055994530942), log_m);
 }
 
 INLINE vec v_softplus(vec x) { return SELECT(x > splat(0), x, x - x) + v_log1p_unit(v_exp(-size_of(x))); }
@@ -307,19 +298,6 @@ APART void activate(int kind, real *restrict z, real *restrict slope, size_t n) 
     }
 }
 
-/* A part of a layer, of any length. */
-APART void activate_part(int kind, real *z, real *slope, size_t n) {
-    for (size_t begin = 0; begin < n; begin += LANES) {
-        const size_t count = n - begin < (size_t)LANES ? n - begin : (size_t)LANES;
-        real value[LANES], s[LANES];
-        zero(value, LANES);
-        memcpy(value, z + begin, count * sizeof(real));
-        activate(kind, value, s, LANES);
-        memcpy(z + begin, value, count * sizeof(real));
-        memcpy(slope + begin, s, count * sizeof(real));
-    }
-}
-
 /* ---------------------------------------------------------------- networks
 
    A network has `layers` linear layers. `forward[l]` is the transpose of layer l's weights [in][PAD(out)], `back[l]` the
@@ -346,6 +324,30 @@ typedef struct {
 
 static const real nothing[WIDEST + LANES]; /* zeros, as many as the widest layer has units */
 
+/* Units begin to end - 1, in one vector with others: all are computed, these are kept. */
+INLINE void activate_among(int kind, real *z, real *slope, size_t begin, size_t end) {
+    const size_t from = begin / LANES * LANES;
+    vec copy = load(z + from), copy_slope;
+    activate(kind, (real *)&copy, (real *)&copy_slope, LANES);
+    for (size_t i = 0; i < LANES; i++) {
+        const int own = from + i >= begin && from + i < end;
+        z[from + i] = own ? ((real *)&copy)[i] : z[from + i];
+        slope[from + i] = own ? ((real *)&copy_slope)[i] : slope[from + i];
+    }
+}
+
+/* The hidden layer of a sample, whose parts have an activation each. */
+static void activate_parts(const Net *net, int layer, real *z, real *slope) {
+    for (size_t i = 0, begin = 0; i < (size_t)net->kinds[layer]; i++) {
+        const size_t end = begin + net->count[layer][i], whole = PAD(begin), rest = end / LANES * LANES;
+        const int kind = net->kind[layer][i];
+        if (begin < whole) activate_among(kind, z, slope, begin, end < whole ? end : whole);
+        if (whole < rest) activate(kind, z + whole, slope + whole, rest - whole);
+        if (whole <= rest && rest < end) activate_among(kind, z, slope, rest, end);
+        begin = end;
+    }
+}
+
 APART void net_forward(const Net *net, const Site *site, size_t block) {
     const int last = net->layers - 1;
     const int n_in = net->size[0], n_out = net->size[last + 1];
@@ -358,10 +360,7 @@ APART void net_forward(const Net *net, const Site *site, size_t block) {
         if (net->kinds[l + 1] == 1) {
             activate(net->kind[l + 1][0], z, slope, TILE * width);
         } else {
-            for (int t = 0; t < TILE; t++)
-                for (int i = 0, begin = 0; i < net->kinds[l + 1]; begin += net->count[l + 1][i++])
-                    activate_part(net->kind[l + 1][i], z + t * width + begin, slope + t * width + begin,
-                                  net->count[l + 1][i]);
+            for (int t = 0; t < TILE; t++) activate_parts(net, l + 1, z + t * width, slope + t * width);
         }
         below = z;
         stride = width;
