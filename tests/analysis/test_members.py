@@ -1,4 +1,4 @@
-"""`bifurcate --members all`: every member drawn, an interval for each Hopf point; where what was trained ends."""
+"""`bifurcate --members all`: every member drawn, intervals of Hopf points and folds; where what was trained ends."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from gbspec import driver
+from gbspec.backends.module import load_module
 from gbspec.cli.app import build
+from gbspec.diagnostics import Findings
 from gbspec.report import diagram as figures
 from tests.analysis.conftest import model_of, nearly_true
 
@@ -46,3 +49,46 @@ def test_every_member_is_drawn_and_gives_an_interval(
     for branch in found["branches"]:
         for place in branch["points"]:
             assert ("Da" in place["outside"]) is (place["value"] < 0.2 - 1e-6)
+
+
+CUSP = """\
+model cusp "The cusp normal form with a learned slope"
+state x in [-2, 2] = 0
+condition h in [-1, 1]
+learn r = 1 in [0.1, 3]
+x' = h + r*x - x^3
+observe x
+truth r = 1
+"""
+
+
+def cusp_run(write_run: Callable[..., Any], tmp_path: Path, *slopes: float) -> Any:
+    """A run of the cusp whose members learned these slopes."""
+    source = tmp_path / "cusp.gb"
+    source.write_text(CUSP)
+    model = driver.load_model(str(source), Findings())
+    module = load_module(model)
+    weights = [{**module.random(0).weights, "constants": np.array([r])} for r in slopes]
+    return write_run(model, *(module(one, {"max_step": 0.1}) for one in weights))
+
+
+def test_folds_get_an_interval_over_the_members(write_run: Callable[..., Any], tmp_path: Path) -> None:
+    slopes = (1.0, 0.96, 1.05)
+    run = cusp_run(write_run, tmp_path, *slopes)
+    result = call(run.path, "--over", "h", "--range", -1, 1, "--members", "all", "--json")
+    assert result.exit_code == 0, result.stderr
+    below, above = (point for point in json.loads(result.stdout)["special"] if point["type"] == "fold")
+    # Folds of h + r x - x^3 are at h = -+ 2 (r/3)^(3/2) (Strogatz, section 3.6).
+    ends = [2.0 * (r / 3.0) ** 1.5 for r in slopes]
+    assert above["value"] == pytest.approx(ends[0], abs=1e-8)
+    assert above["interval"] == pytest.approx([min(ends), max(ends)], abs=1e-8)
+    assert below["interval"] == pytest.approx([-max(ends), -min(ends)], abs=1e-8)
+
+
+def test_members_that_disagree_on_a_fold_give_it_no_interval(write_run: Callable[..., Any], tmp_path: Path) -> None:
+    run = cusp_run(write_run, tmp_path, 1.0, 2.5)
+    # The second member's folds, at h = -+ 1.52, lie beyond the range.
+    result = call(run.path, "--over", "h", "--range", -1, 1, "--members", "all", "--json")
+    folds = [point for point in json.loads(result.stdout)["special"] if point["type"] == "fold"]
+    assert [point["value"] for point in folds] == pytest.approx([-0.3849002, 0.3849002], abs=1e-7)
+    assert [point["interval"] for point in folds] == [None, None]
