@@ -47,7 +47,7 @@ def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
 
 def release() -> None:
     """Gives back the work space that a step keeps for the next one, which then takes all that it needs itself."""
-    _spaces.clear()
+    vars(_spaces).clear()
 
 
 native_2 = partial(native, threads=2)

@@ -162,8 +162,8 @@ class _Statement:
 
     def _parts(self) -> None:
         """The declared names, the statement's own names, and its expressions."""
-        declaring = {id(name) for name in names_declared(self.statement)}
         scope, formals = self._scope()
+        declaring = {id(name) for name in names_declared(self.statement)} | formals
         for part in children(self.statement):
             if id(part) in formals and isinstance(part, ast.Name):
                 self._add(scope[part.text], part.span, declares=True)
@@ -182,9 +182,11 @@ class _Statement:
                 return self._own(parameters), {id(p) for p in parameters}
             case ast.TruthStatement(name=name) if name.text in self.names.arguments:
                 return self._arguments(*self.names.arguments[name.text], name.text in self.names.bare), set()
-            case ast.BalanceStatement(target=ast.Index(index=index)):
+            case ast.BalanceStatement(target=ast.Index(index=index)) | ast.InitialStatement(
+                target=ast.Index(index=index)
+            ):
                 counters = [n for n in walk(index) if isinstance(n, ast.Name) and n.text not in self.names.declared]
-                return self._own(counters), set()
+                return self._own(counters), {id(counter) for counter in counters}
             case _:
                 return {}, set()
 
@@ -208,7 +210,7 @@ class _Statement:
             node = stack.pop()
             match node:
                 case ast.Name() if id(node) in declaring:
-                    self._add(Symbol("name", node.text), node.span, declares=True)
+                    self._add(scope.get(node.text, Symbol("name", node.text)), node.span, declares=True)
                 case ast.Name():
                     self._name(node, scope)
                     self._implied(node, scope)

@@ -39,6 +39,7 @@ def test_numbers_are_asked_for() -> None:
 
 
 def test_no_backend_is_left_out_of_the_registry() -> None:
-    """One folder each: those that write text are registered, `casadi` writes C, `printing` is what they share."""
+    """One folder each: those that write text are registered, `casadi` writes C, `native` is compiled while training,
+    `printing` is what they share."""
     folders = {path.parent.name for path in (Path(load_module.__code__.co_filename).parents[1]).glob("*/__init__.py")}
-    assert folders == {"casadi", "latex", "module", "printing"}
+    assert folders == {"casadi", "latex", "module", "native", "printing"}

@@ -10,8 +10,8 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
-from gbspec.ir.forms import logistic, softplus
-from gbspec.ir.model import NN, Expr, Model
+from gbspec.ir.forms import described, logistic, softplus
+from gbspec.ir.model import NN, Expr, Model, Network
 from gbspec.ir.tableaus import RK4
 from tests.strategies import Point
 
@@ -88,25 +88,44 @@ class Truth:
         network = self.model.networks[unknown.network]
         formals = [argument.symbol for argument in network.arguments]
 
-        def value(*arguments: Any) -> Any:
-            raw = self._network(unknown.network, arguments)[unknown.output]
-            table = {**self.table, **dict(zip(formals, arguments, strict=True)), NN: raw}
+        def free(*arguments: Any) -> Any:
+            table = {**self.table, **dict(zip(formals, arguments, strict=True))}
+            center, scale = (self._numbers(network, f"output_{word}")[unknown.output] for word in ("center", "scale"))
+            table[NN] = center + scale * self._raw(network, arguments)[unknown.output]
             return value_of(unknown.postulate, table, {})
 
-        return value
+        def formed(*arguments: Any) -> Any:
+            table = {**self.table, **dict(zip(formals, arguments, strict=True))}
+            points = [[value_of(node, table, {}) for node in point] for point in unknown.form.evaluations]
+            for symbol in unknown.form.value.free_symbols:
+                match described(symbol.name):
+                    case ("raw", (evaluation, output)):
+                        table[symbol] = self._raw(network, points[evaluation])[output]
+                    case ("spread", (place, *_)):
+                        table[symbol] = self._numbers(network, "input_scale")[place]
+                    case (word, (place, *_)):
+                        table[symbol] = self._numbers(network, f"output_{word}")[place]
+            return value_of(unknown.form.value, table, {})
 
-    def _network(self, index: int, arguments: Sequence[Any]) -> list[Any]:
-        network = self.model.networks[index]
+        return free if unknown.form is None else formed
+
+    def _numbers(self, network: Network, name: str) -> Any:
+        return np.vectorize(mpmath.mpf, otypes=[object])(self.weights[f"network.{network.name}.{name}"])
+
+    def _raw(self, network: Network, arguments: Sequence[Any]) -> list[Any]:
+        """The sums of the last layer."""
+        if network.layout is not None:
+            raise NotImplementedError("networks with directions are compared in tests/contracts")
 
         def numbers(name: str) -> Any:
-            return np.vectorize(mpmath.mpf, otypes=[object])(self.weights[f"network.{network.name}.{name}"])
+            return self._numbers(network, name)
 
         a = (np.array(arguments, dtype=object) - numbers("input_center")) / numbers("input_scale")
         for layer in range(len(network.hidden) + 1):
             if layer:
                 a = np.array([ACTIVATIONS[network.activation](z) for z in a], dtype=object)
             a = numbers(f"{layer}.weight").dot(a) + numbers(f"{layer}.bias")
-        return list(numbers("output_center") + numbers("output_scale") * a)
+        return list(a)
 
 
 FUNCTIONS: Mapping[type[sympy.Basic], Callable[..., Any]] = {

@@ -131,7 +131,7 @@ def test_usage_errors_exit_2(bad: list[str]) -> None:
 
 def test_an_option_that_refuses_its_value_is_a_diagnostic() -> None:
     result = invoke(sample, "a", "--dt", "0")
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "GB814" in result.stderr
 
 

@@ -131,7 +131,8 @@ def test_every_statement_of_the_shipped_models_is_seen(path: Path) -> None:
     for line in path.read_text(encoding="utf-8").splitlines():
         if line and not line[0].isspace() and not line.startswith(("#", ")", "]")):
             scopes = {scope for _, scope in tokens(line)}
-            assert scopes & {"keyword.control.statement.gb", "keyword.operator.derivative.gb"}, line
+            operators = {f"keyword.operator.{kind}.gb" for kind in ("derivative", "closure")}
+            assert scopes & {"keyword.control.statement.gb", *operators}, line
 
 
 def test_the_extension_names_files_that_are_there_and_starts_the_server() -> None:
