@@ -182,8 +182,9 @@ class _Statement:
                 return self._own(parameters), {id(p) for p in parameters}
             case ast.TruthStatement(name=name) if name.text in self.names.arguments:
                 return self._arguments(*self.names.arguments[name.text], name.text in self.names.bare), set()
-            case ast.BalanceStatement(target=ast.Index(index=index)) | ast.InitialStatement(
-                target=ast.Index(index=index)
+            case (
+                ast.BalanceStatement(target=ast.Index(index=index))
+                | ast.InitialStatement(target=ast.Index(index=index))
             ):
                 counters = [n for n in walk(index) if isinstance(n, ast.Name) and n.text not in self.names.declared]
                 return self._own(counters), {id(counter) for counter in counters}
