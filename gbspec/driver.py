@@ -242,18 +242,25 @@ def truth_of(source: Subject) -> Subject | None:
     return reference(source.run.model, source.values)
 
 
-def bifurcate(source: Subject, over: str, low: float, high: float, *, cycles: bool = True) -> Diagram:
-    """The bifurcation diagram of a subject over one of its parameters."""
+def bifurcate(
+    source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
+) -> Diagram:
+    """The bifurcation diagram of a subject over one of its parameters; cycles double at most `doublings` times."""
     from gbspec.analysis.bifurcate import BifurcationOptions
     from gbspec.analysis.bifurcate import bifurcate as run
+    from gbspec.analysis.cycles import CycleOptions
 
-    return run(system(source), over, low, high, BifurcationOptions(cycles=cycles))
+    return run(
+        system(source), over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings))
+    )
 
 
-def true_diagram(source: Subject, over: str, low: float, high: float, *, cycles: bool = True) -> Diagram | None:
+def true_diagram(
+    source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
+) -> Diagram | None:
     """The same of the truth of a run's model, None where there is none."""
     truth = truth_of(source)
-    return None if truth is None else bifurcate(truth, over, low, high, cycles=cycles)
+    return None if truth is None else bifurcate(truth, over, low, high, cycles=cycles, doublings=doublings)
 
 
 def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram:
@@ -278,7 +285,7 @@ def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = 
 
 def joined(diagrams: Sequence[Diagram]) -> Diagram:
     """The diagram of the first of several members, its special points with intervals over all of them."""
-    from gbspec.analysis.bifurcate import with_intervals
+    from gbspec.analysis.members import with_intervals
 
     return with_intervals(diagrams) if len(diagrams) > 1 else diagrams[0]
 
@@ -336,8 +343,8 @@ def profile(
     data: Trajectories,
     *,
     member: int | None = None,
-    points: int = 8,
-    iterations: int = 8,
+    points: int = 6,
+    iterations: int = 60,
     progress: Callable[[float, float], None] | None = None,
 ) -> Profile:
     """The profile likelihood of a learned constant."""

@@ -2,7 +2,8 @@
 
 Steady states are sought from many starts at several values of the parameter; each that lies on no branch found so far
 starts another, and every branch point sends its other branches out. Cycles start at Hopf points and, where nothing
-found so far is stable, from what the flow settles to. Truth and fitted runs go through the same functions.
+found so far is stable, from what the flow settles to; where their period doubles, those of twice the period follow.
+Truth and fitted runs go through the same functions.
 """
 
 from __future__ import annotations
@@ -303,7 +304,7 @@ class _Explorer:
                 continue
             hopf = analyse_hopf(self.curve.family, point.state, point.value)
             branch = curve.from_hopf(point.state, point.value, hopf)
-            self._keep(branch)
+            self._keep(curve, branch)
             self.progress(f"cycles from the Hopf point at {point.value:.6g}: {len(branch.cycles)} ({branch.end})")
 
     def _ends_at(self, point: SpecialPoint) -> bool:
@@ -330,8 +331,14 @@ class _Explorer:
             if place is None:
                 continue
             ahead, behind = curve.from_cycle(place)
-            self._keep(replace(ahead, cycles=behind.cycles[:0:-1] + ahead.cycles, found=behind.found + ahead.found,
-                               end=f"{behind.end}; {ahead.end}"))  # fmt: skip
+            whole = replace(
+                ahead,
+                cycles=behind.cycles[:0:-1] + ahead.cycles,
+                found=behind.found + ahead.found,
+                end=f"{behind.end}; {ahead.end}",
+                doublings=behind.doublings + ahead.doublings,
+            )
+            self._keep(curve, whole)
             self.progress(f"cycles from the flow at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
 
     def _something_stable(self, value: float) -> bool:
@@ -359,29 +366,29 @@ class _Explorer:
                 return np.asarray(np.clip(branch.states[i] + 0.02 * (high - low), low, high))
         return np.asarray((low + high) / 2.0)
 
-    def _keep(self, branch: CycleBranch) -> None:
-        """Keeps a branch of cycles and what was passed on it."""
+    def _keep(self, curve: CycleCurve, branch: CycleBranch, doubled: int = 0) -> None:
+        """Keeps a branch of cycles and what was passed on it, then what doubles from it; it was `doubled` so often."""
         number = len(self.cycles)
         self.cycles.append(branch)
         for kind, cycle in branch.found:
             self.special.append(SpecialPoint(kind, cycle.value, cycle.states[0], number, period=cycle.period))
+        if doubled == self.options.cycle.doublings:
+            return
+        for place in branch.doublings:
+            at = curve.cycle(place)
+            if len(self.cycles) >= self.options.most_branches or self._doubled_before(at):
+                continue
+            followed = curve.from_doubling(place)
+            self.progress(f"cycles of twice the period from {at.value:.6g}: {len(followed.cycles)} ({followed.end})")
+            self._keep(curve, followed, doubled + 1)
 
-
-# ---------------------------------------------------------------------- ensembles
-def with_intervals(diagrams: Sequence[Diagram]) -> Diagram:
-    """The first diagram with an interval on each fold and Hopf point: the range of the closest ones of all members.
-
-    A point that not every other member has keeps None: the members disagree on whether it is there.
-    """
-    first, others = diagrams[0], diagrams[1:]
-    special = []
-    for point in first.special:
-        values = [point.value]
-        order = sorted(one.value for one in first.special if one.kind == point.kind)
-        for other in others:
-            same = sorted(one.value for one in other.special if one.kind == point.kind)
-            if len(same) == len(order):
-                values.append(same[order.index(point.value)])
-        complete = bool(others) and len(values) == len(diagrams)
-        special.append(replace(point, interval=(min(values), max(values)) if complete else None))
-    return replace(first, special=tuple(special))
+    def _doubled_before(self, at: Cycle) -> bool:
+        """Whether a branch of cycles of twice the period, followed before, ends at this period doubling."""
+        for branch in self.cycles:
+            if branch.end != "period doubling":
+                continue
+            last = branch.cycles[-1]
+            near = abs(last.value - at.value) / self.curve.scale[-1] < 0.02
+            if near and abs(last.period / (2.0 * at.period) - 1.0) < 0.02:
+                return True
+        return False

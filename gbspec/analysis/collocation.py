@@ -95,6 +95,11 @@ class Orbit:
         values, _ = lagrange(DEGREE, part)
         return np.asarray(np.einsum("pk,pkn->pn", values, self.local[interval]))
 
+    def twice(self) -> Orbit:
+        """The same curve passed twice, as one of twice the period."""
+        mesh = np.concatenate([self.mesh / 2.0, 0.5 + self.mesh[1:] / 2.0])
+        return replace(self, mesh=mesh, nodes=np.tile(self.nodes, (2, 1)), log_period=self.log_period + np.log(2.0))
+
     def remeshed(self, mesh: Array) -> Orbit:
         """The same curve on another mesh."""
         steps = np.diff(mesh)[:, None] * (np.arange(DEGREE) / DEGREE)
@@ -228,11 +233,31 @@ class Collocation:
 
     def multipliers(self, orbit: Orbit) -> ComplexArray:
         """Floquet multipliers by falling modulus; one of them is 1, along the orbit."""
+        values = product_eigenvalues(self._responses(orbit)[:, -self.size :, :])
+        return values[np.lexsort((-values.imag, -np.round(np.abs(values), 12)))]
+
+    def flip(self, orbit: Orbit) -> Orbit:
+        """The unit direction, on the orbit passed twice, of the multiplier closest to -1: it changes sign each time."""
+        responses, n = self._responses(orbit), self.size
+        monodromy = np.eye(n)
+        for matrix in responses[:, -n:, :]:
+            monodromy = matrix @ monodromy
+        values, vectors = np.linalg.eig(monodromy)
+        first = np.real(vectors[:, int(np.argmin(np.abs(values + 1.0)))])
+        nodes = []
+        for response in responses:
+            inside = (response @ first).reshape(DEGREE, n)
+            nodes.append(np.vstack([first, inside[:-1]]))
+            first = inside[-1]
+        once = np.concatenate(nodes)
+        direction = Orbit(orbit.twice().mesh, np.concatenate([once, -once]), 0.0, 0.0)
+        return replace(direction, nodes=direction.nodes / np.sqrt(inner(direction, direction)))
+
+    def _responses(self, orbit: Orbit) -> Array:
+        """How the nodes of every interval but its first follow the first, to first order [N, mn, n]."""
         _, blocks, _, _ = self.linearise(orbit)
         n = self.size
-        transfer: Array = -np.linalg.solve(blocks[:, :, n:], blocks[:, :, :n])[:, -n:, :].astype(float)
-        values = product_eigenvalues(transfer)
-        return values[np.lexsort((-values.imag, -np.round(np.abs(values), 12)))]
+        return np.asarray(-np.linalg.solve(blocks[:, :, n:], blocks[:, :, :n]), dtype=float)
 
 
 def product_eigenvalues(matrices: Array) -> ComplexArray:

@@ -1,7 +1,8 @@
 """Limit cycles over one parameter: from Hopf points or from what the flow settles to, with period and multipliers.
 
 Pseudo-arclength continuation of the collocation equations; the mesh is adapted as the cycle changes shape. Folds of
-cycles are passed; they, period doublings and torus points are located by Brent's method along the curve.
+cycles are passed; they, period doublings and torus points are located by Brent's method along the curve. At a period
+doubling the branch of cycles of twice the period is a pitchfork's: it leaves along the mode of the multiplier -1.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from gbspec.analysis.collocation import (
     DEGREE,
     PARAMETER_FIXED,
     Collocation,
+    Functional,
     Orbit,
     adapted_mesh,
     along,
@@ -46,6 +48,8 @@ class CycleOptions:
     most_intervals: int = 120
     accuracy: float = 1e-5
     points: int = 400
+    doublings: int = 1
+    """How often a cycle may double: 1 follows the cycles of twice the period, 2 those of four times too."""
     longest: float = 30.0
     """The period, in periods of the cycle it began with, beyond which a cycle counts as approaching a homoclinic."""
 
@@ -74,30 +78,32 @@ class Cycle:
 
 
 @dataclass(frozen=True)
+class Place:
+    """A point of the curve of cycles: orbit, unit tangent and multipliers."""
+
+    orbit: Orbit
+    tangent: Orbit
+    multipliers: ComplexArray
+
+
+@dataclass(frozen=True)
 class CycleBranch:
     """Cycles in the order in which they were followed, what was passed on the way, and why it ends.
 
-    `found` holds (kind, cycle) of folds of cycles, period doublings and torus points; `start` says where it began.
+    `found` holds (kind, cycle) of folds of cycles, period doublings and torus points; `start` says where it began;
+    `doublings` are the places from which `CycleCurve.from_doubling` goes on.
     """
 
     cycles: tuple[Cycle, ...]
     found: tuple[tuple[Kind, Cycle], ...]
     end: str
     start: str = "hopf"
+    doublings: tuple[Place, ...] = field(default=(), repr=False)
 
 
 def others(multipliers: ComplexArray) -> ComplexArray:
     """The multipliers without the trivial one (the one closest to 1)."""
     return np.delete(multipliers, int(np.argmin(np.abs(multipliers - 1.0))))
-
-
-@dataclass(frozen=True)
-class _Place:
-    """A point of the curve of cycles: orbit, unit tangent and multipliers."""
-
-    orbit: Orbit
-    tangent: Orbit
-    multipliers: ComplexArray
 
 
 class CycleCurve:
@@ -118,20 +124,29 @@ class CycleCurve:
         centre = Orbit(mesh, np.tile(state / scale, (len(s), 1)), float(np.log(hopf.period)), value / width)
         direction = Orbit(mesh, mode, 0.0, 0.0)
         direction = _scaled(direction, 1.0 / np.sqrt(inner(direction, direction)))
+        return self._leave(centre, direction, phase(direction), "hopf")
+
+    def from_doubling(self, at: Place) -> CycleBranch:
+        """The branch of cycles of twice the period that is born where a multiplier passes -1."""
+        centre = at.orbit.twice()
+        return self._leave(centre, self.equations.flip(at.orbit), phase(centre), "period doubling")
+
+    def _leave(self, centre: Orbit, direction: Orbit, kept: Functional, origin: str) -> CycleBranch:
+        """The branch that leaves a bifurcation at `centre` along `direction`, the phase fixed by `kept` at first."""
         length = self.options.first
         while length > self.options.least:
             guess = centre.moved(direction, length)
-            corrected = self.equations.correct(guess, (phase(direction), along(direction)))
+            corrected = self.equations.correct(guess, (kept, along(direction)))
             if corrected is not None:
                 orbit = corrected[0]
                 tangent = self.equations.tangent(orbit, direction, phase(orbit))
                 if tangent is not None and inner(tangent, direction) > 0.5:
-                    place = _Place(orbit, tangent, self.equations.multipliers(orbit))
-                    return self._follow(place, hopf.period, length / 2.0, "hopf")
+                    place = Place(orbit, tangent, self.equations.multipliers(orbit))
+                    return self._follow(place, float(np.exp(centre.log_period)), length / 2.0, origin)
             length /= 3.0
-        return CycleBranch((), (), "no cycle was found at the Hopf point")
+        return CycleBranch((), (), "no cycle was found where the branch begins", origin)
 
-    def at(self, period: float, states: Array, value: float) -> _Place | None:
+    def at(self, period: float, states: Array, value: float) -> Place | None:
         """The cycle at exactly this parameter near an orbit sampled at equal times, `states` [P, n] without its end."""
         scale, width = self.equations.scale, self.equations.width
         s = np.arange(len(states) + 1) / len(states)
@@ -151,11 +166,14 @@ class CycleCurve:
             if error_estimate(orbit) < self.options.accuracy:
                 break
             orbit = orbit.remeshed(adapted_mesh(orbit, min(self.options.most_intervals, int(1.5 * orbit.intervals))))
+        if _apart(orbit) < 1e-4:
+            # Near a period doubling the flow settles so slowly that two rounds may have passed for one.
+            return self.at(period / 2.0, states[: len(states) // 2], value)
         upward = Orbit(orbit.mesh, np.zeros_like(orbit.nodes), 0.0, 1.0)
         tangent = self.equations.tangent(orbit, upward, phase(orbit))
-        return None if tangent is None else _Place(orbit, tangent, self.equations.multipliers(orbit))
+        return None if tangent is None else Place(orbit, tangent, self.equations.multipliers(orbit))
 
-    def from_cycle(self, place: _Place) -> tuple[CycleBranch, CycleBranch]:
+    def from_cycle(self, place: Place) -> tuple[CycleBranch, CycleBranch]:
         """The branch through a cycle, followed to larger and to smaller values of the parameter."""
         period = float(np.exp(place.orbit.log_period))
         back = replace(place, tangent=_scaled(place.tangent, -1.0))
@@ -163,10 +181,10 @@ class CycleCurve:
         return self._follow(place, period, first, "settled"), self._follow(back, period, first, "settled")
 
     # ------------------------------------------------------------------ following
-    def _follow(self, start: _Place, period: float, length: float, origin: str) -> CycleBranch:
+    def _follow(self, start: Place, period: float, length: float, origin: str) -> CycleBranch:
         options = self.options
         here = start
-        cycles, found = [self.cycle(start)], list[tuple["Kind", Cycle]]()
+        cycles, found = [self.cycle(start)], list[tuple["Kind", Place]]()
         end = "number of points"
         while len(cycles) < options.points:
             if length < options.least:
@@ -185,9 +203,9 @@ class CycleCurve:
                 break
             changes = self._changes(here, place, length)
             if self._vanishes(here, place, changes):
-                end = "hopf"
+                end = "hopf" if _amplitude(place.orbit) < 2.0 * options.most else "period doubling"
                 break
-            found.extend((kind, self.cycle(at)) for kind, at in changes)
+            found.extend(changes)
             cycles.append(self.cycle(place))
             end = self._reason_to_stop(place, start, period, len(cycles))
             if end:
@@ -195,9 +213,11 @@ class CycleCurve:
             end = "number of points"
             here = self._remeshed(place) if len(cycles) % 3 == 0 else place
             length = min(options.most, 1.4 * length) if iterations <= 4 else length * (0.7 if iterations > 6 else 1.0)
-        return CycleBranch(tuple(cycles), tuple(found), end, origin)
+        special = tuple((kind, self.cycle(at)) for kind, at in found)
+        doublings = tuple(at for kind, at in found if kind == "period_doubling")
+        return CycleBranch(tuple(cycles), special, end, origin, doublings)
 
-    def _step(self, here: _Place, length: float) -> tuple[_Place, int] | None:
+    def _step(self, here: Place, length: float) -> tuple[Place, int] | None:
         guess = here.orbit.moved(here.tangent, length)
         corrected = self.equations.correct(guess, (phase(here.orbit), along(here.tangent)))
         if corrected is None:
@@ -206,9 +226,9 @@ class CycleCurve:
         tangent = self.equations.tangent(orbit, here.tangent, phase(here.orbit))
         if tangent is None or inner(tangent, here.tangent) < self.options.turn:
             return None
-        return _Place(orbit, tangent, self.equations.multipliers(orbit)), iterations
+        return Place(orbit, tangent, self.equations.multipliers(orbit)), iterations
 
-    def _at_end(self, here: _Place, value: float) -> _Place | None:
+    def _at_end(self, here: Place, value: float) -> Place | None:
         """The cycle at an end of the range."""
         target = value / self.equations.width
         rate = here.tangent.parameter
@@ -217,18 +237,18 @@ class CycleCurve:
         corrected = self.equations.correct(guess, (phase(here.orbit), PARAMETER_FIXED))
         if corrected is None:
             return None
-        return _Place(corrected[0], here.tangent, self.equations.multipliers(corrected[0]))
+        return Place(corrected[0], here.tangent, self.equations.multipliers(corrected[0]))
 
-    def _remeshed(self, place: _Place) -> _Place:
+    def _remeshed(self, place: Place) -> Place:
         """The same cycle on a mesh that fits it, with more intervals where the error asks for it."""
         count, error = place.orbit.intervals, error_estimate(place.orbit)
         if error > self.options.accuracy:
             growth = min(1.5, max(1.05, (error / self.options.accuracy) ** (1.0 / (DEGREE + 1))))
-            count = min(self.options.most_intervals, int(np.ceil(growth * count)))
+            count = max(count, min(self.options.most_intervals, int(np.ceil(growth * count))))
         mesh = adapted_mesh(place.orbit, count)
         return replace(place, orbit=place.orbit.remeshed(mesh), tangent=place.tangent.remeshed(mesh))
 
-    def _reason_to_stop(self, place: _Place, start: _Place, period: float, count: int) -> str:
+    def _reason_to_stop(self, place: Place, start: Place, period: float, count: int) -> str:
         if np.exp(place.orbit.log_period) > self.options.longest * period:
             return f"the period passes {self.options.longest * period:.6g}: close to a homoclinic orbit"
         if count > 10:
@@ -240,8 +260,8 @@ class CycleCurve:
                 return "closed"
         return ""
 
-    def _vanishes(self, a: _Place, b: _Place, changes: list[tuple[Kind, _Place]]) -> bool:
-        """Whether the amplitude passes zero within a step, which ends the branch at a Hopf point.
+    def _vanishes(self, a: Place, b: Place, changes: list[tuple[Kind, Place]]) -> bool:
+        """Whether what sets the halves of a cycle apart passes zero, which ends the branch: Hopf point or doubling.
 
         The curve of cycles goes on beyond it, through the same cycles half a period later, so the parameter turns.
         """
@@ -249,13 +269,13 @@ class CycleCurve:
             return False
         folds = [at for kind, at in changes if kind == "cycle_fold"]
         if folds:
-            return _amplitude(folds[0].orbit) < 1e-3
-        return min(_amplitude(a.orbit), _amplitude(b.orbit)) < self.options.most
+            return _apart(folds[0].orbit) < 1e-3
+        return min(_apart(a.orbit), _apart(b.orbit)) < self.options.most
 
     # ------------------------------------------------------------------ special points
-    def _changes(self, a: _Place, b: _Place, length: float) -> list[tuple[Kind, _Place]]:
+    def _changes(self, a: Place, b: Place, length: float) -> list[tuple[Kind, Place]]:
         """The special points within one step; a fold at no amplitude is the Hopf point at which the branch ends."""
-        found: list[tuple[Kind, _Place]] = []
+        found: list[tuple[Kind, Place]] = []
         if a.tangent.parameter * b.tangent.parameter < 0.0:
             self._locate(a, length, "cycle_fold", lambda place: place.tangent.parameter, found)
         if not (_trustworthy(a.multipliers) and _trustworthy(b.multipliers)):
@@ -270,16 +290,16 @@ class CycleCurve:
 
     def _locate(
         self,
-        a: _Place,
+        a: Place,
         length: float,
         kind: Kind,
-        test: Callable[[_Place], float],
-        found: list[tuple[Kind, _Place]],
+        test: Callable[[Place], float],
+        found: list[tuple[Kind, Place]],
     ) -> None:
         """Adds the place within a step from `a` where `test` vanishes, if it can be found."""
         from scipy.optimize import brentq
 
-        seen: dict[float, _Place] = {0.0: a}
+        seen: dict[float, Place] = {0.0: a}
 
         def value(s: float) -> float:
             if s not in seen:
@@ -299,7 +319,7 @@ class CycleCurve:
         found.append((kind, seen[root]))
 
     # ------------------------------------------------------------------ results
-    def cycle(self, place: _Place) -> Cycle:
+    def cycle(self, place: Place) -> Cycle:
         """The cycle in the user's units."""
         orbit, scale = place.orbit, self.equations.scale
         s = np.unique(
@@ -353,6 +373,15 @@ def _scaled(orbit: Orbit, factor: float) -> Orbit:
 def _amplitude(orbit: Orbit) -> float:
     """Half of the largest extent of any state, in scaled variables."""
     return float(np.max(orbit.nodes.max(axis=0) - orbit.nodes.min(axis=0))) / 2.0
+
+
+def _apart(orbit: Orbit) -> float:
+    """Half of the largest distance of a cycle from itself half a period later, in scaled variables.
+
+    It vanishes where the amplitude does, and where a cycle is another one of half the period passed twice.
+    """
+    s = np.arange(8 * orbit.intervals) / (16.0 * orbit.intervals)
+    return float(np.max(np.abs(orbit.at(s + 0.5) - orbit.at(s)))) / 2.0
 
 
 def _count(multipliers: ComplexArray, which: Callable[[ComplexArray], NDArray[np.bool_]]) -> int:

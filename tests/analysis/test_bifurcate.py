@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gbspec.analysis.bifurcate import BifurcationOptions, Diagram, bifurcate, with_intervals
+from gbspec.analysis.bifurcate import BifurcationOptions, Diagram, bifurcate
+from gbspec.analysis.members import with_intervals
 from gbspec.analysis.system import system_of
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.diagnostics import UserError

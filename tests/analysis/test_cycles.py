@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
+from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
 from gbspec.analysis.collocation import product_eigenvalues
 from gbspec.analysis.cycles import Cycle, CycleBranch, CycleCurve, CycleOptions, others
 from gbspec.analysis.family import Family
@@ -14,7 +15,7 @@ from gbspec.analysis.hopf import analyse_hopf
 from gbspec.analysis.settle import settle
 from gbspec.analysis.steady import steady_states
 from gbspec.analysis.system import System
-from tests.analysis.textbook import baltzis_fredrickson, brusselator, lorenz, morris_lecar, textbook, urp, van_der_pol
+from tests.analysis.textbook import baltzis_fredrickson, brusselator, lorenz, morris_lecar, roessler, urp, van_der_pol
 
 
 def cycle_at(system: System, name: str, value: float, start: list[float]) -> Cycle:
@@ -120,23 +121,76 @@ def test_the_cycles_of_lorenz_end_in_a_homoclinic_orbit() -> None:
     assert not any(cycle.stable for cycle in branch.cycles)
 
 
-def test_period_doubling_of_roessler() -> None:
+def test_period_doublings_of_roessler() -> None:
     # Roessler (Phys. Lett. A 57, 1976) with a = b = 0.2: the first period doubling is at c = 2.83 (Strogatz, 10.6).
-    def rhs(x: object, y: object, z: object, c: object) -> tuple[object, ...]:
-        return -y - z, x + 0.2 * y, 0.2 + z * (x - c)  # type: ignore[operator]
-
-    ranges = {"x": (-8.0, 8.0), "y": (-8.0, 8.0), "z": (0.0, 12.0)}
-    system = textbook("roessler", ("x", "y", "z"), rhs, {"c": float("nan")}, ranges)
-    family = Family(system, "c")
+    family = Family(roessler(), "c")
     orbit = settle(family, 2.5, np.array([1.0, 1.0, 0.5]))
     assert orbit is not None
-    curve = CycleCurve(family, 2.0, 3.5)
+    curve = CycleCurve(family, 2.0, 4.0)
     place = curve.at(orbit.period, orbit.states, 2.5)
     assert place is not None
     ahead, _ = curve.from_cycle(place)
-    doublings = [cycle for kind, cycle in ahead.found if kind == "period_doubling"]
-    assert doublings[0].value == pytest.approx(2.832, abs=2e-3)
-    assert float(np.min(np.abs(doublings[0].multipliers + 1.0))) < 1e-6
+    ((kind, once),) = ahead.found
+    assert (kind, once.value) == ("period_doubling", pytest.approx(2.832, abs=2e-3))
+    assert float(np.min(np.abs(once.multipliers + 1.0))) < 1e-6
+    assert ahead.cycles[-1].value == pytest.approx(4.0)
+    assert not ahead.cycles[-1].stable
+
+    doubled = curve.from_doubling(ahead.doublings[0])
+    first = doubled.cycles[0]
+    assert doubled.start == "period doubling"
+    assert once.value < first.value < once.value + 0.01
+    assert first.period == pytest.approx(2.0 * once.period, rel=1e-3)
+    assert first.stable
+    # Beyond, what the flow itself settles to.
+    (beyond,) = [cycle for cycle in doubled.cycles if 3.4 < cycle.value < 3.6][:1]
+    settled = settle(family, beyond.value, beyond.states[0] + 0.05)
+    assert settled is not None
+    assert settled.period == pytest.approx(beyond.period, rel=1e-4)
+    assert settled.states.max(axis=0) == pytest.approx(beyond.maximum, rel=1e-3)
+    # They lose stability where the cascade goes on.
+    ((kind, twice),) = doubled.found
+    assert kind == "period_doubling"
+    assert [cycle.stable for cycle in doubled.cycles] == [cycle.value < twice.value for cycle in doubled.cycles]
+
+
+@pytest.mark.parametrize(("doublings", "starts"), [(0, ["settled"]), (1, ["settled", "period doubling"])])
+def test_a_diagram_follows_as_many_doublings_as_asked(doublings: int, starts: list[str]) -> None:
+    options = BifurcationOptions(values=3, starts=8, cycle=CycleOptions(doublings=doublings))
+    found = bifurcate(roessler(), "c", 2.5, 3.1, options)
+    assert [branch.start for branch in found.cycles] == starts
+    assert [one["start"] for one in found.to_json()["cycle_branches"]] == starts  # type: ignore[attr-defined, index]
+    (point,) = found.of_kind("period_doubling")
+    assert point.period is not None
+    for cycle in found.cycles[-1].cycles:
+        if doublings:
+            assert cycle.stable
+            assert cycle.period == pytest.approx(2.0 * point.period, rel=0.01)
+
+
+def test_a_cycle_passed_twice_is_taken_once() -> None:
+    family = Family(roessler(), "c")
+    orbit = settle(family, 2.5, np.array([1.0, 1.0, 0.5]))
+    assert orbit is not None
+    curve = CycleCurve(family, 2.0, 3.0)
+    once = curve.at(orbit.period, orbit.states, 2.5)
+    twice = curve.at(2.0 * orbit.period, np.vstack([orbit.states, orbit.states]), 2.5)
+    assert once is not None
+    assert twice is not None
+    assert curve.cycle(twice).period == pytest.approx(curve.cycle(once).period, rel=1e-8)
+
+
+def test_a_doubled_branch_followed_back_ends_at_the_doubling() -> None:
+    family = Family(roessler(), "c")
+    orbit = settle(family, 3.0, np.array([1.0, 1.0, 0.5]))
+    assert orbit is not None
+    curve = CycleCurve(family, 2.5, 3.1)
+    place = curve.at(orbit.period, orbit.states, 3.0)
+    assert place is not None
+    _, back = curve.from_cycle(place)
+    assert back.end == "period doubling"
+    assert back.found == ()
+    assert back.cycles[-1].value == pytest.approx(2.8324, abs=0.02)
 
 
 def test_nothing_periodic_is_found_where_there_is_a_focus() -> None:

@@ -32,7 +32,7 @@ def test_every_member_is_drawn_and_gives_an_interval(
     monkeypatch.setattr(
         figures, "diagram", lambda shown, others, truth: drawn.append(1 + len(others)) or plain(shown, others, truth)
     )
-    monkeypatch.setattr(driver, "true_diagram", lambda *asked, cycles: None)
+    monkeypatch.setattr(driver, "true_diagram", lambda *asked, cycles, doublings: None)
     asked = (run.path, "--over", "Da", "--range", 0.15, 0.3, "--json")
     result = call(*asked, "--members", "all", "-o", tmp_path / "members.svg")
     assert result.exit_code == 0, result.stderr

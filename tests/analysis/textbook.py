@@ -123,3 +123,13 @@ def morris_lecar(current: float = float("nan")) -> System:
         return (current - ionic) / 20, rate * (steady - n)
 
     return textbook("morris_lecar", ("V", "n"), rhs, {"current": current}, {"V": (-70.0, 50.0), "n": (0.0, 1.0)})
+
+
+def roessler(c: float = float("nan")) -> System:
+    """Roessler (Phys. Lett. A 57, 1976), a = b = 0.2."""
+
+    def rhs(x: Any, y: Any, z: Any, c: Any) -> tuple[Any, ...]:
+        return -y - z, x + 0.2 * y, 0.2 + z * (x - c)
+
+    ranges = {"x": (-8.0, 8.0), "y": (-8.0, 8.0), "z": (0.0, 12.0)}
+    return textbook("roessler", ("x", "y", "z"), rhs, {"c": c}, ranges)

@@ -140,9 +140,15 @@ def test_the_liveliest_trajectory_changes_most(data: Trajectories) -> None:
     assert liveliest(replace(data, items=(*data.items[:2], wild))) == 2
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "history"])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("history", "initial-states")])
 def test_every_kind_is_drawn(run: Run, data: Trajectories, kind: str) -> None:
     assert draw(kind, run, data).axes
+
+
+def test_initial_states_that_were_not_learned_are_said(run: Run, data: Trajectories) -> None:
+    # The model gives them, so the run holds none that could be compared.
+    with pytest.raises(UserError, match="GB876"):
+        draw("initial-states", run, data)
 
 
 def test_a_history_that_is_not_there_is_said(run: Run, data: Trajectories, tmp_path: Path) -> None:

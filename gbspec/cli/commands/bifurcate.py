@@ -37,6 +37,10 @@ def run(
     second_ends: Annotated[Ends | None, typer.Option("--and-range", help="Its range.", metavar="LO HI")] = None,
     set_values: Settings = None,
     cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
+    doublings: Annotated[
+        int,
+        typer.Option("--doublings", help="With --cycles: how often a cycle's period may double.", min=0, metavar="N"),
+    ] = 1,
     members: Annotated[
         str, typer.Option("--members", help="A member of the run (else the best), or `all`.", metavar="K|all")
     ] = "best",
@@ -60,7 +64,7 @@ def run(
             subjects = [driver.subject(source, values, findings)]
         output.findings(findings)
         if second is None or second_ends is None:
-            found = _branches(subjects, over, ends, to, cycles=cycles)
+            found = _branches(subjects, over, ends, to, cycles=cycles, doublings=doublings)
         else:
             found = _plane(subjects, (over, second), (ends, second_ends), to)
     if to is not None:
@@ -77,14 +81,16 @@ class _Found:
     text: str
 
 
-def _branches(subjects: Sequence[Subject], over: str, ends: Ends, to: str | None, *, cycles: bool) -> _Found:
+def _branches(
+    subjects: Sequence[Subject], over: str, ends: Ends, to: str | None, *, cycles: bool, doublings: int
+) -> _Found:
     """Diagrams over one parameter, one a member, drawn beside the truth's."""
     from gbspec import driver
     from gbspec.report.style import save
 
-    found = [driver.bifurcate(subject, over, *ends, cycles=cycles) for subject in subjects]
+    found = [driver.bifurcate(subject, over, *ends, cycles=cycles, doublings=doublings) for subject in subjects]
     if to is not None:
-        truth = driver.true_diagram(subjects[0], over, *ends, cycles=cycles)
+        truth = driver.true_diagram(subjects[0], over, *ends, cycles=cycles, doublings=doublings)
         save(driver.diagram_figure(found, truth), to)
     shown = driver.joined(found)
     return _Found(shown.to_json(), str(shown))
