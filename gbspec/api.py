@@ -257,8 +257,8 @@ class FittedRun:
         *,
         data: str | Path | None = None,
         member: int | None = None,
-        points: int = 8,
-        iterations: int = 8,
+        points: int = 6,
+        iterations: int = 60,
     ) -> Profile:
         """The profile likelihood of a learned constant, drawn to `path` where one is given."""
         from gbspec.report.style import save

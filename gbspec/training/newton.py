@@ -106,7 +106,7 @@ class LevenbergMarquardt:
             return Outcome(kept, mean_loss(residuals[:count]), True)
         gain = (value - new) / max(equations.predicted_decrease(step), 1e-300)
         if self.options.evidence:
-            ridge = _evidence(equations, residuals[:count], delta, trial, ridge, iteration)
+            ridge = evidence(equations, residuals[:count], delta, trial, ridge, iteration)
         # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
         damping *= float(np.clip(1 - (2 * gain - 1) ** 3, 0.2, 2.0))
         small = small + 1 if (value - new) < self.options.tolerance * max(value, 1e-300) else 0.0
@@ -206,7 +206,7 @@ def noise_variance(equations: NormalEquations, residuals: Array, delta: float, f
     return float(np.sum(weights * residuals**2)) / max(len(residuals) - freedom, 0.1 * len(residuals), 1.0)
 
 
-def _evidence(
+def evidence(
     equations: NormalEquations, residuals: Array, delta: float, theta: Array, ridge: float, seed: int
 ) -> float:
     """The ridge that maximises the evidence at the present linearisation (MacKay 1992), approached by half (in logs).

@@ -1,10 +1,14 @@
 """The profile likelihood of a learned constant: how well everything else can make up for another value of it.
 
 The constant is held at one value after the other, outwards from its estimate, and the weights, the other constants and
-the initial states are fitted anew each time, from the neighbour's (Raue et al. 2009, Bioinformatics 25, 1923). What is
-fitted are whole solutions from the initial states, with the weights' prior as it was found at the estimate. With
-Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the deviance; below 2.706, the 90 % point of
-chi-squared with one degree of freedom, a value is within the interval.
+the initial states are fitted anew each time (Raue et al. 2009, Bioinformatics 25, 1923). What is fitted are whole
+solutions from the initial states. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
+deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval.
+
+The weights' prior is centred on the weights of the run, with the precision that the evidence gives there. A network has
+far more weights than the data tell apart, and whole solutions bend along the rest: where the fit does not come to rest
+under that precision, it is raised until it does, and how much the interval shrinks by it is said. Each fit begins
+where the linearised fit expects it, and every fit is kept beside the run, to be used again.
 """
 
 from __future__ import annotations
@@ -13,37 +17,44 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
 
-from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Array, Trajectories
-from gbspec.diagnostics import ComputationError, Diagnostic, UserError
-from gbspec.ir.model import Constant, Model
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir.model import Model
 from gbspec.runs.store import Run
+from gbspec.training.anchored import Anchor, Penalised, Rest, minimise
 from gbspec.training.context import Context, build_context
-from gbspec.training.jacobian import linearise
 from gbspec.training.levenberg import NormalEquations
-from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions, noise_variance
+from gbspec.training.newton import evidence, noise_variance
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.plan import FIRST_RIDGE
-from gbspec.training.priors import Priors, standardised
 from gbspec.training.problem import typical
+from gbspec.training.profile_store import Kept
+from gbspec.training.stages import require_finite
 from gbspec.training.unroll import solve
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
-STRIDE = 0.7
-"""The first step from the estimate, in standard deviations of the linearised fit."""
-GROWTH, SLOW = 1.6, 0.4
-"""A step grows by this factor where the deviance's root rose by less than this."""
-FAR = 2.0
-"""A side is done when the deviance is this multiple of the threshold."""
-ACCURACY = 0.02
-"""By how much an iteration must change the deviance to be worth another one."""
+FIRST, BEYOND = 0.6, 1.05
+"""Where the deviance's root is looked for, as parts of the threshold's: once well inside, then just outside."""
+NEAR = 0.75, 1.25
+"""A side is done with a point outside, when it or the last one inside is within these parts of the threshold's root."""
+WIDEST = 0.5
+"""The most that a first step changes the entry of the trainable vector (half of it is a factor of e^0.75)."""
+ACCURACY = 0.01
+"""A fit is at rest when its deviance is not expected to fall by more than this."""
+AGAIN = 12
+"""Steps from one Jacobian before the next is made."""
+TIGHTER, MOST_TIGHTER = 10.0, 6
+"""The factor by which the weights' prior is made tighter, and how often."""
+ROUNDS = 8
+"""Iterations of the evidence at one linearisation."""
+WEAK = 1e-2
+"""Damping, as a multiple of the noise's variance: that of directions of which nothing is known."""
 CLEAN = 1e-6
 """The least standard deviation of noise, in deviations of the data, that a deviance is measured by."""
 
@@ -118,8 +129,8 @@ def profile(
     trajectories: Trajectories,
     *,
     member: int | None = None,
-    points: int = 8,
-    iterations: int = 8,
+    points: int = 6,
+    iterations: int = 60,
     progress: Report | None = None,
 ) -> Profile:
     """The profile of a constant that all trajectories share, at most `points` values to either side.
@@ -129,14 +140,11 @@ def profile(
     _check(run.model, name)
     number = run.best if member is None else member
     profiler = _Profiler(run, name, trajectories, number, iterations)
-    best, step = profiler.estimate()
+    best = profiler.estimate()
     found = [best]
-    notes: list[str] = []
-    bounds = next(k.range for k in run.model.learnables if k.name == name)
     for direction in (-1.0, 1.0):
-        end = bounds.low if direction < 0 else bounds.high
-        found += _side(profiler, best, direction * step, end, points, notes, progress)
-    return _assembled(name, number, sorted(found, key=lambda one: one.value), profiler, notes)
+        found += _side(profiler, best, direction, points, progress)
+    return _assembled(name, number, sorted(found, key=lambda one: one.value), profiler)
 
 
 def _check(model: Model, name: str) -> None:
@@ -159,86 +167,132 @@ class _Fitted:
 
 
 class _Profiler:
-    """Fits with the constant free, then held."""
+    """Fits with the constant free, then held, all around one linearisation."""
 
     def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
         fields = {k: v for k, v in run.fit.get("options", {}).items() if k in TrainOptions().to_json()}
-        self.options = replace(TrainOptions(**fields), random_substeps=False)
+        options = replace(TrainOptions(**fields), random_substeps=False)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
-        seed = self.options.seed + member
-        self.free = build_context(run.model, run.module, trajectories, self.options, seed)
-        pinned = held(run.model, name, 0.0)
-        self.pinned = build_context(pinned, load_module(pinned), trajectories, self.options, seed)
-        self.released = self._moved_measured_starts()
-        self.ridge, self.variance, self.values = 0.0, 1.0, int((self.free.packed().weights > 0).sum())
+        self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)
+        self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
+        self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
+        self.column = self.parameters.n_weights + self.place
+        self.begin = self._vector(self.parameters, self.free)
+        self.kept = Kept.of(run, member, name, trajectories)
+        self.notes: list[str] = []
+        self.variance, self.deviation = 1.0, 0.0
 
-    def estimate(self) -> tuple[_Fitted, float]:
-        """The fit with everything free, and the first step to take from it."""
-        context = self.free
-        parameters = context.parameters(self._fixed(), released=self.released)
-        theta = self._vector(parameters, context)
-        noise = max(typical(solve(context.problem(0.0), parameters, theta)), 1e-2)
-        noise = noise if math.isfinite(noise) else 1.0
-        ridge = FIRST_RIDGE * noise**2 if parameters.n_weights else 0.0
-        found, self.ridge = self._fit(context, parameters, theta, ridge, evidence=parameters.n_weights > 0)
-        system = linearise(context.problem(0.0), parameters, found)
-        residuals = system.residuals.numpy()
-        equations = NormalEquations(system, parameters, np.ones(len(residuals)), self.ridge, found)
-        scale = max(float(np.mean(residuals**2)), CLEAN**2)
-        freedom = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
-        if parameters.n_weights:
-            freedom = equations.degrees_of_freedom(max(1e-6 * scale, _rounding(equations)), context.seed)
+    def estimate(self) -> _Fitted:
+        """The fit with everything free; sets the noise, the prior, and the path to follow from there."""
+        theta, parameters = self.begin, self.parameters
+        problem = self.free.problem(0.0)
+        residuals = solve(problem, parameters, theta)
+        require_finite(problem, parameters, theta, residuals, "profile")
+        noise = max(typical(residuals), CLEAN)
+        self.target = self._penalised(FIRST_RIDGE * max(noise, 1e-2) ** 2 if parameters.n_weights else 0.0, noise**2)
+        equations = self.target.equations(theta)
+        freedom = self._freedom(equations, residuals)
         self.variance = max(noise_variance(equations, residuals, float("inf"), freedom), CLEAN**2)
-        value, deviation = self._spread(parameters, equations, found)
-        best = self.held(value, self._carried(parameters, found))
-        return best, STRIDE * deviation
+        first = self.target = self._penalised(equations.ridge, self.variance)
+        rest = self._settled(theta)
+        residuals = solve(problem, parameters, rest.theta)
+        self.variance = max(float(residuals @ residuals) / max(len(residuals) - freedom, 1.0), CLEAN**2)
+        self.target = self._penalised(self.target.ridge, self.variance)
+        self.anchor = self._anchor(rest.theta)
+        self.deviation = math.sqrt(self.anchor.variance * self.variance)
+        if self.target.ridge > first.ridge:
+            self._compare(first, rest.theta)
+        return self._fitted(rest)
 
-    def _spread(self, parameters: Parameters, equations: NormalEquations, theta: Array) -> tuple[float, float]:
-        """The constant's value and its linearised standard deviation."""
-        index = [k.name for k in self.model.learnables].index(self.name)
-        column = parameters.n_weights + parameters.shared.index(index)
-        unit = np.zeros(parameters.size)
-        unit[column] = 1.0
-        inverse = float(equations.invert(unit, _rounding(equations))[column])
-        at = torch.from_numpy(theta)
-        value = float(parameters.constants(at)[0, len(self.model.constants) + index])
-        u = theta[parameters.n_weights : parameters.n_shared]
-        slope = float(parameters.bijections(parameters.shared).derivative(u)[parameters.shared.index(index)])
-        deviation = math.sqrt(max(inverse, 0.0) * self.variance) * abs(slope)
-        if not 0 < deviation < max(abs(value), 1e-3):
-            deviation = 0.1 * max(abs(value), 1e-3)
-        return value, deviation
+    def _freedom(self, equations: NormalEquations, residuals: Array) -> float:
+        """Degrees of freedom that the fit has used; leaves the ridge of the greatest evidence in the equations."""
+        parameters = self.parameters
+        own = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+        if not parameters.n_weights:
+            return own
+        weak = WEAK * max(float(np.mean(residuals**2)), CLEAN**2)
+        for _ in range(ROUNDS):
+            at = self.begin
+            equations.ridge = evidence(equations, residuals, float("inf"), at, equations.ridge, self.free.seed)
+        return equations.degrees_of_freedom(weak, self.free.seed)
 
-    def held(self, value: float, start: Array) -> _Fitted:
-        """The fit with the constant at `value`, from the vector `start` of a neighbour."""
-        context = replace(self.pinned, model=held(self.model, self.name, value))
-        parameters = context.parameters(self._fixed(), released=self.released)
-        theta, converged = start, True
-        if parameters.n_shared or parameters.free[parameters.n_shared :].any():
-            theta, converged = self._refit(context, parameters, start)
-        residuals = solve(context.problem(0.0), parameters, theta)
-        penalty = self.ridge * float(np.sum(theta[: parameters.n_weights] ** 2)) + self._priors(context, theta, value)
-        return _Fitted(value, theta, 0.5 * (float(residuals @ residuals) + penalty), converged)
+    def _settled(self, theta: Array) -> Rest:
+        """The fit with everything free, under the weakest prior around the run's weights that lets it come to rest."""
+        enough = 0.5 * ACCURACY * self.variance
+        ridges = [self.target.ridge * TIGHTER**k for k in range(MOST_TIGHTER if self.parameters.n_weights else 1)]
+        for ridge in ridges:
+            known = self.kept.find(None, ridge)
+            if known is not None:
+                self.target = replace(self.target, ridge=ridge)
+                return known
+        for ridge in ridges:
+            self.target = replace(self.target, ridge=ridge)
+            anchor = Anchor(self.target.equations(theta), WEAK * self.variance, None)
+            rest = minimise(self.target, anchor, theta, enough, AGAIN)
+            if rest.promised <= enough:
+                self.kept.add(None, ridge, rest)
+                return rest
+        return self._followed(theta, None, None)
 
-    def _priors(self, context: Context, theta: Array, value: float) -> float:
-        """Twice the penalty of all priors, that of the constant itself among them, in units of squared residuals."""
-        problem = context.problem(0.0)
-        problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(self.variance)))
-        others = 2 * Priors.of(problem, context.parameters(self._fixed(), released=self.released), np.zeros(0)).penalty(
-            theta
+    def _compare(self, first: Penalised, theta: Array) -> None:
+        """Says what a tighter prior does to the interval, by the linearised fits."""
+        before = self.deviation
+        weaker = replace(first, problem=self.target.problem)
+        wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, self.column).variance * self.variance)
+        factor = self.target.ridge / first.ridge
+        self.notes.append(
+            f"the weights' prior was made {factor:g} times tighter than the evidence asks, for the fits to come to "
+            f"rest: by the linearised fit this makes the interval {100 * (1 - before / wide):.1f} % narrower"
         )
-        own = next(k.prior for k in self.model.learnables if k.name == self.name)
-        if own is None:
-            return others
-        return others + self.variance * float(standardised(own, torch.tensor(value, dtype=torch.float64))) ** 2
+
+    def _penalised(self, ridge: float, variance: float) -> Penalised:
+        problem = self.free.problem(0.0)
+        problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(variance)))
+        return Penalised(problem, self.parameters, ridge, self.begin[: self.parameters.n_weights])
+
+    def _anchor(self, theta: Array) -> Anchor:
+        return Anchor(self.target.equations(theta), WEAK * self.variance, self.column)
+
+    def held(self, entry: float, neighbour: _Fitted) -> _Fitted:
+        """The fit with the constant's entry of the vector at `entry`, from a neighbour moved along the linear path."""
+        known = self.kept.find(entry, self.target.ridge)
+        if known is not None:
+            return self._fitted(known)
+        start = neighbour.theta + (entry - neighbour.theta[self.column]) * self.anchor.path
+        rest = self._followed(start, self.anchor, self.column)
+        if self._at_rest(rest):
+            self.kept.add(entry, self.target.ridge, rest)
+        return self._fitted(rest)
+
+    def _followed(self, theta: Array, anchor: Anchor | None, held: int | None) -> Rest:
+        """Steps to rest, or as many as are allowed, from a new Jacobian wherever the last one is far."""
+        enough, left = 0.5 * ACCURACY * self.variance, self.iterations
+        while True:
+            anchor = anchor or Anchor(self.target.equations(theta), WEAK * self.variance, held)
+            rest = minimise(self.target, anchor, theta, enough, min(AGAIN, left))
+            left -= max(rest.steps, 1)
+            if rest.promised <= enough or left <= 0:
+                return rest
+            theta, anchor = rest.theta, None
+
+    def _at_rest(self, rest: Rest) -> bool:
+        return 2 * rest.promised <= ACCURACY * self.variance
+
+    def _fitted(self, rest: Rest) -> _Fitted:
+        return _Fitted(self.natural(rest.theta), rest.theta, rest.objective, self._at_rest(rest))
+
+    def natural(self, theta: Array) -> float:
+        """The constant's value."""
+        u = torch.from_numpy(theta[self.parameters.n_weights : self.parameters.n_shared])
+        return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
 
     def others(self, one: _Fitted) -> dict[str, float]:
         """The other learned constants of a fit (of those that each trajectory has, the mean)."""
-        model = held(self.model, self.name, one.value)
-        parameters = replace(self.pinned, model=model).parameters(self._fixed(), released=self.released)
-        values = parameters.constants(torch.from_numpy(one.theta)).numpy().mean(axis=0)[len(model.constants) :]
-        return {k.name: float(v) for k, v in zip(model.learnables, values, strict=True)}
+        known = len(self.model.constants)
+        values = self.parameters.constants(torch.from_numpy(one.theta)).numpy().mean(axis=0)[known:]
+        named = zip(self.model.learnables, values, strict=True)
+        return {k.name: float(v) for k, v in named if k.name != self.name}
 
     # ---------------------------------------------------------------- vectors
     def _moved_measured_starts(self) -> bool:
@@ -264,92 +318,44 @@ class _Profiler:
         starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
         return parameters.with_starts(theta, starts) if starts.shape == parameters.start_value.shape else theta
 
-    def _carried(self, parameters: Parameters, theta: Array) -> Array:
-        """The vector without the constant's entry."""
-        index = [k.name for k in self.model.learnables].index(self.name)
-        return np.delete(theta, parameters.n_weights + parameters.shared.index(index))
 
-    # ---------------------------------------------------------------- fits
-    def _refit(self, context: Context, parameters: Parameters, start: Array) -> tuple[Array, bool]:
-        stage = self._stage(context, parameters, LevenbergOptions(False, self._tolerance, 0.1, self.ridge))
-        return _run(stage, start)[:2]
+def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progress: Report | None) -> list[_Fitted]:
+    """The fits to one side of the estimate, until the threshold lies between two of them or `most` are made.
 
-    def _fit(
-        self, context: Context, parameters: Parameters, theta: Array, ridge: float, *, evidence: bool
-    ) -> tuple[Array, float]:
-        stage = self._stage(context, parameters, LevenbergOptions(False, self._tolerance, 0.1, ridge, evidence))
-        stage.total *= 2
-        found, _, state = _run(stage, theta)
-        return found, float(state["ridge"])
-
-    def _stage(self, context: Context, parameters: Parameters, options: LevenbergOptions) -> LevenbergMarquardt:
-        return LevenbergMarquardt("profile", self.iterations, lambda i: context.problem(0.0), parameters, options)
-
-    @property
-    def _tolerance(self) -> float:
-        """The relative decrease of the objective that changes the deviance by `ACCURACY`."""
-        return ACCURACY / max(self.values, 1)
-
-
-def held(model: Model, name: str, value: float) -> Model:
-    """The model with a learned constant known."""
-    learnable = next(k for k in model.learnables if k.name == name)
-    known = Constant(name, value, unit=learnable.unit, description=learnable.description)
-    rest = tuple(k for k in model.learnables if k.name != name)
-    return replace(model, constants=(*model.constants, known), learnables=rest)
-
-
-def _rounding(equations: NormalEquations) -> float:
-    """The least damping with which the normal equations can be solved in spite of rounding."""
-    return 1e-11 * float(np.sum(equations.shared**2) + np.sum(equations.local**2))
-
-
-def _run(stage: LevenbergMarquardt, theta: Array) -> tuple[Array, bool, dict[str, Any]]:
-    """A stage to its end: the vector, whether it came to rest, its last state."""
-    state = stage.begin(theta)
-    for iteration in range(stage.total):
-        outcome = stage.step(state, iteration)
-        state = outcome.state
-        if outcome.done:
-            return state["theta"], True, state
-    return state["theta"], False, state
-
-
-def _side(
-    profiler: _Profiler,
-    best: _Fitted,
-    step: float,
-    end: float,
-    most: int,
-    notes: list[str],
-    progress: Report | None,
-) -> list[_Fitted]:
-    """The fits to one side of the estimate, until the deviance is large, the bound is near or `most` are made."""
+    Each is where the deviance's root, straight for a parabola, is expected to be a little above the threshold's.
+    """
     found: list[_Fitted] = []
-    here, root = best, 0.0
+    stride = direction * min(math.sqrt(THRESHOLD) * profiler.deviation, WIDEST)
+    here, inside, place = best, (0.0, 0.0), FIRST
+    outside = math.inf
     for _ in range(most):
-        value = here.value + step
-        if (end - value) * step <= 0:
-            value = here.value + 0.5 * (end - here.value)
-            if abs(end - here.value) < 1e-3 * abs(step) or not math.isfinite(value):
-                break
-        try:
-            here = profiler.held(value, here.theta)
-        except ComputationError as error:
-            notes.append(f"at {profiler.name} = {value:.6g} the fit failed: {error.what}")
+        entry = float(best.theta[profiler.column]) + place * stride
+        here = profiler.held(entry, here)
+        if not math.isfinite(here.objective) or here.value == (found[-1] if found else best).value:
             break
         found.append(here)
         deviance = 2.0 * (here.objective - best.objective) / profiler.variance
         if progress is not None:
-            progress(value, deviance)
-        if deviance > FAR * THRESHOLD:
-            break
-        risen, root = math.sqrt(max(deviance, 0.0)) - root, math.sqrt(max(deviance, 0.0))
-        step *= GROWTH if risen < SLOW else 1.0
+            progress(here.value, deviance)
+        root = math.sqrt(max(deviance, 0.0) / THRESHOLD)
+        if root <= 1.0:
+            inside = place, root
+            if math.isfinite(outside) and root > NEAR[0]:
+                break
+        else:
+            outside = min(outside, place)
+            if root < NEAR[1] or inside[1] > NEAR[0]:
+                break
+        aimed = (
+            inside[0] + (place - inside[0]) * (BEYOND - inside[1]) / (root - inside[1])
+            if root > 1.0
+            else (place * min(BEYOND / max(root, 1e-9), 2.0))
+        )
+        place = min(aimed, 0.5 * (inside[0] + outside)) if math.isfinite(outside) and root <= 1.0 else aimed
     return found
 
 
-def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler, notes: list[str]) -> Profile:
+def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler) -> Profile:
     """Deviances above the best of all fits, and where they cross the threshold."""
     least = min(fits, key=lambda one: one.objective)
     points = tuple(
@@ -357,7 +363,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler,
                      one.converged)
         for one in fits
     )  # fmt: skip
-    at = fits.index(least)
+    notes, at = list(profiler.notes), fits.index(least)
     low, high = _crossing(points[at::-1]), _crossing(points[at:])
     slow = sum(not point.converged for point in points)
     if slow:

@@ -101,8 +101,15 @@ def test_the_weights_are_fitted_anew(here: Path) -> None:
     assert found["interval"] == [None, None]
 
 
-def test_fits_that_had_not_come_to_rest_give_no_interval(place: Path, here: Path) -> None:
-    result = call("profile", place / "run", "b", "--iterations", 1, "--points", 3, "-o", "b.png", "--json")
+def test_fits_that_had_not_come_to_rest_give_no_interval(here: Path) -> None:
+    Path("grow.gb").write_text(
+        'model grow "Far from linear in its constants"\nstate x in [0, 3] = 0.1\nlearn r = 2 in [0.1, 5]\n'
+        "learn K = 2 in [0.5, 5]\ninitial x = 0.1\nx' = r*x*(1 - x/K)\nobserve x\ntruth r = 1.5\ntruth K = 2\n"
+    )
+    arguments = ("--trajectories", 1, "--span", 3, "--noise", 0.3, "--seed", 1)
+    assert call("simulate", "grow.gb", "-o", "grow.csv", *arguments).exit_code == 0
+    assert call("train", "grow.gb", "grow.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    result = call("profile", "run", "K", "--iterations", 1, "--points", 3, "-o", "b.png", "--json")
     found = json.loads(result.stdout)
     assert not all(point["converged"] for point in found["points"])
     assert found["interval"] == [None, None]
@@ -125,3 +132,23 @@ def test_other_data_than_those_trained_on_are_refused(place: Path, here: Path) -
     result = call("profile", "run", "b", "--data", "other.csv")
     assert result.exit_code == 1
     assert "GB859" in result.stderr
+
+
+def test_fits_are_kept_and_used_again(place: Path, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(place / "run", here / "run")
+    for old in Path("run/members/0").glob("profile.*"):
+        old.unlink()
+    data = ("--data", place / "fall.csv", "--json")
+    first = json.loads(call("profile", "run", "b", "--points", 1, *data).stdout)
+    whole = json.loads(call("profile", "run", "b", *data).stdout)
+    assert len(whole["points"]) > len(first["points"]) == 3
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("a fit was made again")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("gbspec.training.profile.minimise", refuse)
+        assert json.loads(call("profile", "run", "b", *data).stdout) == whole
+    # A kept file that is damaged is not trusted
+    Path("run/members/0/profile.b.safetensors").write_bytes(b"nothing")
+    assert json.loads(call("profile", "run", "b", *data).stdout) == whole

@@ -19,8 +19,8 @@ def run(
     data: Annotated[
         str | None, typer.Option("--data", help="The table, if it was moved since training.", metavar="DATA")
     ] = None,
-    points: Annotated[int, typer.Option("--points", help="Most values to either side.", min=1)] = 8,
-    iterations: Annotated[int, typer.Option("--iterations", help="Most iterations of each fit.", min=1)] = 8,
+    points: Annotated[int, typer.Option("--points", help="Most values to either side.", min=1)] = 6,
+    iterations: Annotated[int, typer.Option("--iterations", help="Most steps of each fit.", min=1)] = 60,
     member: Annotated[
         int | None, typer.Option("--member", help="Which member of the run; the best.", metavar="K")
     ] = None,
