@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.analysis.steady import ordered_eigenvalues, steady_states
+from gbspec.analysis.steady import ordered_eigenvalues, ordered_modes, steady_states
 from gbspec.analysis.system import System, state_at
 from gbspec.diagnostics import Findings
 
@@ -38,7 +38,7 @@ class EigenPoint:
 
     `kind` says what the point is: `given`; `data` (measured) or `predicted`, on a trajectory that `trajectory` and
     `time` name; or a `steady` state of the model. `outside` names what lies outside of its trained (else plausible)
-    range there.
+    range there. `shares` [n, n] is how much of each mode (row) each state is, all measured by their ranges.
     """
 
     state: Mapping[str, float]
@@ -50,6 +50,7 @@ class EigenPoint:
     trajectory: str | None = None
     time: float | None = None
     outside: tuple[str, ...] = ()
+    shares: Array | None = field(default=None, repr=False)
 
     def to_json(self) -> dict[str, object]:
         """Keys state, condition, rhs_norm, eigenvalues, truth, then where the point comes from."""
@@ -79,6 +80,8 @@ class EigenPoint:
 
 FAST = 3.0
 """A mode that falls to exp(-3), a twentieth, between two measurements leaves nothing for the second one to see."""
+PART = 0.5
+"""A state belongs to a mode if its part in the eigenvector is at least so much of the largest one."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +89,13 @@ class FastMode:
     """A mode that dies out between two measurements, so that the data could not determine it.
 
     `fastest` and `slowest` are the ends of its real part over the points; `decayed` is the time by which even the
-    slowest of them has fallen to a twentieth.
+    slowest of them has fallen to a twentieth. `states` are those that dominate its eigenvector, largest first.
     """
 
     rank: int
     fastest: float
     slowest: float
+    states: tuple[str, ...] = ()
 
     @property
     def decayed(self) -> float:
@@ -99,8 +103,17 @@ class FastMode:
         return -FAST / self.slowest
 
     def to_json(self) -> dict[str, object]:
-        """Rank (from 0, by falling real part), real parts and the time of decay."""
-        return {"rank": self.rank, "fastest": self.fastest, "slowest": self.slowest, "decayed": self.decayed}
+        """Rank (from 0, by falling real part), real parts, the time of decay and the states that dominate it."""
+        return {
+            "rank": self.rank,
+            "fastest": self.fastest,
+            "slowest": self.slowest,
+            "decayed": self.decayed,
+            "states": list(self.states),
+        }
+
+    def __str__(self) -> str:
+        return f"mode {self.rank + 1}" + (f", of {', '.join(self.states)}" if self.states else "")
 
 
 @dataclass(frozen=True)
@@ -117,10 +130,16 @@ class Eigen:
             return ()
         rates = np.array([point.eigenvalues.real for point in self.points])
         return tuple(
-            FastMode(rank, float(column.min()), float(column.max()))
+            FastMode(rank, float(column.min()), float(column.max()), self._states_of(rank))
             for rank, column in enumerate(rates.T)
             if column.max() * self.interval < -FAST
         )
+
+    def _states_of(self, rank: int) -> tuple[str, ...]:
+        """The states that dominate a mode in the mean over the points, largest part first."""
+        parts = np.mean([point.shares[rank] for point in self.points if point.shares is not None], axis=0)
+        names = list(self.points[0].state)
+        return tuple(names[i] for i in np.argsort(-parts, kind="stable") if parts[i] >= PART * parts.max())
 
     def to_json(self) -> dict[str, object]:
         """The document of `eigen --json`: points, the interval between measurements, and the modes it cannot show."""
@@ -133,7 +152,7 @@ class Eigen:
     def __str__(self) -> str:
         lines = [str(point) for point in self.points] or ["no points"]
         lines += [
-            f"mode {mode.rank + 1} (real part {mode.fastest:.4g} to {mode.slowest:.4g}) dies out within "
+            f"{mode} (real part {mode.fastest:.4g} to {mode.slowest:.4g}), dies out within "
             f"{mode.decayed:.3g}, between two measurements ({self.interval:.3g} apart): the data could not determine it"
             for mode in self.fast_modes
         ]
@@ -144,6 +163,7 @@ def eigen_at(system: System, x: Array, truth: System | None = None, time: float 
     """The eigenvalues at state `x` [n], conditions and inputs at the system's values; the truth's at the same ones."""
     f, jacobian = system.linearise(x, time)
     shared = {name: system.values[name] for name in (*system.conditions, *system.inputs)}
+    values, vectors = ordered_modes(jacobian * system.scale / system.scale[:, None])
     true = None
     if truth is not None:
         _, true_jacobian = truth.with_values(shared).linearise(x, time)
@@ -152,9 +172,10 @@ def eigen_at(system: System, x: Array, truth: System | None = None, time: float 
         state=dict(zip(system.states, map(float, x), strict=True)),
         condition=shared,
         rhs_norm=float(np.linalg.norm(f)),
-        eigenvalues=ordered_eigenvalues(jacobian),
+        eigenvalues=values,
         truth=true,
         outside=system.outside(x),
+        shares=np.abs(vectors.T),
     )
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gbspec.analysis.estimate import Estimator
 from gbspec.analysis.metrics import spread
 from gbspec.analysis.predict import learned_positions, learned_start, needed
-from gbspec.analysis.steady import ordered_eigenvalues
+from gbspec.analysis.steady import ordered_modes
 from gbspec.analysis.system import System
 from gbspec.diagnostics import Findings
 
@@ -168,15 +168,7 @@ def initial_states(
 
 def _modes(jacobian: Array, scale: Array) -> tuple[ComplexArray, Callable[[Array], Array]]:
     """The eigenvalues [n], slowest first, and a function: the norm [n] of a difference's part in each mode."""
-    scaled = jacobian * scale / scale[:, None]
-    values, right = np.linalg.eig(scaled)
-    ordered = ordered_eigenvalues(jacobian)
-    # `eig` has its own order: each ordered eigenvalue takes the closest one that is left.
-    left_over, order = list(range(len(values))), []
-    for value in ordered:
-        order.append(min(left_over, key=lambda k: abs(values[k] - value)))
-        left_over.remove(order[-1])
-    right = right[:, order].astype(complex)
+    ordered, right = ordered_modes(jacobian * scale / scale[:, None])
 
     def split(difference: Array) -> Array:
         parts = right * np.linalg.lstsq(right, (difference / scale).astype(complex), rcond=None)[0]

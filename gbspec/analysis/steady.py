@@ -48,9 +48,20 @@ class SteadyState:
 def ordered_eigenvalues(jacobian: Array) -> ComplexArray:
     """Eigenvalues by falling real part; of a pair, the positive imaginary part first."""
     values = np.linalg.eigvals(jacobian).astype(complex)
+    return values[_order(values)]
+
+
+def ordered_modes(jacobian: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Eigenvalues [n] in that order, and unit eigenvectors, the columns of [n, n]."""
+    values, vectors = np.linalg.eig(jacobian)
+    order = _order(values)
+    return values[order].astype(complex), vectors[:, order].astype(complex)
+
+
+def _order(values: ComplexArray) -> NDArray[np.intp]:
     # Rounding the key keeps the two of a pair together, whose real parts may differ in the last bit.
     size = float(np.abs(values).max()) or 1.0
-    return values[np.lexsort((-values.imag, -np.round(values.real / size, 12)))]
+    return np.lexsort((-values.imag, -np.round(values.real / size, 12)))
 
 
 def batch_solve(matrices: Array, right: Array) -> Array:

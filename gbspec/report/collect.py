@@ -32,6 +32,8 @@ from gbspec.runs.store import Run
 
 DENSE = 240
 """Points of a curve over one trajectory."""
+FINE = 8
+"""How many times finer a trajectory is solved where points are then chosen along its length."""
 
 
 class Fitted:
@@ -158,16 +160,27 @@ def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tu
     found = []
     for index in indices:
         item = fitted.data.items[index]
-        grid = dense_times(item)
+        # Nothing of time is seen here, so a fast turn needs as many points as a slow one of the same length.
+        grid = np.linspace(item.start, item.end, FINE * DENSE) if item.end > item.start else dense_times(item)
         states, _ = fitted.solutions(index, grid)
         true = fitted.true_solution(index, grid)
         seen = np.zeros((0, 2))
         if None not in columns:
             both = item.values[:, [c for c in columns if c is not None]]
             seen = both[np.isfinite(both).all(axis=1)]
-        path = states.mean(axis=0)[:, list(plane)]
-        found.append(Orbit(item.label, path, None if true is None else true[0][:, list(plane)], seen))
+        path = _even(states.mean(axis=0)[:, list(plane)])
+        found.append(Orbit(item.label, path, None if true is None else _even(true[0][:, list(plane)]), seen))
     return tuple(found)
+
+
+def _even(path: Array) -> Array:
+    """At most `DENSE` points of a path [P, 2], evenly along its length in parts of its extent."""
+    extent = np.ptp(path, axis=0)
+    steps = np.linalg.norm(np.diff(path, axis=0) / np.where(extent > 0, extent, 1.0), axis=1)
+    if len(path) <= DENSE or not np.isfinite(steps).all():
+        return path
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    return path[np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], DENSE)))]
 
 
 def _channel_of(model: Model, state: int) -> int | None:

@@ -107,6 +107,27 @@ def test_modes_that_die_out_between_measurements_are_named() -> None:
     (mode,) = found.fast_modes
     assert (found.interval, mode.rank, mode.fastest) == (1.0, 1, pytest.approx(-40.0))
     assert mode.decayed == pytest.approx(3.0 / 40.0)
+    assert mode.states == ("x2",)
+    assert "mode 2, of x2 (real part" in str(found)
     assert "the data could not determine it" in str(found)
     assert found.to_json()["fast_modes"] == [mode.to_json()]
     assert eigen(system, at=[{"x1": 0.0, "x2": 0.0}]).fast_modes == ()
+
+
+def test_a_fast_mode_names_the_states_that_dominate_it_by_their_ranges() -> None:
+    # u and v exchange quickly: u - v relaxes at the rate -50, along (1, -1); w follows slowly.
+    def rhs(w: object, u: object, v: object) -> tuple[object, ...]:
+        return -0.2 * w + 0.01 * u, 25 * (v - u), 25 * (u - v) - 0.1 * v  # type: ignore[operator]
+
+    values = np.array([[1.0, 0.5, 0.4], [0.9, 0.45, 0.45]])
+    item = Trajectory("one", 0.0, np.arange(2.0), values, np.ones((2, 3)), np.full((2, 3), np.nan), np.zeros(0))
+    data = Trajectories((item,), ("w", "u", "v"))
+    ranges = {"w": (0.0, 1.0), "u": (0.0, 1.0), "v": (0.0, 1.0)}
+    (mode,) = eigen(textbook("exchange", ("w", "u", "v"), rhs, {}, ranges), along=data).fast_modes
+    assert (mode.rank, set(mode.states)) == (2, {"u", "v"})
+    # Measured by its range, the part of u becomes small where u is plentiful.
+    (mode,) = eigen(
+        textbook("plentiful", ("w", "u", "v"), rhs, {}, {**ranges, "u": (0.0, 10.0)}), along=data
+    ).fast_modes
+    assert mode.states == ("v",)
+    assert mode.to_json()["states"] == ["v"]

@@ -11,6 +11,7 @@ import numpy as np
 from gbspec.analysis.bifurcate import NAMES, Diagram
 from gbspec.analysis.eigen import Eigen
 from gbspec.analysis.initial_states import InitialStates
+from gbspec.data.trajectories import Array
 from gbspec.report.content import ChannelFit, History, LearnedFunction, Orbit, Plane, Residuals, Slice
 from gbspec.report.style import LEARNED, MEASURED, MEMBERS, MUTED, TRUTH
 
@@ -171,7 +172,22 @@ def eigenvalues(found: Eigen) -> Chart:
     if true:
         values = np.concatenate(true)
         data.append(dots(values.real, values.imag, "truth", TRUTH, size=7, opacity=0.5, symbol="circle-open"))
-    return chart(data, "real part", "imaginary part", xaxis={"zeroline": True})
+    every = np.concatenate([learned, *true]).real
+    view = _view(every)
+    left_out = int(np.sum(every < view[0])) if view else 0
+    title = f"{left_out} of {len(every)} lie further left: double click" if left_out else ""
+    return chart(
+        data, "real part", "imaginary part", title, xaxis={"zeroline": True, **({"range": view} if view else {})}
+    )
+
+
+def _view(values: Array) -> list[float] | None:
+    """The range of all but the lowest hundredth, where those few would press everything else together."""
+    low, high = float(np.quantile(values, 0.01)), float(values.max())
+    if low - values.min() < 2.0 * (high - low):
+        return None
+    margin = 0.1 * (high - low)
+    return [low - margin, high + margin]
 
 
 def initial_states(found: InitialStates) -> list[Chart]:

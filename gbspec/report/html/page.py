@@ -100,7 +100,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, add: Add)
         "parity": [add(c) for c in gather.parity(fitted)] if fitted else [],
         "diagram": _diagram(found, add),
         "eigen": add(charts.eigenvalues(found.eigen)) if found.eigen and found.eigen.points else None,
-        "fast": [mode.to_json() for mode in found.eigen.fast_modes] if found.eigen else [],
+        "fast": found.eigen.fast_modes if found.eigen else (),
         "phase": add(
             charts.phase(collect.orbits(fitted, collect.spaced(len(fitted.data), IN_PLANE), (0, 1)), *names[:2])
         )
