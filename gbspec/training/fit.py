@@ -7,6 +7,7 @@ import math
 import platform
 from collections.abc import Mapping
 from importlib.metadata import version
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from gbspec.training.parallel import Job, fit_jobs
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.summary import MemberResult
 
+TOGETHER = 0.95
+"""Correlations beyond this are warned of."""
 FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
 
 
@@ -130,6 +133,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         "noise": {},
         "members": [],
         "warnings": [],
+        "correlations": {},
     }
 
 
@@ -200,7 +204,8 @@ def _write_results(
     record["members"] = [
         {"seed": r.seed, "loss": r.loss, "rmse": r.rmse, "seconds": r.seconds, "stages": r.stages} for r in ordered
     ]
-    record["warnings"] = warnings_of(results, options) + [
+    record["correlations"] = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
+    record["warnings"] = [*warnings_of(results, options), *moving_together(record["correlations"])] + [
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond are plausible"
         for member, name, bound in ended
     ]
@@ -228,6 +233,24 @@ def _constant(name: str, start: float, results: list[MemberResult]) -> dict[str,
         "start": start,
         "per_member": values.tolist(),
     }
+
+
+def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:
+    """Correlations of the shared constants by their names, the mean over members; empty where one is not known."""
+    tables = [r.correlations for r in results]
+    if len(names) < 2 or any(t.shape != (len(names), len(names)) or not np.isfinite(t).all() for t in tables):
+        return {}
+    mean = np.mean(tables, axis=0)
+    return {a: {b: float(mean[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)}
+
+
+def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Warnings of pairs of constants that the data tell apart badly."""
+    return [
+        f"`{a}` and `{b}` move together (correlation {r:.3f}): the data tell a combination of them better than each"
+        for (a, row), (b, _) in combinations(correlations.items(), 2)
+        if abs(r := row[b]) > TOGETHER
+    ]
 
 
 def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:

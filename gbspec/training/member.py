@@ -53,6 +53,7 @@ class Position:
     marks: dict[str, Array] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     deviations: Array = field(default_factory=lambda: np.zeros(0))
+    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     seconds: float = 0.0
     loss: float = float("inf")
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
@@ -185,9 +186,10 @@ class _Runner:
         if isinstance(stage, LevenbergMarquardt):
             # A stage that may end while the loss still falls by percents has no curvature to speak of.
             known = stage.options.tolerance <= TIGHT and bool(self.parameters.shared)
-            position.deviations = stage.deviations(position.state) if known else np.zeros(0)
+            nothing = np.zeros(0), np.zeros((0, 0))
+            position.deviations, position.correlations = stage.uncertainty(position.state) if known else nothing
         elif not np.array_equal(position.theta, position.entry):
-            position.deviations = np.zeros(0)
+            position.deviations, position.correlations = np.zeros(0), np.zeros((0, 0))
 
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
@@ -268,6 +270,8 @@ class _Runner:
         result.history = list(position.history)
         for name, deviation in zip(self._shared_names(), position.deviations, strict=False):
             result.sd[name] = float(deviation)
+        if len(position.correlations):
+            result.correlations = position.correlations
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
@@ -276,7 +280,7 @@ class _Runner:
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
         arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
-        arrays["deviations"] = position.deviations
+        arrays |= {"deviations": position.deviations, "correlations": position.correlations}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = {
@@ -319,6 +323,7 @@ def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
         state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
         entry=arrays["entry"],
         deviations=arrays["deviations"],
+        correlations=arrays.get("correlations", np.zeros((0, 0))),
         theta=arrays["theta"],
         best=arrays["best"],
         best_score=float.fromhex(remarks["exact"]["best_score"]),

@@ -133,40 +133,42 @@ class LevenbergMarquardt:
         small = 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step))
         return bend if small else np.zeros_like(step)
 
-    def deviations(self, state: State) -> Array:
-        """Standard deviations of shared constants (natural values) at a converged state (Gauss-Newton, Laplace).
+    def uncertainty(self, state: State) -> tuple[Array, Array]:
+        """Standard deviations [k] and correlations [k, k] of shared constants (natural values) at a converged state.
 
-        The covariance is the noise variance times the inverse of the normal matrix, priors and ridge included. How far
-        the next undamped step would move a constant is added (in squares); NaN where that is more than the deviation
-        itself: the stage had not come to rest. All NaN where the equations are singular to rounding, as those of a fit
-        without any residual are.
+        The covariance (Gauss-Newton, Laplace) is the noise variance times the inverse of the normal matrix, priors and
+        ridge included. How far the next undamped step would move a constant is added to its deviation (in squares), NaN
+        where that is more than the deviation itself: the stage had not come to rest. All NaN where the equations are
+        singular to rounding, as those of a fit without any residual are.
         """
         try:
-            return self._deviations(state)
+            return self._uncertainty(state)
         except np.linalg.LinAlgError:
-            return np.full(len(self.parameters.shared), np.nan)
+            return _unknown(len(self.parameters.shared))
 
-    def _deviations(self, state: State) -> Array:
+    def _uncertainty(self, state: State) -> tuple[Array, Array]:
         parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
         problem = self.problem_at(0)
         system = linearise(problem, parameters, theta)
         residuals = system.residuals.numpy()
         if not np.isfinite(residuals).all():
-            return np.full(len(parameters.shared), np.nan)
+            return _unknown(len(parameters.shared))
         delta = self.threshold(residuals)
         fit = _Fit(problem, parameters, system, theta, delta)
         equations = NormalEquations(fit.system, parameters, fit.weights, ridge, theta)
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
-        out, ahead = np.zeros(len(parameters.shared)), _try_step(equations, weak)
+        ahead, count = _try_step(equations, weak), len(parameters.shared)
+        out, inverse = np.zeros(count), np.zeros((count, count))
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
         for i, slope in enumerate(slopes):
             unit = np.zeros(parameters.size)
             unit[parameters.n_weights + i] = 1.0
-            column = float(equations.invert(unit, weak)[parameters.n_weights + i])
-            own, move = np.sqrt(max(column, 0.0) * variance), float(ahead[parameters.n_weights + i])
+            inverse[i] = equations.invert(unit, weak)[parameters.n_weights : parameters.n_shared]
+            own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])
             out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
-        return out
+        roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * np.where(slopes < 0, -1.0, 1.0)
+        return out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots)
 
 
 class _Fit:
@@ -190,6 +192,11 @@ class _Fit:
     def solved(self, theta: Array) -> Array:
         """All rows at another vector."""
         return np.concatenate([solve(self.problem, self.parameters, theta), self.priors.rows(theta)])
+
+
+def _unknown(count: int) -> tuple[Array, Array]:
+    """Deviations and correlations of which nothing can be said."""
+    return np.full(count, np.nan), np.full((count, count), np.nan)
 
 
 def _try_step(equations: NormalEquations, damping: float) -> Array:

@@ -20,6 +20,7 @@ class MemberResult:
 
     `rmse` and `noise` by channel: root mean square of prediction minus value of the autoregressive solution (NaN where
     it blew up) and the estimated standard deviation of the noise; `constants` by name; `sd` by name (NaN: not known);
+    `correlations` [k, k] of the constants that all trajectories share, empty where not known;
     `failed` names the trajectories whose autoregressive solution blew up.
     """
 
@@ -37,6 +38,7 @@ class MemberResult:
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
     finished: bool = True
     notes: list[str] = field(default_factory=list)
+    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def summarise(

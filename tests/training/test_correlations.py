@@ -1,0 +1,39 @@
+"""Correlations of learned constants: those of least squares, and a warning where the data tell two apart badly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gbspec
+
+LINE = """\
+model line
+time t from 0
+state x in [-5, 5] = 1
+condition u in [0, 1]
+learn a = 0.1 in [-5, 5]
+learn b = 0.1 in [-5, 5]
+initial x = 1
+x' = a + b*u
+observe x
+"""
+
+
+@pytest.mark.parametrize(("doses", "warned"), [((0.0, 0.3, 1.0), False), ((0.9, 0.95, 1.0), True)])
+def test_they_are_those_of_least_squares(tmp_path: Path, doses: tuple[float, ...], warned: bool) -> None:
+    (tmp_path / "line.gb").write_text(LINE)
+    rng = np.random.default_rng(5)
+    rows = [(k, t, u) for k, u in enumerate(doses) for t in (0.5, 1.0, 1.5, 2.0)]
+    lines = [f"{k},{t},{1 + (0.5 - 0.7 * u) * t + 0.01 * rng.standard_normal()},{u}" for k, t, u in rows]
+    (tmp_path / "line.csv").write_text("\n".join(["trajectory,t,x,u", *lines]) + "\n")
+    run = gbspec.load(tmp_path / "line.gb").train(tmp_path / "line.csv", tmp_path / "run", effort="low").run
+    design = np.array([[t, u * t] for _, t, u in rows])
+    covariance = np.linalg.inv(design.T @ design)
+    wanted = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    found = run.fit["correlations"]
+    assert found["a"]["b"] == pytest.approx(wanted, abs=0.01) == found["b"]["a"]
+    assert found["a"]["a"] == pytest.approx(1)
+    assert any("`a` and `b` move together" in warning for warning in run.fit["warnings"]) is warned
