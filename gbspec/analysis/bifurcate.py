@@ -62,6 +62,14 @@ class Diagram:
         """The special points of some kinds, by the parameter."""
         return tuple(point for point in self.special if point.kind in kinds)
 
+    def drawn_at(self, point: SpecialPoint) -> Array:
+        """Where a special point is drawn [n]: at its state, or on the largest values of the cycle it belongs to."""
+        if point.kind in ("cycle_fold", "period_doubling", "torus"):
+            for kind, cycle in self.cycles[point.branch].found:
+                if (kind, cycle.value) == (point.kind, point.value):
+                    return cycle.maximum
+        return point.state
+
     def to_json(self) -> dict[str, object]:
         """The document of `bifurcate --json`."""
         return {

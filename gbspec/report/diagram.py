@@ -125,6 +125,6 @@ def _special(axes: Axes, shown: Diagram, state: int) -> None:
         if mark is None:
             continue
         look = {"linestyle": "none", "markeredgecolor": "white", "markersize": 7, "zorder": 6, **mark}
-        axes.plot([point.value], [point.state[state]], **look)
+        axes.plot([point.value], [shown.drawn_at(point)[state]], **look)
         if point.interval is not None:
             axes.plot(point.interval, [point.state[state]] * 2, color=style.MEASURED, linewidth=2, alpha=0.6, zorder=5)

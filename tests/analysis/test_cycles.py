@@ -212,3 +212,13 @@ def test_multipliers_of_very_different_size_are_both_found() -> None:
     steps = [b @ np.diag([10.0, 0.1]) @ a.T for a, b in itertools.pairwise(frames)]
     values = np.sort(np.abs(product_eigenvalues(np.array(steps))))
     assert np.log10(values) == pytest.approx([-30.0, 30.0], abs=1e-6)
+
+
+def test_a_fold_of_cycles_is_drawn_on_the_cycles() -> None:
+    options = BifurcationOptions(values=3, starts=8)
+    found = bifurcate(morris_lecar(), "current", 80.0, 100.0, options)
+    (fold,) = found.of_kind("cycle_fold")
+    ((_, cycle),) = found.cycles[fold.branch].found
+    assert found.drawn_at(fold) == pytest.approx(cycle.maximum)
+    (hopf,) = found.of_kind("hopf")
+    assert found.drawn_at(hopf) == pytest.approx(hopf.state)

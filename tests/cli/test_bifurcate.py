@@ -55,3 +55,32 @@ def test_options_of_a_plane_that_do_not_go_together(here: Path, gbspec: Run, wro
     result = gbspec("bifurcate", "urp_gb2", "--over", "Da", "--range", 0.2, 0.5, *wrong)
     assert result.exit_code == 2
     assert "GB814" in result.stderr
+
+
+ROESSLER = """\
+model roessler "Roessler (Phys. Lett. A 57, 1976) with a = 0.2"
+state x in [-8, 8] = 1
+state y in [-8, 8] = 1
+state z in [0, 12] = 0.5
+condition c in [2.5, 3.2]
+learn b = 0.2 in [0.1, 0.5]
+x' = -y - z
+y' = x + 0.2*y
+z' = b + z*(x - c)
+observe x
+truth b = 0.2
+"""
+
+
+def test_cycles_of_twice_the_period(here: Path, document: Run) -> None:
+    """The period of the Roessler system doubles at c = 2.832 (Strogatz, section 10.6)."""
+    Path("roessler.gb").write_text(ROESSLER)
+    asked = ("--over", "c", "--range", 2.5, 3.2, "--cycles", "--doublings", 1)
+    made = document("bifurcate", "roessler.gb", *asked, "-o", "d.svg")
+    assert [branch["start"] for branch in made["cycle_branches"]] == ["settled", "period doubling"]
+    (point,) = [one for one in made["special"] if one["type"] == "period_doubling"]
+    assert point["value"] == pytest.approx(2.832, abs=2e-3)
+    doubled = [cycle for cycle in made["cycles"] if cycle["branch"] == 1]
+    assert doubled[0]["period"] == pytest.approx(2 * point["period"], rel=1e-3)
+    assert all(cycle["stable"] for cycle in doubled)
+    assert "period doubling" in Path("d.svg").read_text()
