@@ -75,7 +75,8 @@ def test_a_sweep_is_its_runs_and_goes_on_where_it_was_stopped(tmp_path: Path) ->
     assert [row["members"] for row in rows] == [1] * 4
     alone = train(model, data, grid[2].options, tmp_path / "alone")
     swept = open_run(tmp_path / "sweep" / "max_step=0.2,seed=3")
-    assert swept.fit["options"]["max_step"] == 0.2 and all("move together" in warning for warning in swept.fit["warnings"])
+    assert swept.fit["options"]["max_step"] == 0.2
+    assert all("move together" in warning for warning in swept.fit["warnings"])
     for name, value in alone.member().weights.items():
         assert np.array_equal(swept.member().weights[name], value), name
     written = table(tmp_path)
