@@ -220,8 +220,8 @@ def diagram(shown: Diagram, truth: Diagram | None, state: int) -> Chart:
     data = [*(_curves(truth, state, plain=True) if truth is not None else []), *_curves(shown, state, plain=False)]
     for kind in dict.fromkeys(point.kind for point in shown.special):
         points = shown.of_kind(kind)
-        mark = dots([p.value for p in points], [shown.drawn_at(p)[state] for p in points], NAMES[kind], MEASURED, size=9)
-        data.append(mark)
+        heights = [shown.drawn_at(point)[state] for point in points]
+        data.append(dots([point.value for point in points], heights, NAMES[kind], MEASURED, size=9))
     shapes = [] if shown.trained is None else [shaded(*shown.trained)]
     return chart(data, shown.parameter, shown.states[state], shapes=shapes, xaxis={"range": [shown.low, shown.high]},
                  height=400)  # fmt: skip
