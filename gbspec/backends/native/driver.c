@@ -49,6 +49,9 @@ static void *take(char **place, size_t bytes) {
 
 static real *take_real(char **place, size_t n) { return (real *)take(place, n * sizeof(real)); }
 
+/* Whether the activations of a call are kept for every stage of a segment. */
+static int kept(int site) { return site < RHS_SITES && !SITE_STILL[site]; }
+
 /* Sets every array of a work space that begins at `place`, and tells where it ends. */
 static char *arrange(Work *w, char *place, int64_t depth) {
     set_networks(w);
@@ -79,7 +82,7 @@ static char *arrange(Work *w, char *place, int64_t depth) {
         const Net *net = &w->nets[SITE_NETWORK[i]];
         size_t row = net->size[0] + 2 * net->size[net->layers];
         for (int l = 1; l < net->layers; l++) row += 2 * PAD(net->size[l]);
-        if (i < RHS_SITES) step += row * TILE * STAGES;
+        if (kept(i)) step += row * TILE * STAGES;
     }
     w->segment = (int64_t)(KEPT_BYTES / (step * sizeof(real)));
     if (w->segment > depth) w->segment = depth;
@@ -90,7 +93,7 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     for (int i = 0; i < SITES; i++) {
         Site *site = &w->sites[i];
         const Net *net = site->net = &w->nets[SITE_NETWORK[i]];
-        const size_t n = (i < RHS_SITES ? (size_t)w->segment * STAGES : 1) * TILE;
+        const size_t n = (kept(i) ? (size_t)w->segment * STAGES : 1) * TILE;
         const size_t in = net->size[0], out = net->size[net->layers];
         site->args = take_real(&place, n * in);
         site->ab = take_real(&place, TILE * in);
@@ -313,7 +316,7 @@ static void segment_reverse(Work *w, int64_t begin, int64_t end, const double *c
         /* The weights' products wait for some steps, so that a block of sums stays in registers for longer. */
         if (++pending == WEIGHT_STEPS || s == begin) {
             for (int i = 0; i < RHS_SITES; i++)
-                net_gradient(w->sites[i].net, &w->sites[i], slot * STAGES, (size_t)pending * STAGES);
+                if (kept(i)) net_gradient(w->sites[i].net, &w->sites[i], slot * STAGES, (size_t)pending * STAGES);
             pending = 0;
         }
     }
@@ -326,6 +329,7 @@ static void run_tile(Work *w, const double *initial, const double *cotangent, do
     for (int i = 0; i < STATES; i++)
         for (int t = 0; t < TILE; t++) x[i * TILE + t] = R(initial[w->who[t] * STATES + i]);
     memcpy(start, x, sizeof start);
+    still_forward(w);
     arrive(w, 0, x, residuals, arrivals);
     for (int64_t begin = 0; begin < w->depth; begin += w->segment) {
         const int64_t end = begin + w->segment < w->depth ? begin + w->segment : w->depth;
@@ -335,6 +339,8 @@ static void run_tile(Work *w, const double *initial, const double *cotangent, do
     if (!gradient) return;
     zero(xb, block);
     memset(w->kb, 0, sizeof w->kb);
+    for (int i = 0; i < RHS_SITES; i++)
+        if (SITE_STILL[i]) zero(w->sites[i].yb, TILE * w->sites[i].net->size[w->sites[i].net->layers]);
     for (int64_t begin = w->depth ? (w->depth - 1) / w->segment * w->segment : -1; begin >= 0; begin -= w->segment) {
         const int64_t end = begin + w->segment < w->depth ? begin + w->segment : w->depth;
         if (end < w->depth) {
@@ -344,6 +350,11 @@ static void run_tile(Work *w, const double *initial, const double *cotangent, do
         segment_reverse(w, begin, end, cotangent, xb);
     }
     arrive_reverse(w, 0, start, cotangent, xb);
+    for (int i = 0; i < RHS_SITES; i++)
+        if (SITE_STILL[i]) {
+            net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
+            net_gradient(w->sites[i].net, &w->sites[i], 0, 1);
+        }
     add_to_totals(w);
     for (int t = 0; t < TILE; t++) {
         if (!w->active[t]) continue;

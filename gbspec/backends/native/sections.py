@@ -21,22 +21,34 @@ INDENT = "        "
 
 @dataclass(frozen=True)
 class Site:
-    """A network call with the place where its arguments and outputs are kept: `sites[number]` of the work space."""
+    """A network call with the place where its arguments and outputs are kept: `sites[number]` of the work space.
+
+    `still`: its arguments are the same for a whole solution (a zero's place, say), so that it is made once for it.
+    """
 
     number: int
     call: Call
     level: int
+    still: bool = False
 
 
 class Equations:
     """One set of equations (right-hand side or observation) as C.
 
     `place` gives the C text of a leaf; `outputs` are written to `out`, cotangents read from `ob`, both [output][lane].
-    `skip` is a condition under which a lane is left out (its networks get zeros).
+    `skip` is a condition under which a lane is left out (its networks get zeros). `once` tells whether calls whose
+    arguments stay the same are made apart, by `still_forward`.
     """
 
     def __init__(
-        self, model: Model, flat: Flat, first_site: int, place: Callable[[Leaf], str], name: str, skip: str = ""
+        self,
+        model: Model,
+        flat: Flat,
+        first_site: int,
+        place: Callable[[Leaf], str],
+        name: str,
+        skip: str = "",
+        once: bool = False,
     ) -> None:
         self.model, self.flat, self.place, self.name, self.skip = model, flat, place, name, skip
         self._names: dict[sympy.Symbol, str] = {}
@@ -45,9 +57,15 @@ class Equations:
         self._known = len(model.constants)
         self._level: dict[sympy.Symbol, int] = {}
         self._active: set[sympy.Symbol] = set()
+        self._moving: set[sympy.Symbol] = set()
         self._rank()
         self.sites = [
-            Site(first_site + i, call, max((self._level_of(a) for a in call.arguments), default=0))
+            Site(
+                first_site + i,
+                call,
+                max((self._level_of(a) for a in call.arguments), default=0),
+                once and not self._moving.intersection(call.arguments),
+            )
             for i, call in enumerate(flat.calls)
         ]
         self._site = {call.results: site for call, site in zip(flat.calls, self.sites, strict=True)}
@@ -55,21 +73,27 @@ class Equations:
 
     # -------------------------------------------------------------- analysis
     def _rank(self) -> None:
-        """Levels (how many calls lie below) and activity (whether a gradient passes)."""
+        """Levels (how many calls lie below), activity (whether a gradient passes), and what moves (changes in time, or
+        is active)."""
         for symbol, leaf in self.flat.leaves.items():
             learned = leaf.kind == "constant" and leaf.index >= self._known
             if leaf.kind == "state" or learned:
                 self._active.add(symbol)
+            if leaf.kind in ("state", "time", "input") or learned:
+                self._moving.add(symbol)
         for step in self.flat.steps:
             if isinstance(step, Call):
                 level = 1 + max((self._level_of(a) for a in step.arguments), default=0)
                 self._level.update(dict.fromkeys(step.results, level))
                 self._active.update(step.results)
+                self._moving.update(step.results)
                 continue
             used = step.value.free_symbols
             self._level[step.symbol] = max((self._level_of(s) for s in used), default=0)
             if used & self._active:
                 self._active.add(step.symbol)
+            if used & self._moving:
+                self._moving.add(step.symbol)
 
     def _level_of(self, atom: sympy.Basic) -> int:
         return self._level.get(atom, 0)
@@ -130,23 +154,38 @@ class Equations:
         """The body of the function that computes `out`."""
         lines = []
         for level in range(1 + max((site.level for site in self.sites), default=-1)):
-            sites = [site for site in self.sites if site.level == level]
-            targets = [a for site in sites for a in site.call.arguments]
-            stores = [
-                f"{self._argument('args', site, i)} = {self.printer.print(a)};"
-                for site in sites
-                for i, a in enumerate(site.call.arguments)
-            ]
-            zeros = [f"{self._argument('args', s, i)} = 0;" for s in sites for i in range(len(s.call.arguments))]
-            lines += self._pointers(sites, "args")
+            sites = [site for site in self.sites if site.level == level and not site.still]
             lines += self._pointers([s for s in self.sites if s.level < level], "y")
-            lines += self._loop([*self._compute(self._cone(targets), targets), *stores], zeros)
-            lines += [f"    net_forward(&w->nets[{s.call.network}], &w->sites[{s.number}], block);" for s in sites]
+            lines += self._calls(sites)
         targets = self.flat.outputs
         stores = [f"out[{i}*TILE + t] = {self.printer.print(a)};" for i, a in enumerate(targets)]
         zeros = [f"out[{i}*TILE + t] = 0;" for i in range(len(targets))]
         lines += self._pointers(self.sites, "y")
         return lines + self._loop([*self._compute(self._cone(targets), targets), *stores], zeros)
+
+    def still_forward(self) -> list[str]:
+        """The body of the function that makes the calls whose arguments stay the same."""
+        return self._calls([site for site in self.sites if site.still])
+
+    def _calls(self, sites: Sequence[Site]) -> list[str]:
+        """A loop that makes the arguments of some calls, and the calls."""
+        if not sites:
+            return []
+        targets = [a for site in sites for a in site.call.arguments]
+        stores = [
+            f"{self._argument('args', site, i)} = {self.printer.print(a)};"
+            for site in sites
+            for i, a in enumerate(site.call.arguments)
+        ]
+        zeros = [f"{self._argument('args', s, i)} = 0;" for s in sites for i in range(len(s.call.arguments))]
+        return [
+            *self._pointers(sites, "args"),
+            *self._loop([*self._compute(self._cone(targets), targets), *stores], zeros),
+            *(
+                f"    net_forward(&w->nets[{s.call.network}], &w->sites[{s.number}], {'0' if s.still else 'block'});"
+                for s in sites
+            ),
+        ]
 
     def _loop(self, body: Sequence[str], skipped: Sequence[str] = ()) -> list[str]:
         skip = [f"if ({self.skip}) {{ {' '.join(skipped)} continue; }}"] if self.skip else []
@@ -158,8 +197,8 @@ class Equations:
         lines = []
         for site in sites:
             for array in arrays:
-                if array == "ab":
-                    start = f"w->sites[{site.number}].ab"
+                if array == "ab" or site.still:
+                    start = f"w->sites[{site.number}].{array}"
                 else:
                     width = len(site.call.arguments) if widths[array] == "inputs" else len(site.call.results)
                     start = f"w->sites[{site.number}].{array} + block*(TILE*{width})"
@@ -170,12 +209,11 @@ class Equations:
     def reverse(self) -> list[str]:
         """The body of the function that adds to `xb` and `kb` from the outputs' cotangents `ob`."""
         lines = self._pointers(self.sites, "args", "ab", "y", "yb")
-        for site in self.sites:
-            lines.append(f"    zero(S{site.number}_yb, TILE*{len(site.call.results)});")
+        lines += [f"    zero(S{s.number}_yb, TILE*{len(s.call.results)});" for s in self.sites if not s.still]
         seeds = [(a, f"ob[{i}*TILE + t]") for i, a in enumerate(self.flat.outputs)]
         lines += self._back(seeds)
         for level in reversed(range(1 + max((site.level for site in self.sites), default=-1))):
-            sites = [site for site in self.sites if site.level == level]
+            sites = [site for site in self.sites if site.level == level and not site.still]
             for site in sites:
                 mask = sum(1 << i for i, wanted in enumerate(self.wanted(site)) if wanted)
                 lines.append(

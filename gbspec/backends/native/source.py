@@ -43,7 +43,7 @@ OBSERVE_PLACES = RHS_PLACES | {
 def source(model: Model, precision: Precision = "float64") -> str:
     """C of the unroll of a model. Raises NotCoveredError, with the reason, for a form that is left to torch."""
     _check(model)
-    rhs = Equations(model, flatten(model, model.balances), 0, _places(RHS_PLACES), "rhs")
+    rhs = Equations(model, flatten(model, model.balances), 0, _places(RHS_PLACES), "rhs", once=True)
     observe = Equations(
         model,
         flatten(model, [channel.value for channel in model.channels]),
@@ -133,7 +133,19 @@ def _braces(values: Iterable[object]) -> str:
 def _equations(model: Model, rhs: Equations, observe: Equations) -> list[str]:
     sites = [*rhs.sites, *observe.sites]
     networks = [str(site.call.network) for site in sites] or ["0"]
-    lines = [f"static const int SITE_NETWORK[] = {{{', '.join(networks)}}};", "", *_set_networks(model.networks), ""]
+    still = [str(int(site.still)) for site in sites] or ["0"]
+    lines = [
+        f"static const int SITE_NETWORK[] = {{{', '.join(networks)}}};",
+        f"static const int SITE_STILL[] = {{{', '.join(still)}}}; /* whether a call is made once for a tile */",
+        "",
+        *_set_networks(model.networks),
+        "",
+        "static void still_forward(Work *w) {",
+        "    (void)w;",
+        *rhs.still_forward(),
+        "}",
+        "",
+    ]
     places = "const real *restrict x, const real *restrict time, const real *restrict inputs"
     for equations, name, given in ((rhs, "rhs", places), (observe, "observe", "const real *restrict x")):
         forward = f"static void {name}_forward(Work *w, size_t block, {given}, real *restrict out) {{"
