@@ -29,6 +29,8 @@ from gbspec.training.summary import MemberResult
 
 TOGETHER = 0.95
 """Correlations beyond this are warned of."""
+NEGLIGIBLE = 0.3
+"""A direction is not said to consist of constants with smaller parts in it."""
 FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
 
 
@@ -245,12 +247,28 @@ def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, 
 
 
 def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Warnings of pairs of constants that the data tell apart badly."""
-    return [
-        f"`{a}` and `{b}` move together (correlation {r:.3f}): the data tell a combination of them better than each"
-        for (a, row), (b, _) in combinations(correlations.items(), 2)
-        if abs(r := row[b]) > TOGETHER
+    """Warnings of constants that the data tell apart badly: pairs, then groups none of whose pairs says it.
+
+    A group is what an eigenvector of the correlations consists of whose eigenvalue is below 1 - TOGETHER, the least that a
+    pair at the limit has: along it the data determine the constants worst.
+    """
+    names = list(correlations)
+    table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(table[i, j]) > TOGETHER]
+    warnings = [
+        f"`{names[i]}` and `{names[j]}` move together (correlation {table[i, j]:.3f}): "
+        "the data tell a combination of them better than each"
+        for i, j in pairs
     ]
+    values, vectors = np.linalg.eigh(table)
+    for value, direction in zip(values, vectors.T, strict=True):
+        group = [i for i in range(len(names)) if abs(direction[i]) > NEGLIGIBLE]
+        if value < 1 - TOGETHER and not any(i in group and j in group for i, j in pairs):
+            listed = ", ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
+            warnings.append(
+                f"the data hardly determine the direction {listed} (in standard deviations): fix one of these"
+            )
+    return warnings
 
 
 def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:

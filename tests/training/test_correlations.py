@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gbspec
+from gbspec.training.fit import moving_together
 
 LINE = """\
 model line
@@ -37,3 +38,19 @@ def test_they_are_those_of_least_squares(tmp_path: Path, doses: tuple[float, ...
     assert found["a"]["b"] == pytest.approx(wanted, abs=0.01) == found["b"]["a"]
     assert found["a"]["a"] == pytest.approx(1)
     assert any("`a` and `b` move together" in warning for warning in run.fit["warnings"]) is warned
+
+
+def table(*rows: tuple[float, ...]) -> dict[str, dict[str, float]]:
+    names = "abcd"[: len(rows)]
+    return {a: dict(zip(names, row, strict=True)) for a, row in zip(names, rows, strict=True)}
+
+
+def test_three_constants_that_only_a_sum_of_is_known_are_named_though_no_pair_is() -> None:
+    known = table((1, -0.49, -0.49, 0), (-0.49, 1, -0.49, 0), (-0.49, -0.49, 1, 0), (0, 0, 0, 1))
+    (warning,) = moving_together(known)
+    assert all(f"0.58 `{name}`" in warning for name in "abc") and "`d`" not in warning
+
+
+def test_a_pair_is_named_once_and_what_is_well_known_not_at_all() -> None:
+    assert len(moving_together(table((1, 0.99, 0.1), (0.99, 1, 0.1), (0.1, 0.1, 1)))) == 1
+    assert moving_together(table((1, 0.9), (0.9, 1))) == [] == moving_together({})

@@ -167,6 +167,13 @@ def constants_table(run: Run) -> Table:
     return Table(("constant", "value", "90 % interval", "start", "truth", "off by"), tuple(rows))
 
 
+def correlations_table(run: Run) -> Table:
+    """Correlations of the learned constants; no rows where they are not known."""
+    known = run.fit.get("correlations", {})
+    rows = [(name, *(f"{value:.3f}" for value in row.values())) for name, row in known.items()]
+    return Table(("correlation", *known), tuple(rows))
+
+
 def declared_table(model: Model) -> Table:
     """What each name means."""
     groups = (("state", model.states), ("condition", model.conditions), ("input", model.inputs),

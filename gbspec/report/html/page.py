@@ -95,6 +95,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, add: Add)
         "history": [add(c) for c in charts.history(past)] if past else [],
         "functions": panels(gather.functions(fitted)) if fitted else [],
         "constants": gather.constants_table(run),
+        "correlations": gather.correlations_table(run),
         "metrics": gather.metrics_tables(validation),
         "starts": [add(c) for c in gather.starts(fitted, indices)] if fitted else [],
         "parity": [add(c) for c in gather.parity(fitted)] if fitted else [],
