@@ -139,10 +139,18 @@ class Specification:
         return driver.eigen(driver.reference(self.model, values), at=at, along=data, steady=steady)
 
     def bifurcate(
-        self, over: str, low: float, high: float, *, cycles: bool = True, values: Mapping[str, float] | None = None
+        self,
+        over: str,
+        low: float,
+        high: float,
+        *,
+        cycles: bool = True,
+        doublings: int = 1,
+        values: Mapping[str, float] | None = None,
     ) -> Diagram:
-        """The bifurcation diagram of the truth over a condition, input or constant."""
-        return driver.bifurcate(driver.reference(self.model, values), over, low, high, cycles=cycles)
+        """The bifurcation diagram of the truth over a condition, input or constant; periods double `doublings` times."""
+        subject = driver.reference(self.model, values)
+        return driver.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 
 
 @dataclass(frozen=True)
@@ -211,11 +219,13 @@ class FittedRun:
         high: float,
         *,
         cycles: bool = True,
+        doublings: int = 1,
         values: Mapping[str, float] | None = None,
         member: int | None = None,
     ) -> Diagram:
-        """The bifurcation diagram of what was learned over a condition, input or constant."""
-        return driver.bifurcate(driver.learned(self.run, values, member), over, low, high, cycles=cycles)
+        """The bifurcation diagram of what was learned over a condition, input or constant, as for a model."""
+        subject = driver.learned(self.run, values, member)
+        return driver.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 
     def bifurcation_plane(
         self,
