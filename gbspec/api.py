@@ -148,7 +148,10 @@ class Specification:
         doublings: int = 1,
         values: Mapping[str, float] | None = None,
     ) -> Diagram:
-        """The bifurcation diagram of the truth over a condition, input or constant; periods double `doublings` times."""
+        """The bifurcation diagram of the truth over a condition, input or constant.
+
+        Where the period of a cycle doubles, the doubled cycles are followed too, at most `doublings` times.
+        """
         subject = driver.reference(self.model, values)
         return driver.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 

@@ -249,8 +249,8 @@ def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, 
 def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
     """Warnings of constants that the data tell apart badly: pairs, then groups none of whose pairs says it.
 
-    A group is what an eigenvector of the correlations consists of whose eigenvalue is below 1 - TOGETHER, that of a pair
-    at the limit: along it the data determine the constants worst.
+    A group is what an eigenvector of the correlations consists of whose eigenvalue is below 1 - TOGETHER, that of a
+    pair at the limit: along it the data determine the constants worst.
     """
     names = list(correlations)
     table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
