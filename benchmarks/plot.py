@@ -71,7 +71,8 @@ def accuracy(axes: Axes, result: Result) -> None:
         axes.semilogy([p["seconds"] for p in curve], [p["error"] for p in curve], label=plain(FITS[name][0]))
     axes.set_xlabel("processor seconds")
     axes.set_ylabel("error of the right-hand side (L2)")
-    axes.legend(fontsize=7)
+    axes.set_ylim(bottom=axes.get_ylim()[0] / 20)  # room for the legend below the curves
+    axes.legend(fontsize=7, loc="lower left")
 
 
 PANELS = {"step": steps, "growth": growth, "accuracy": accuracy}
