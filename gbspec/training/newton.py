@@ -31,12 +31,13 @@ class LevenbergOptions:
     """How a stage steps and when it ends.
 
     `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
-    stage ends; `damping`: the first one; `ridge`: precision of the weights' prior in units of squared residuals;
-    `evidence`: let the data set it anew after each iteration.
+    stage ends; `enough`: mean loss below which it ends at once; `damping`: the first one; `ridge`: precision of the
+    weights' prior in units of squared residuals; `evidence`: let the data set it anew after each iteration.
     """
 
     robust: bool = True
     tolerance: float = 1e-3
+    enough: float = 0.0
     damping: float = 1.0
     ridge: float = 0.0
     evidence: bool = False
@@ -116,7 +117,8 @@ class LevenbergMarquardt:
             "ridge": np.array(ridge),
             "small": np.array(small),
         }
-        return Outcome(after, mean_loss(new_residuals[:count]), small >= 2)
+        loss = mean_loss(new_residuals[:count])
+        return Outcome(after, loss, small >= 2 or loss < self.options.enough)
 
     def _bend(self, fit: _Fit, theta: Array, step: Array, equations: NormalEquations, damping: float) -> Array:
         """Half the geodesic acceleration along a step (Transtrum and Sethna 2012), zero where it is not a correction.

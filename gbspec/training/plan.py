@@ -32,7 +32,7 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
     "normal": {
         "approach": 25,
         "imputed": 6,
-        "teacher": 12,
+        "teacher": 60,
         "half": 3,
         "blend": 4,
         "autoregressive": 14,
@@ -42,8 +42,8 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
     "high": {
         "approach": 60,
         "imputed": 10,
-        "teacher": 50,
-        "half": 12,
+        "teacher": 200,
+        "half": 20,
         "blend": 10,
         "autoregressive": 60,
         "least squares": 500,
@@ -51,6 +51,10 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
     },
 }
 """Most iterations of each stage by effort."""
+ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-7, "high": 1e-9}
+"""Mean loss below which teacher forcing needs no further iteration (1e-7: residuals of 0.05 % of the deviations)."""
+STEADY = 1e-2
+"""First damping where an earlier stage has come close already."""
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes the second-order stages give way to Adam on minibatches of trajectories."""
 PASSES = 128
@@ -154,7 +158,7 @@ class _Planner:
             self._starts("initial states", 1.0),
             self._newton("teacher forcing", self._teacher_limit(), self._at(1.0), lambda theta: True, self._prior),
             self._starts("initial states again", 1.0),
-            self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._prior),
+            self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._close),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
             self._starts("initial states of whole solutions", 0.0, self._noisy, self.released),
             self._newton(
@@ -199,7 +203,12 @@ class _Planner:
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Regularised where there are few data, else plain."""
-        return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02)
+        enough = ENOUGH[self.options.effort]
+        return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02, enough=enough)
+
+    def _close(self, theta: Array) -> LevenbergOptions:
+        """As before, from where an earlier stage came to."""
+        return replace(self._prior(theta), damping=STEADY, enough=0.0)
 
     def _regular(self, theta: Array) -> LevenbergOptions:
         """With a ridge on the weights, from the noise, or as asked for."""
