@@ -105,7 +105,8 @@ class LevenbergMarquardt:
         else:
             kept = state | {"damping": np.array(damping), "small": np.array(2.0)}
             return Outcome(kept, mean_loss(residuals[:count]), True)
-        gain = (value - new) / max(equations.predicted_decrease(step), 1e-300)
+        foretold = equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
+        gain = min((value - new) / foretold, 1.0) if foretold > 0 else 1.0
         if self.options.evidence:
             ridge = evidence(equations, residuals[:count], delta, trial, ridge, iteration)
         # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).

@@ -1,4 +1,4 @@
-"""Equations that are singular to rounding, as those of a fit without any residual are, give no interval."""
+"""Fits without any residual, whose equations are singular and whose expected decrease is nothing but rounding."""
 
 from __future__ import annotations
 
@@ -33,3 +33,11 @@ def test_a_fit_ends_without_an_interval(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
     assert fit["constants"]["k"]["interval"] is None and fit["constants"]["k"]["sd"] is None
+
+
+def test_a_decrease_that_was_not_foretold_ends_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(NormalEquations, "predicted_decrease", lambda self, step: -1e-30)
+    (tmp_path / "m.gb").write_text(TEXT)
+    (tmp_path / "d.csv").write_text("t,x\n0,1\n0.1,0.951\n0.2,0.904\n0.4,0.819\n0.8,0.670\n")
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
+    assert abs(fit["constants"]["k"]["value"] - 0.5) < 0.01
