@@ -75,6 +75,7 @@ PYTHON = PythonPrinter(lambda symbol: symbol.name)
         (sympy.Piecewise((a, (a > 0) & (b <= 1)), (b, ~sympy.Ne(a, b)), (c, True)), None),
         (Where(a < b, a, b) * 2, "2*math.where(a < b, a, b)"),
         (Guard(a < b, a), "math.guard(a < b, a)"),
+        (sympy.exp(Guard(sympy.true, sympy.Integer(0))) + a, "a + math.exp(math.guard(True, 0))"),
     ],
 )
 def test_texts(expression: sympy.Expr, text: str | None) -> None:

@@ -49,6 +49,9 @@ RECIPROCAL: Mapping[type[sympy.Basic], str] = {sympy.cot: "tan", sympy.sec: "cos
 
 RELATIONS: Mapping[str, str] = {"<": "<", "<=": "<=", ">": ">", ">=": ">=", "==": "==", "!=": "!="}
 
+_NO_NUMBERS = (sympy.Symbol, sympy.core.function.AppliedUndef, Where, Guard, Operation)
+"""What sympy cannot turn into a number, even where nothing in it varies."""
+
 LARGEST_EXACT = 2**53
 """Integers beyond are written as floats: they stand for float64 numbers anyway, and torch refuses long integers."""
 
@@ -78,7 +81,7 @@ class Printer(ABC):
         return text if binding >= level else f"({text})"
 
     def _text(self, node: sympy.Basic) -> Text:
-        if isinstance(node, sympy.Expr) and not node.has(sympy.Symbol, sympy.core.function.AppliedUndef):
+        if isinstance(node, sympy.Expr) and not node.has(*_NO_NUMBERS):
             return self._number(node)
         match node:
             case sympy.Symbol():
