@@ -13,6 +13,7 @@ from gbspec.diagnostics import UserError
 from gbspec.training import Silent, TrainOptions, train
 from gbspec.training.native import Kernel
 from tests.training.conftest import URP, model_of, urp_data
+from tests.training.test_doses import DEPOT, depot_data
 
 
 class Heard(Silent):
@@ -52,6 +53,17 @@ def test_without_a_compiler_the_graph_serves_and_a_line_says_so(
     monkeypatch.setattr("gbspec.training.native.LEAST_SUBSTEPS", 1)
     train(model, data, TrainOptions(**QUICK), tmp_path / "auto", heard)
     assert heard.messages == ["the torch graph serves: there is no C compiler (cc, gcc, clang)"]
+
+
+def test_a_learned_lag_is_left_to_the_graph_and_a_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    why = "the native kernel does not cover this model: the lag of a dose is learned or depends on conditions"
+    model, heard = model_of(DEPOT), Heard()
+    data = depot_data(model, 1)
+    with pytest.raises(UserError, match=f"GB863.*cannot be had: {why}"):
+        train(model, data, TrainOptions(backend="native", **QUICK), tmp_path / "native")
+    monkeypatch.setattr("gbspec.training.native.LEAST_SUBSTEPS", 1)
+    train(model, data, TrainOptions(**QUICK), tmp_path / "auto", heard)
+    assert heard.messages == [f"the torch graph serves: {why}"]
 
 
 def test_a_gpu_is_no_place_for_the_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
