@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -25,6 +25,9 @@ from gbspec.training.doses import SubStep, advance, arrivals
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 from gbspec.training.unroll import Unrolled, measured_residuals, observe_rows, residuals_of, unroll
+
+if TYPE_CHECKING:
+    from gbspec.training.native import Kernel
 
 Integers = NDArray[np.int64]
 Taped = list[tuple[int, int, Tensor, Tensor]]
@@ -105,9 +108,44 @@ class _Sweep:
 
     def run(self) -> Linearised:
         """Residuals, and on the device their Jacobian."""
+        return self._by_torch() if self.problem.kernel is None else self._by_kernel(self.problem.kernel)
+
+    def _by_kernel(self, kernel: Kernel) -> Linearised:
+        """With the stretches' derivatives and their chain from the native kernel."""
+        from gbspec.training.stretches import Stretches, chain
+
+        packed, columns = self.problem.packed, self.shared_columns
+        observed = self._observations()
+        arrays = (self.theta, self.departure.numpy(), self.initial.numpy())
+        stretches = Stretches(self.problem, kernel, self.parameters, *arrays)
+        # Every row is written once; for much data this is by far the largest array.
+        shared = np.empty((len(self.residuals), columns))
+        local = np.empty((len(self.residuals), self.parameters.n_local))
+        unused = [self._zeros(())] * len(self.problem.model.constants)
+        release, d_state = 1.0 - self.problem.forcing.weight, np.ascontiguousarray(observed.state.numpy())
+        for who, blocks in stretches.blocks(columns):
+            totals = [part.numpy() for part in self._initial(torch.from_numpy(who))]
+            for rows in blocks:
+                found, owner = stretches.derivatives(rows, columns), packed.row_trajectory[rows]
+                own = np.zeros((len(rows), self.n_states, local.shape[1]))
+                of_weights, of_own = torch.from_numpy(found.weights), torch.from_numpy(own)
+                of_constants = list(torch.from_numpy(found.constants).unbind(2))
+                self._add_constants(of_weights, of_own, [*unused, *of_constants], torch.from_numpy(owner))
+                places = observed.bounds[rows], observed.bounds[rows + 1]
+                for kind, total, out in zip((found.weights, own), totals, (shared, local), strict=True):
+                    chain(kernel, owner - who[0], found.start, kind, release[rows], places, d_state, total, out)
+        of_shared, of_local = torch.from_numpy(shared), torch.from_numpy(local)
+        if observed.shared is not None and observed.local is not None:
+            of_shared += self._of_trained_weights(observed.shared)
+            of_local += observed.local
+        owners = self._tensor(packed.row_trajectory)
+        return Linearised(self.residuals, of_shared, of_local, owners[observed.row])
+
+    def _by_torch(self) -> Linearised:
+        """With the torch graph, on its device."""
         packed, parameters = self.problem.packed, self.parameters
         observed = self._observations()
-        sensitivity_shared, sensitivity_local = self._initial()
+        sensitivity_shared, sensitivity_local = self._initial(torch.arange(packed.trajectories, device=self.device))
         # Filled as it goes: for much data this is by far the largest array, and it is made only once.
         shared = self._zeros((len(self.residuals), self.shared_columns))
         local = self._zeros((len(self.residuals), parameters.n_local))
@@ -142,20 +180,20 @@ class _Sweep:
         return shared
 
     # ---------------------------------------------------------------- starts
-    def _initial(self) -> tuple[Tensor, Tensor]:
-        """Sensitivity of the initial states [N, n_states, columns]: shared and local."""
+    def _initial(self, who: Tensor) -> tuple[Tensor, Tensor]:
+        """Sensitivity of the initial states of some trajectories [B, n_states, columns]: shared and local."""
         packed, parameters, problem = self.problem.packed, self.parameters, self.problem
-        n, count = self.n_states, packed.trajectories
-        x0 = parameters.starts(self.vector).detach().requires_grad_()
-        k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
-        c = self._tensor(packed.condition)
+        n, count = self.n_states, len(who)
+        x0 = parameters.starts(self.vector)[who].detach().requires_grad_()
+        k = [column.detach().clone().requires_grad_() for column in self.constants[who].unbind(1)]
+        c = self._tensor(packed.condition)[who]
         out = problem.module._initial(problem.ops, x0, c, tuple(k))
         d_start, *d_constants = _rows_of_jacobian(out, [x0, *k])
         shared = self._zeros((count, n, self.shared_columns))
         local = self._zeros((count, n, parameters.n_local))
-        scale = self._tensor(parameters.start_free * parameters.start_scale * _stretch())
+        scale = self._tensor(parameters.start_free * parameters.start_scale * _stretch())[who]
         local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
-        self._add_constants(shared, local, d_constants, torch.arange(count, device=self.device))
+        self._add_constants(shared, local, d_constants, who)
         return shared, local
 
     def _add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:

@@ -100,6 +100,17 @@ class Tables:
         # Trajectories of about the same number of steps share a tile.
         self.order = np.argsort(-packed.steps, kind="stable").astype(np.int64)
 
+    def jump_places(self) -> dict[int, tuple[int, int]]:
+        """Trajectory and sub-step of each dose that arrives."""
+        out: dict[int, tuple[int, int]] = {}
+        if "jump_at" in self._kept:
+            for step, owner in zip(*np.nonzero(self._kept["jump_at"] >= 0), strict=True):
+                event = int(self._kept["jump_at"][step, owner])
+                while event >= 0:
+                    out[event] = int(owner), int(step)
+                    event = int(self._kept["jump_next"][event])
+        return out
+
 
 def _jumps(problem: Problem) -> dict[str, NDArray[np.int32]]:
     """Where doses arrive: at the starts of sub-steps, their lags being known."""
@@ -142,16 +153,22 @@ class Kernel:
 
     def __init__(self, model: Model, precision: Precision = "float64") -> None:
         self.model, self.precision = model, precision
-        self._library = compiled(source(model, precision))
-        self._library.work_bytes.restype = ctypes.c_int64
-        self._library.work_bytes.argtypes = [ctypes.c_int64]
-        self._library.run.restype = None
+        self.library = compiled(source(model, precision))
+        self.library.work_bytes.restype = ctypes.c_int64
+        self.library.work_bytes.argtypes = [ctypes.c_int64]
+        self.library.run.restype = None
         pointer, whole = ctypes.c_void_p, ctypes.c_int64
-        self._library.run.argtypes = [pointer, pointer, *[whole] * 3, *[pointer] * 12, ctypes.c_int32, pointer]
+        self.library.run.argtypes = [pointer, pointer, *[whole] * 3, *[pointer] * 12, ctypes.c_int32, pointer]
+        if precision == "float64":  # what jacobian.c adds
+            self.library.stretch_bytes.restype = ctypes.c_int64
+            self.library.stretch_bytes.argtypes = [ctypes.c_int64]
+            self.library.stretches.restype = self.library.chain.restype = None
+            self.library.stretches.argtypes = [pointer, pointer, whole, *[pointer] * 5]
+            self.library.chain.argtypes = [whole, whole, *[pointer] * 9]
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""
-        return int(self._library.work_bytes(depth))
+        return int(self.library.work_bytes(depth))
 
     def sweep(
         self,
@@ -186,7 +203,7 @@ class Kernel:
         given = None if cotangent is None else np.ascontiguousarray(cotangent)
 
         def part(i: int) -> None:
-            self._library.run(
+            self.library.run(
                 ctypes.byref(tables.struct),
                 order.ctypes.data,
                 len(order),
@@ -205,7 +222,7 @@ class Kernel:
                 out.d_initial.ctypes.data,
                 out.d_doses.ctypes.data,
                 int(gradient),
-                _work(size).ctypes.data,
+                workspace(size).ctypes.data,
             )
 
         if count == 1:
@@ -227,7 +244,7 @@ def _pool(threads: int, process: int) -> ThreadPoolExecutor:
 _spaces = threading.local()
 
 
-def _work(size: int) -> NDArray[np.uint8]:
+def workspace(size: int) -> NDArray[np.uint8]:
     """The work space of the thread that asks, kept between calls."""
     space: NDArray[np.uint8] | None = getattr(_spaces, "bytes", None)
     if space is None or len(space) < size:

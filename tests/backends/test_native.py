@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from gbspec.backends.native import compiler as compiling
 from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.ir.model import Model
-from gbspec.training.native import Kernel, Natural, half_squares
+from gbspec.training.jacobian import linearise
+from gbspec.training.native import Kernel, Natural, half_squares, kernel_of
 from gbspec.training.objective import objective
 from gbspec.training.packing import pack
 from gbspec.training.parameters import Parameters
@@ -52,6 +54,19 @@ def compare(problem: Problem, parameters: Parameters, theta: np.ndarray, precisi
         bound = DOUBLE if precision == "float64" else SINGLE
         assert abs(found[0] - loss) <= bound * max(abs(loss), 1e-300)
         assert np.abs(found[1] - gradient).max() <= bound * np.abs(gradient).max()
+    compare_jacobians(problem, parameters, theta)
+
+
+def compare_jacobians(problem: Problem, parameters: Parameters, theta: np.ndarray) -> None:
+    """The Jacobian of the residuals by the kernel against that by the graph, relative to the largest entry."""
+    kernel = kernel_of(problem.model, type(problem.module))
+    assert isinstance(kernel, Kernel)
+    graph, ours = (linearise(replace(problem, kernel=k), parameters, theta) for k in (None, kernel))
+    for of_graph, of_kernel in ((graph.shared, ours.shared), (graph.local, ours.local)):
+        assert of_graph.shape == of_kernel.shape
+        if of_graph.numel():
+            assert float((of_graph - of_kernel).abs().max()) <= 1e-11 * float(of_graph.abs().max())
+    assert torch.equal(graph.owner, ours.owner)
 
 
 def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem, Parameters, np.ndarray]:
@@ -107,7 +122,7 @@ SHIPPED = sorted(path.stem for path in (Path(__file__).parents[2] / "models").gl
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_models(name: str) -> None:
     problem, parameters, theta = random_problem(gbspec.load(name).model, 1, 0.1)
-    compare(problem, parameters, theta, ("float64",))
+    compare(problem, parameters, theta, ("float64", "float32"))
 
 
 @pytest.mark.parametrize("blend", [1.0, 0.3, 0.0])
@@ -150,7 +165,7 @@ def test_contracts_and_doses() -> None:
 def test_random_models(model: Model, seed: int) -> None:
     problem, parameters, theta = random_problem(model, seed, 0.5)
     if np.isfinite(objective(problem, parameters, "torch")(theta)[0]):
-        compare(problem, parameters, theta, ("float64",))
+        compare(problem, parameters, theta, ("float64", "float32"))
 
 
 ACTIVATIONS = """model activations

@@ -23,7 +23,7 @@ typedef struct {
     const Data *data;
     const double *jumps; /* [jumps]: what is added to the state */
     double *d_jumps;
-    int64_t who[TILE], depth, segment;
+    int64_t who[TILE], first[TILE], steps[TILE], depth, segment; /* a lane's trajectory, first sub-step, number of them */
     int active[TILE], rows[TILE];
     real *states;      /* [segment*STAGES][STATES][TILE]: where the right-hand side was taken */
     real *arrivals;    /* [segment][STATES][TILE] */
@@ -155,6 +155,16 @@ static void write_gradient(const Work *w, double *out) {
 
 /* ---------------------------------------------------------------- one step */
 
+/* Puts sub-steps `first` to `first + steps - 1` of a trajectory into a lane (whether it is active, the caller says). */
+static void set_lane(Work *w, int t, int64_t who, int64_t first, int64_t steps, const double *constants) {
+    w->who[t] = who;
+    w->first[t] = first;
+    w->steps[t] = steps;
+    if (steps > w->depth) w->depth = steps;
+    for (int i = 0; i < CONDITIONS; i++) w->condition[i * TILE + t] = R(w->data->condition[who * CONDITIONS + i]);
+    for (int i = 0; i < CONSTANTS; i++) w->constants[i * TILE + t] = R(constants[who * CONSTANTS + i]);
+}
+
 typedef struct {
     real h[TILE], time[STAGES][TILE], inputs[STAGES][INPUTS * TILE + 1];
 } Step;
@@ -162,8 +172,9 @@ typedef struct {
 static void read_step(const Work *w, int64_t s, Step *step) {
     const Data *d = w->data;
     for (int t = 0; t < TILE; t++) {
-        const int64_t at = s * d->trajectories + w->who[t];
-        const double h = w->active[t] ? d->h[at] : 0.0;
+        const int moves = w->active[t] && s < w->steps[t];
+        const int64_t at = moves ? (w->first[t] + s) * d->trajectories + w->who[t] : w->who[t];
+        const double h = moves ? d->h[at] : 0.0;
         step->h[t] = R(h);
         for (int q = 0; q < STAGES; q++) {
             step->time[q][t] = R(d->t[at] + TABLEAU_C[q] * h);
@@ -176,8 +187,8 @@ static void read_step(const Work *w, int64_t s, Step *step) {
 /* The first jump of a lane at the start of step s, -1 for none. */
 static int32_t jump_of(const Work *w, int64_t s, int t) {
     const Data *d = w->data;
-    const int there = d->jump_at && w->active[t] && s < d->steps[w->who[t]];
-    return there ? d->jump_at[s * d->trajectories + w->who[t]] : -1;
+    const int there = d->jump_at && w->active[t] && s < w->steps[t];
+    return there ? d->jump_at[(w->first[t] + s) * d->trajectories + w->who[t]] : -1;
 }
 
 static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
@@ -234,7 +245,7 @@ static int find_rows(Work *w, int64_t s) {
     int any = 0;
     for (int t = 0; t < TILE; t++) {
         const int64_t at = s * w->data->trajectories + w->who[t];
-        w->rows[t] = w->active[t] && s <= w->data->steps[w->who[t]] ? w->data->row_at[at] : -1;
+        w->rows[t] = w->active[t] && s <= w->steps[t] ? w->data->row_at[at] : -1;
         any |= w->rows[t] >= 0;
     }
     return any;
@@ -393,10 +404,8 @@ void run(const Data *data, const int64_t *order, int64_t count, int64_t first, i
         w->depth = 0;
         for (int t = 0; t < TILE; t++) {
             w->active[t] = begin + t < count;
-            w->who[t] = order[w->active[t] ? begin + t : begin];
-            if (data->steps[w->who[t]] > w->depth) w->depth = data->steps[w->who[t]];
-            for (int i = 0; i < CONDITIONS; i++) w->condition[i * TILE + t] = R(data->condition[w->who[t] * CONDITIONS + i]);
-            for (int i = 0; i < CONSTANTS; i++) w->constants[i * TILE + t] = R(constants[w->who[t] * CONSTANTS + i]);
+            const int64_t who = order[w->active[t] ? begin + t : begin];
+            set_lane(w, t, who, 0, data->steps[who], constants);
         }
         run_tile(w, initial, cotangent, residuals, arrivals, d_constants, d_initial, gradient);
     }

@@ -61,7 +61,10 @@ def source(model: Model, precision: Precision = "float64") -> str:
         *_numbers(model, precision, rhs, observe),
     ]
     before, after = _text("driver.c").split("/* ---- EQUATIONS ---- */\n")
-    return "\n".join([*head, "", _text("runtime.c"), before, *_tableau(RK4), *_equations(model, rhs, observe), after])
+    # Only fits by least squares, which are done in double precision, need the Jacobian.
+    jacobian = [_text("jacobian.c")] if precision == "float64" else []
+    equations = _equations(model, rhs, observe)
+    return "\n".join([*head, "", _text("runtime.c"), before, *_tableau(RK4), *equations, after, *jacobian])
 
 
 @cache

@@ -1,0 +1,222 @@
+/* Derivatives of stretches: pieces of trajectories between consecutive key rows, TILE of them side by side, each a lane
+   with sub-steps of its own. After the way forward there is one way back for each state, whose cotangents give a row of
+   the stretch's derivatives; a lane's weights have their own products. */
+
+typedef struct {
+    int64_t count;
+    const int64_t *owner, *first, *steps; /* [count]: trajectory, first sub-step, number of sub-steps */
+    const double *start;                  /* [count][STATES] */
+    const double *factor, *shift;         /* [weights]: see `write_lane` */
+    double *d_start;                      /* [count][STATES][STATES]: of each final state, by the first one */
+    double *d_weights;                    /* [count][STATES][columns], or NULL */
+    double *d_constants;                  /* [count][STATES][LEARNABLES] */
+    double *d_jumps;                      /* [STATES][jumps] */
+    int64_t columns, jumps;
+} Stretches;
+
+/* What the derivatives need beside the work space of a solution. */
+typedef struct {
+    real *slopes;     /* as they were before the way back, which overwrites them */
+    real *cotangents; /* [STATES][STATES][TILE] */
+} Kept;
+
+static size_t slope_reals(const Work *w) {
+    size_t n = 0;
+    for (int i = 0; i < RHS_SITES; i++) {
+        const Net *net = w->sites[i].net;
+        for (int l = 1; l < net->layers; l++) n += (kept(i) ? (size_t)w->segment * STAGES : 1) * TILE * PAD(net->size[l]);
+    }
+    return n;
+}
+
+static char *arrange_kept(const Work *w, Kept *k, char *place) {
+    k->slopes = take_real(&place, slope_reals(w) + 1);
+    k->cotangents = take_real(&place, (size_t)STATES * STATES * TILE);
+    return place;
+}
+
+/* Copies the slopes of the first `steps` kept sub-steps to `k` or back. */
+static void copy_slopes(const Work *w, const Kept *k, size_t steps, int back) {
+    real *place = k->slopes;
+    for (int i = 0; i < RHS_SITES; i++) {
+        const Net *net = w->sites[i].net;
+        for (int l = 1; l < net->layers; l++) {
+            const size_t n = (kept(i) ? steps * STAGES : 1) * TILE * PAD(net->size[l]);
+            if (back) memcpy(w->sites[i].slope[l], place, n * sizeof(real));
+            else memcpy(place, w->sites[i].slope[l], n * sizeof(real));
+            place += n;
+        }
+    }
+}
+
+/* Adds to the gradients what one lane of `blocks` blocks gives. */
+static void lane_gradient(const Net *net, const Site *site, int lane, size_t blocks) {
+    const int last = net->layers - 1;
+    const size_t n_in = net->size[0], n_out = net->size[last + 1];
+    const real *args = site->args + lane * n_in, *yb = site->yb + lane * n_out;
+    for (size_t s = 0; s < blocks; s++)
+        for (size_t o = 0; o < n_out; o++) {
+            const real c = yb[s * TILE * n_out + o];
+            net->bias_gradient[last][o] += c;
+            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += c * args[s * TILE * n_in + i];
+        }
+    for (int l = last; l > 0; l--) {
+        const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
+        const real *above = l == last ? yb : site->slope[l + 1] + lane * stride;
+        const real *below = site->hidden[l] + lane * width, *dz = site->slope[l] + lane * width;
+        real *g = net->gradient[l], *b = net->bias_gradient[l - 1];
+        product(rows, width, blocks, above, 1, TILE * stride, below, TILE * width, g, width, g, width);
+        for (size_t s = 0; s < blocks; s++)
+            for (size_t i = 0; i < width; i++) b[i] += dz[s * TILE * width + i];
+        if (l == 1) product(n_in, width, blocks, args, 1, TILE * n_in, dz, TILE * width, net->gradient[0], width, net->gradient[0], width);
+    }
+}
+
+/* Adds the gradients to a row of derivatives by the weights as they are trained: those by the weights in use, less
+   `shift` times that by their unit's bias (by which a first layer takes its arguments' centres), times `factor`. */
+static void write_lane(const Work *w, const double *factor, const double *shift, double *row) {
+    for (int i = 0; i < NETWORKS; i++) {
+        const Net *net = &w->nets[i];
+        for (int l = 0; l < net->layers; l++) {
+            const size_t in = net->size[l], out = net->size[l + 1];
+            const int first = l == 0 && net->layers > 1;
+            const real *g = net->gradient[l], *b = net->bias_gradient[l];
+            for (size_t o = 0; o < out; o++, row += in, factor += in, shift += in) {
+                if (first)
+                    for (size_t j = 0; j < in; j++) row[j] += factor[j] * (g[j * PAD(out) + o] - shift[j] * b[o]);
+                else if (l)
+                    for (size_t j = 0; j < in; j++) row[j] += factor[j] * g[o * PAD(in) + j];
+                else
+                    for (size_t j = 0; j < in; j++) row[j] += factor[j] * (g[o * in + j] - shift[j] * b[o]);
+            }
+            for (size_t o = 0; o < out; o++) row[o] += factor[o] * b[o];
+            row += out, factor += out, shift += out;
+        }
+    }
+}
+
+/* The way back of one state over the kept sub-steps begin..end, and what its cotangents give to rows of derivatives. */
+static void reverse_state(Work *w, const Stretches *all, const int64_t *which, int state, int64_t begin, int64_t end,
+                          real *xb) {
+    memset(w->kb, 0, sizeof w->kb);
+    for (int i = 0; i < RHS_SITES; i++)
+        if (SITE_STILL[i]) zero(w->sites[i].yb, TILE * w->sites[i].net->size[w->sites[i].net->layers]);
+    w->d_jumps = all->d_jumps + (size_t)state * all->jumps;
+    for (int64_t s = end - 1; s >= begin; s--) step_reverse(w, s, (size_t)(s - begin), xb);
+    for (int i = 0; i < RHS_SITES; i++)
+        if (SITE_STILL[i]) net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
+    for (int t = 0; t < TILE; t++) {
+        if (!w->active[t]) continue;
+        const size_t row = (size_t)which[t] * STATES + state;
+        for (int i = 0; i < LEARNABLES; i++) all->d_constants[row * LEARNABLES + i] += w->kb[i * TILE + t];
+        const int64_t steps = (w->steps[t] < end ? w->steps[t] : end) - begin;
+        if (!all->d_weights || steps <= 0) continue;
+        zero(w->gradients, w->n_gradients);
+        for (int i = 0; i < RHS_SITES; i++)
+            lane_gradient(w->sites[i].net, &w->sites[i], t, SITE_STILL[i] ? 1 : (size_t)steps * STAGES);
+        write_lane(w, all->factor, all->shift, all->d_weights + row * all->columns);
+    }
+}
+
+/* The derivatives of the stretches `which[0..TILE)`, which are set as lanes. */
+static void stretch_tile(Work *w, const Stretches *all, const int64_t *which, const Kept *keep) {
+    const size_t block = STATES * TILE;
+    real x[STATES * TILE], *bars = keep->cotangents;
+    for (int i = 0; i < STATES; i++)
+        for (int t = 0; t < TILE; t++) x[i * TILE + t] = R(all->start[which[t] * STATES + i]);
+    zero(bars, STATES * block);
+    for (int i = 0; i < STATES; i++)
+        for (int t = 0; t < TILE; t++) bars[i * block + i * TILE + t] = 1;
+    still_forward(w);
+    for (int64_t begin = 0; begin < w->depth; begin += w->segment) {
+        const int64_t end = begin + w->segment < w->depth ? begin + w->segment : w->depth;
+        memcpy(w->checkpoints + (size_t)(begin / w->segment) * block, x, sizeof x);
+        for (int64_t s = begin; s < end; s++) step_forward(w, s, (size_t)(s - begin), x);
+    }
+    for (int64_t begin = w->depth ? (w->depth - 1) / w->segment * w->segment : -1; begin >= 0; begin -= w->segment) {
+        const int64_t end = begin + w->segment < w->depth ? begin + w->segment : w->depth;
+        if (end < w->depth) {
+            memcpy(x, w->checkpoints + (size_t)(begin / w->segment) * block, sizeof x);
+            for (int64_t s = begin; s < end; s++) step_forward(w, s, (size_t)(s - begin), x);
+        }
+        copy_slopes(w, keep, (size_t)(end - begin), 0);
+        for (int i = 0; i < STATES; i++) {
+            copy_slopes(w, keep, (size_t)(end - begin), 1);
+            reverse_state(w, all, which, i, begin, end, bars + i * block);
+        }
+    }
+    for (int t = 0; t < TILE; t++)
+        for (int i = 0; i < STATES && w->active[t]; i++)
+            for (int j = 0; j < STATES; j++)
+                all->d_start[(which[t] * STATES + i) * STATES + j] = bars[i * block + j * TILE + t];
+}
+
+/* Bytes of work space for stretches of at most `depth` sub-steps. */
+int64_t stretch_bytes(int64_t depth) {
+    Work work;
+    Kept keep;
+    char *base = (char *)(uintptr_t)4096; /* nothing is read or written there */
+    const size_t head = (sizeof work + 63) / 64 * 64;
+    return (int64_t)((size_t)(arrange_kept(&work, &keep, arrange(&work, base, depth)) - base) + head + 64);
+}
+
+/* The derivatives of all stretches, which should be in the order of their sub-steps; `depth` is the most. Rows of
+   `d_weights`, `d_constants` and `d_jumps` are added to. `work` has `stretch_bytes(depth)` bytes. */
+void stretches(const Data *data, const Stretches *all, int64_t depth, const double *weights, const double *numbers,
+               const double *constants, const double *jumps, char *work) {
+    Work *w = (Work *)(((uintptr_t)work + 63) / 64 * 64);
+    Kept keep;
+    w->data = data;
+    w->jumps = jumps;
+    arrange_kept(w, &keep, arrange(w, (char *)w + (sizeof *w + 63) / 64 * 64, depth));
+    set_weights(w, weights);
+    for (int i = 0; i < NUMBERS; i++) w->numbers[i] = R(numbers[i]);
+    for (int64_t begin = 0; begin < all->count; begin += TILE) {
+        int64_t which[TILE];
+        w->depth = 0;
+        for (int t = 0; t < TILE; t++) {
+            w->active[t] = begin + t < all->count;
+            which[t] = w->active[t] ? begin + t : begin;
+            set_lane(w, t, all->owner[which[t]], all->first[which[t]], all->steps[which[t]], constants);
+        }
+        stretch_tile(w, all, which, &keep);
+    }
+}
+
+/* Chains the derivatives of consecutive stretches of each trajectory, and takes those of the residuals on the way.
+
+   `sum` [..][STATES][columns] is the derivative of an owner's state where a stretch begins; it becomes
+   `d_start sum + own` at its end, where the residuals from[r] to to[r] - 1 take its product with `d_state`; resets leave
+   `release` of it. Rows of an owner follow each other in time. */
+void chain(int64_t rows, int64_t columns, const int64_t *owner, const double *d_start, const double *own,
+           const double *release, const int64_t *from, const int64_t *to, const double *d_state, double *sum,
+           double *out) {
+    enum { WIDE = 256 };
+    double after[STATES][WIDE];
+    for (int64_t r = 0; r < rows; r++) {
+        double *whole = sum + owner[r] * STATES * columns;
+        for (int64_t begin = 0; begin < columns; begin += WIDE) {
+            const int64_t n = columns - begin < WIDE ? columns - begin : WIDE;
+            for (int i = 0; i < STATES; i++) {
+                memcpy(after[i], own + (r * STATES + i) * columns + begin, (size_t)n * sizeof(double));
+                for (int j = 0; j < STATES; j++) {
+                    const double a = d_start[(r * STATES + i) * STATES + j], *before = whole + j * columns + begin;
+                    if (a != 0) for (int64_t c = 0; c < n; c++) after[i][c] += a * before[c];
+                }
+            }
+            for (int64_t k = from[r]; k < to[r]; k++) {
+                double *row = out + k * columns + begin;
+                memset(row, 0, (size_t)n * sizeof(double));
+                for (int i = 0; i < STATES; i++) {
+                    const double d = d_state[k * STATES + i];
+                    if (d != 0) for (int64_t c = 0; c < n; c++) row[c] += d * after[i][c];
+                }
+            }
+            for (int i = 0; i < STATES; i++) {
+                const double left = release[r * STATES + i];
+                double *place = whole + i * columns + begin;
+                for (int64_t c = 0; c < n; c++) place[c] = left * after[i][c];
+            }
+        }
+    }
+}
