@@ -20,6 +20,8 @@ from gbspec.training.problem import Forcing, Problem, typical
 from gbspec.training.unroll import solve, unroll
 
 POLISH_STEPS = 12
+FLAT = 1e-12
+"""The least damping of a step, beside the trace of its Hessian."""
 HUBER = 0.3
 """Residuals beyond this many deviations of the data count linearly: one bad value must not set a start."""
 
@@ -157,7 +159,7 @@ def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Arra
         hessian, gradient = np.zeros((n, width, width)), np.zeros((n, width))
         np.add.at(hessian, owner, local[:, :, None] * (weight[:, None] * local)[:, None, :])
         np.add.at(gradient, owner, local * (weight * residuals)[:, None])
-        step = -np.linalg.solve(hessian + damping[:, None, None] * np.eye(width), gradient[:, :, None])[:, :, 0]
+        step = damped_steps(hessian, gradient, damping)
         trial = theta.copy()
         trial[parameters.n_shared :] += step.ravel()
         theta, new = _keep_blocks(problem, parameters, theta, trial, losses)
@@ -167,3 +169,16 @@ def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Arra
             break
         losses = new
     return theta
+
+
+def damped_steps(hessian: Array, gradient: Array, damping: Array) -> Array:
+    """Steps [N, k] from Hessians [N, k, k] (positive semidefinite), gradients [N, k] and dampings [N].
+
+    Each damping is at least FLAT times its Hessian's trace: it falls with every success, and the equations of a
+    direction along which the data say nothing must not become singular by that.
+    """
+    least = FLAT * np.trace(hessian, axis1=1, axis2=2)
+    diagonal = np.maximum(np.maximum(damping, least), np.finfo(float).tiny)
+    width = hessian.shape[1]
+    system = hessian + diagonal[:, None, None] * np.eye(width)
+    return np.asarray(-np.linalg.solve(system, gradient[:, :, None])[:, :, 0], dtype=np.float64)
