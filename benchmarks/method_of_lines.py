@@ -45,12 +45,12 @@ def of_module(path: Path, written_out: bool) -> Callable[[], Gradients]:
     trained = [value.requires_grad_() for name, value in weights.items() if name.endswith(("weight", "bias"))]
     constants = tuple(torch.full((TRAJECTORIES,), value) for value in instance.weights["constants"].tolist())
     math, condition = instance.arithmetic("torch"), torch.ones(TRAJECTORIES, 1)
-    h, start = torch.full((TRAJECTORIES,), STEP), begin(len(model.states))
+    grid, start = instance._grid(math, 0.0, torch.full((TRAJECTORIES,), STEP)), begin(len(model.states))
 
     def step() -> Gradients:
-        networks, x = instance.torch_networks(weights), start
+        field, x = instance._field(math, condition, constants, instance.torch_networks(weights)), start
         for _ in range(STEPS):
-            x = instance._step(math, 0.0, x, h, condition, (None, None, None), constants, networks)
+            x = instance._step(math, field, grid, x, (None, None, None))
         return torch.autograd.grad((x**2).sum(), trained)
 
     return step

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.training.affine import Field
 from gbspec.training.packing import NODES, Integers
 
 if TYPE_CHECKING:
@@ -26,13 +27,15 @@ if TYPE_CHECKING:
 class SubStep:
     """A sub-step of each of B trajectories: start `t` and length `h` [B], `condition` [B, n_conditions], the inputs at
     the tableau's nodes, [B, n_inputs] each, and the doses that arrive: their numbers in the packing [L, B], each
-    trajectory's in the order of time and -1 where there is none; None where nobody gets any."""
+    trajectory's in the order of time and -1 where there is none; None where nobody gets any. `grid` is what the
+    generated `_grid` makes of `t` and `h`; None: made when it is needed."""
 
     t: Tensor
     h: Tensor
     condition: Tensor
     nodes: tuple[Tensor, ...]
     events: Integers | None
+    grid: Any = None
 
 
 def arrivals(problem: Problem, constants: Tensor) -> Integers:
@@ -71,10 +74,16 @@ def _step_at(begins: np.ndarray[Any, Any], lengths: np.ndarray[Any, Any], time: 
     return int(np.searchsorted(begins, time + tolerance, side="right")) - 1
 
 
-def advance(problem: Problem, x: Tensor, step: SubStep, k: Sequence[Tensor], networks: Any) -> Tensor:
-    """The states [B, n_states] at the ends of a sub-step, from those at its start and the constants, [B] each."""
+def advance(
+    problem: Problem, x: Tensor, step: SubStep, k: Sequence[Tensor], networks: Any, field: Field | None = None
+) -> Tensor:
+    """The states [B, n_states] at the ends of a sub-step, from those at its start and the constants ([B] or [] each).
+
+    `field` is the right-hand side with all that is constant put in; None: made of the generated one.
+    """
+    rhs = field or problem.module._field(problem.ops, step.condition, tuple(k), networks)
     if step.events is None or not (step.events >= 0).any():
-        return _part(problem, x, step, None, None, k, networks)
+        return _part(problem, x, step, None, None, rhs)
     terms = problem.module._doses(problem.ops, step.condition, k)
     doses, model = problem.packed.doses, problem.model
     begin, places = torch.zeros_like(step.h), torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
@@ -87,30 +96,25 @@ def advance(problem: Problem, x: Tensor, step: SubStep, k: Sequence[Tensor], net
             if not doses.known[kind]:
                 # The sub-steps begin where doses of a known lag arrive; for others, time passes first.
                 arrival = torch.where(given, x.new_tensor(doses.time[layer]) + lag - step.t, begin)
-                x = _part(problem, x, step, begin, arrival, k, networks)
+                x = _part(problem, x, step, begin, arrival, rhs)
                 begin = arrival
             amount = x.new_tensor(np.where(mine, doses.amount[layer], 0.0)) * fraction
             x = x + amount[:, None] * places[model.state_index[model.doses[kind].state]]
-    return _part(problem, x, step, begin, step.h, k, networks)
+    return _part(problem, x, step, begin, step.h, rhs)
 
 
-def _part(
-    problem: Problem,
-    x: Tensor,
-    step: SubStep,
-    begin: Tensor | None,
-    end: Tensor | None,
-    k: Sequence[Tensor],
-    networks: Any,
-) -> Tensor:
+def _part(problem: Problem, x: Tensor, step: SubStep, begin: Tensor | None, end: Tensor | None, rhs: Field) -> Tensor:
     """One step of the solver over a part of a sub-step (times since its start), or over all of it."""
-    t, h, nodes = step.t, step.h, step.nodes
+    module, nodes, grid = problem.module, step.nodes, step.grid
     if begin is not None and end is not None:
-        t, h = step.t + begin, end - begin
+        h = end - begin
+        grid = module._grid(problem.ops, step.t + begin, h)
         if nodes[0].shape[1]:
             # Inputs are straight lines within a sub-step.
             whole = torch.where(step.h > 0, step.h, torch.ones_like(step.h))
             shares = [(begin + node * h) / whole for node in NODES]
             nodes = tuple(nodes[0] + share[:, None] * (nodes[-1] - nodes[0]) for share in shares)
-    out: Tensor = problem.module._step(problem.ops, t, x, h, step.condition, nodes, tuple(k), networks)
+    elif grid is None:
+        grid = module._grid(problem.ops, step.t, step.h)
+    out: Tensor = module._step(problem.ops, rhs, grid, x, nodes)
     return out

@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gbspec.backends.module.template.networks import _layers, _torch_like
+from gbspec.backends.module.template.networks import _folded, _layers, _torch_like
 from gbspec.backends.native import CompilerError, compiled, source
 from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
 from gbspec.backends.native.source import TILE, Precision
@@ -307,14 +307,8 @@ def _layer_weights(problem: Problem, weights: dict[str, Tensor], like: Tensor) -
     """All layers' weights and biases as the kernel takes them, the networks' scales multiplied in."""
     parts: list[Tensor] = []
     for network in problem.module.networks:
-        layers, (center, scale, output_center, output_scale) = _layers(network, weights, problem.ops, _torch_like)
-        folded = list(layers)
-        weight, bias = folded[0]
-        folded[0] = (weight / scale, bias - (weight / scale) @ center)
-        if not network["raw"]:
-            weight, bias = folded[-1]
-            folded[-1] = (output_scale[:, None] * weight, output_scale * bias + output_center)
-        parts += [part.reshape(-1) for layer in folded for part in layer]
+        layers, scales = _layers(network, weights, problem.ops, _torch_like)
+        parts += [part.reshape(-1) for layer in _folded(network, layers, scales) for part in layer]
     return torch.cat(parts) if parts else like.new_zeros(0)
 
 

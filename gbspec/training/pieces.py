@@ -75,42 +75,47 @@ def cut(packed: Packed, weight: Array) -> Pieces:
 
 
 class Schedule:
-    """The sub-steps of a problem's pieces as tensors: made once, stepped through many times.
+    """The sub-steps of a problem's pieces as tensors of a type: made once, stepped through many times.
 
     `steps[s]` is sub-step `s` of the live prefix (its doses left out, which may depend on what is learned);
-    `resets[s]`: values and weights put in on arrival there, None where nothing is (starts of pieces apart).
-    `start` [P, n_states] are forced starts of pieces, `fresh` [P, 1] says which start where their trajectory does;
-    `row` [R] is the place of each key row's state on arrival among those of all sub-steps, joined.
+    `resets[s]`: what is put in on arrival there, `x <- given + kept * x`, None where nothing is (starts of pieces
+    apart). `condition` [P, n_conditions]; `start` [P, n_states] are forced starts of pieces, `fresh` [P, 1] says which
+    start where their trajectory does; `row` [R] is the place of each key row's state on arrival among those of all
+    sub-steps, joined.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, dtype: torch.dtype = torch.float64) -> None:
         packed, forcing = problem.packed, problem.forcing
         pieces = cut(packed, forcing.weight)
         self.pieces = pieces
         device = problem.device
 
         def tensor(table: Any) -> Tensor:
-            return torch.from_numpy(table).to(device)
+            made = torch.from_numpy(table).to(device)
+            return made.to(dtype) if made.is_floating_point() else made
 
         self.fresh = tensor(pieces.start[:, None] < 0)
         value = forcing.value[pieces.start] if packed.rows else np.zeros((0, forcing.value.shape[1]))
         self.start = tensor(value)
         self.owner = tensor(pieces.owner)
-        condition = tensor(packed.condition[pieces.owner])
+        self.condition = tensor(packed.condition[pieces.owner])
         counts = [len(pieces.owner), *(pieces.live(s) for s in range(pieces.depth))]
         self.steps: list[SubStep] = []
         for s, live in enumerate(counts[1:]):
             at = pieces.first[:live] + s, pieces.owner[:live]
             t, h, inputs = (tensor(table[at]) for table in (packed.t, packed.h, packed.inputs))
-            self.steps.append(SubStep(t, h, condition[:live], inputs.unbind(1), None))
-        self.resets = self._resets(problem, counts)
+            grid = problem.module._grid(problem.ops, t, h)
+            self.steps.append(SubStep(t, h, self.condition[:live], inputs.unbind(1), None, grid))
+        self.resets = [
+            None if reset is None else (tensor(reset[0]), tensor(reset[1])) for reset in self._resets(problem, counts)
+        ]
         offsets = np.concatenate([[0], np.cumsum(counts)])
         self.row = tensor(offsets[pieces.row_step] + pieces.row_piece)
 
-    def _resets(self, problem: Problem, counts: list[int]) -> list[tuple[Tensor, Tensor] | None]:
-        """Values and weights by sub-step on arrival; rows at which a piece ends are left out, as nothing follows."""
+    def _resets(self, problem: Problem, counts: list[int]) -> list[tuple[Array, Array] | None]:
+        """What is given and what is kept, by sub-step; rows at which a piece ends are left out, as nothing follows."""
         pieces, forcing = self.pieces, problem.forcing
-        out: list[tuple[Tensor, Tensor] | None] = [None] * len(counts)
+        out: list[tuple[Array, Array] | None] = [None] * len(counts)
         inside = pieces.row_step < pieces.length[pieces.row_piece] if len(pieces.owner) else np.zeros(0, dtype=bool)
         rows = np.flatnonzero(inside & forcing.weight.any(axis=1))
         rows = rows[np.argsort(pieces.row_step[rows], kind="stable")]
@@ -118,7 +123,7 @@ class Schedule:
         for step, own in zip(steps.tolist(), np.split(rows, begins[1:]), strict=False):
             value, weight = np.zeros((2, counts[step], forcing.value.shape[1]))
             value[pieces.row_piece[own]], weight[pieces.row_piece[own]] = forcing.value[own], forcing.weight[own]
-            out[step] = torch.from_numpy(value).to(problem.device), torch.from_numpy(weight).to(problem.device)
+            out[step] = weight * value, 1.0 - weight
         return out
 
     def with_doses(self, problem: Problem, constants: Tensor) -> list[SubStep]:

@@ -96,6 +96,15 @@ class Problem:
 
         return Schedule(self)
 
+    @cached_property
+    def schedule_in_float32(self) -> Schedule:
+        """The same in single precision."""
+        import torch
+
+        from gbspec.training.pieces import Schedule
+
+        return Schedule(self, torch.float32)
+
     def forced(self, blend: float) -> Problem:
         """The same problem with teacher forcing of strength `blend`: 1 teacher forcing, 0 autoregressive."""
         return replace(self, forcing=teacher_forcing(self.model, self.packed, blend))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +15,10 @@ from torch.utils.checkpoint import checkpoint
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training import graph_memory
+from gbspec.training.affine import Affine, Field, NotAffineError, affine
 from gbspec.training.doses import SubStep, advance, arrivals
 from gbspec.training.parameters import Parameters
+from gbspec.training.pieces import Schedule
 from gbspec.training.problem import Problem
 
 LOG_FLOOR = 1e-3
@@ -47,9 +50,10 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     constants = parameters.constants(theta)
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     initial = module._initial(m, parameters.starts(theta), theta.new_tensor(packed.condition), k)
-    schedule = problem.schedule
+    schedule = problem.schedule_in_float32 if theta.dtype == torch.float32 else problem.schedule
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
-    passed = torch.cat(_run(problem, x, constants[schedule.owner], schedule.with_doses(problem, constants), networks))
+    motion = Motion(problem, schedule, parameters.own, constants, networks)
+    passed = torch.cat(_run(problem, schedule, motion, x, schedule.with_doses(problem, constants)))
     arrival = passed[schedule.row]
     value, weight = theta.new_tensor(problem.forcing.value), theta.new_tensor(problem.forcing.weight)
     owner = torch.from_numpy(packed.row_trajectory).to(theta.device)
@@ -67,18 +71,20 @@ def _by_kernel(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrol
     return Unrolled(arrival, arrival - weight * (arrival - value), initial, residuals)
 
 
-def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep], networks: Any) -> list[Tensor]:
+def _run(problem: Problem, schedule: Schedule, motion: Motion, x: Tensor, steps: Sequence[SubStep]) -> list[Tensor]:
     """States of the live pieces at their starts and on arrival after each sub-step, from `x` [P, n_states]."""
-    passed, k = [x], constants.unbind(1)
+    passed = [x]
+    # Made beforehand, so that a stretch that is computed again finds them as it did the first time.
+    flows = {live: motion.of(slice(live)) for live in {len(step.t) for step in steps}}
 
     def stretch(x: Tensor, begin: int, end: int) -> tuple[Tensor, ...]:
         out = []
-        for reset, step in zip(problem.schedule.resets[begin:end], steps[begin:end], strict=True):
+        for reset, step in zip(schedule.resets[begin:end], steps[begin:end], strict=True):
             if reset is not None:
-                value, weight = reset
-                x = x - weight * (x - value)
+                given, kept = reset
+                x = torch.addcmul(given, kept, x)
             live = len(step.t)
-            x = advance(problem, x[:live], step, [column[:live] for column in k], networks)
+            x = advance(problem, x if live == len(x) else x[:live], step, *flows[live])
             out.append(x)
         return tuple(out)
 
@@ -87,7 +93,7 @@ def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep
         first, row = steps[0], torch.zeros(count, dtype=torch.int64, device=x.device)
         nodes = tuple(node[row] for node in first.nodes)
         step = SubStep(first.t[row], first.h[row], first.condition[row], nodes, None)
-        return advance(problem, x[row], step, [column[row] for column in k], networks)
+        return advance(problem, x[row], step, *motion.of(row))
 
     every = [(0, len(steps))]
     if torch.is_grad_enabled():
@@ -98,6 +104,36 @@ def _run(problem: Problem, x: Tensor, constants: Tensor, steps: Sequence[SubStep
         else:
             passed += checkpoint(stretch, passed[-1], begin, end, use_reentrant=False, preserve_rng_state=False)
     return passed
+
+
+class Motion:
+    """What moves the pieces of a schedule: constants and right-hand side, those that all pieces share computed once.
+
+    `own`: which learnables each trajectory has for itself; `constants` [N, n_constants].
+    """
+
+    def __init__(
+        self, problem: Problem, schedule: Schedule, own: Sequence[int], constants: Tensor, networks: Any
+    ) -> None:
+        self._problem, self._networks, self._condition = problem, networks, schedule.condition
+        single = {len(problem.model.constants) + i for i in own}
+        # All rows hold the same value of a constant that is shared: one number serves in its place.
+        self._constants = [
+            column[schedule.owner] if i in single or not len(column) else column[0]
+            for i, column in enumerate(constants.unbind(1))
+        ]
+        self._affine: Affine | None = None
+        with suppress(NotAffineError):
+            if not problem.model.arrays:
+                self._affine = affine(problem.module, problem.ops, schedule.condition, self._constants, networks)
+
+    def of(self, rows: slice | Tensor) -> tuple[tuple[Tensor, ...], Any, Field]:
+        """For some of the pieces: constants, networks, and the right-hand side."""
+        k = tuple(value[rows] if value.ndim else value for value in self._constants)
+        if self._affine is not None:
+            return k, self._networks, self._affine.at(rows)
+        condition = self._condition[rows].unbind(1)
+        return k, self._networks, self._problem.module._field(self._problem.ops, condition, k, self._networks)
 
 
 def _sub_steps(problem: Problem, constants: Tensor) -> list[SubStep]:

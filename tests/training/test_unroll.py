@@ -37,7 +37,8 @@ def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Te
             for s in range(done, packed.row_step[row]):
                 t, h = (torch.from_numpy(table[s, i : i + 1]) for table in (packed.t, packed.h))
                 nodes = torch.from_numpy(packed.inputs[s, i : i + 1]).unbind(1)
-                x = module._step(problem.ops, t, x, h, c, nodes, k, networks)
+                field = module._field(problem.ops, c, k, networks)
+                x = module._step(problem.ops, field, module._grid(problem.ops, t, h), x, nodes)
             done = int(packed.row_step[row])
             arrival[row] = x[0]
             value, weight = (torch.from_numpy(table[row]) for table in (problem.forcing.value, problem.forcing.weight))

@@ -58,7 +58,8 @@ def step(instance: Any) -> Any:
     t, x, h, condition, *inputs = arguments.values()
     m = instance.arithmetic("casadi")
     constants = m.unpack(kind(ca.DM(instance.weights["constants"])))
-    after = instance._step(m, t, x, h, condition, tuple(inputs), constants, instance.casadi_networks())
+    rhs = instance._field(m, condition, constants, instance.casadi_networks())
+    after = instance._step(m, rhs, instance._grid(m, t, h), x, tuple(inputs))
     return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["x_after"])
 
 

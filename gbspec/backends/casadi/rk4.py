@@ -98,5 +98,6 @@ def _step_function(instance: Any) -> Any:
     arguments = {name: kind.sym(name, size) for name, size in sizes.items()}
     x, t, h, u0, u1, u2, jump, condition, constants = arguments.values()
     m = instance.arithmetic("casadi")
-    after = instance._step(m, t, x + jump, h, condition, (u0, u1, u2), m.unpack(constants), instance.casadi_networks())
+    rhs = instance._field(m, condition, m.unpack(constants), instance.casadi_networks())
+    after = instance._step(m, rhs, instance._grid(m, t, h), x + jump, (u0, u1, u2))
     return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["after"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from math import lcm
 
 import sympy
 
@@ -244,26 +243,60 @@ def doses_method(model: Model) -> str:
     return _method("@classmethod", "_doses", ["cls", "math", "condition", "constants"], document, body)
 
 
+def grid_method(tableau: Tableau) -> str:
+    """`_grid`: what `_step` needs of the time and size of a step."""
+    times = ", ".join(_time(c) for c in sorted(set(tableau.c)))
+    sizes = ", ".join(_multiple(factor, "column") for factor in _sizes(tableau))
+    body = ["column = math.column(h)  # to multiply vectors", f"return ({times}), ({sizes})"]
+    document = (
+        f"A step of size h ({tableau.name.upper()}) from t: the times at which it needs inputs, parts of its size."
+    )
+    return _method("@staticmethod", "_grid", ["math", "t", "h"], document, body)
+
+
 def step_method(tableau: Tableau) -> str:
     """`_step`: one step of an explicit Runge-Kutta method."""
     nodes = sorted(set(tableau.c))
-    inputs = [f"u{nodes.index(c)}" for c in tableau.c]
+    sizes = _targets(_size_name(factor) for factor in _sizes(tableau))
     body = [
-        "column = math.column(h)  # to multiply vectors",
+        f"({_targets(f't{i}' for i in range(len(nodes)))}), ({sizes}) = grid",
         f"{_targets(f'u{i}' for i in range(len(nodes)))} = inputs",
     ]
     for i, (row, c) in enumerate(zip(tableau.a, tableau.c, strict=True)):
-        time = "t" if c == 0 else f"t + {_multiple(c, 'h')}"
-        terms = [f"{_multiple(a, 'column')}*k{j + 1}" for j, a in enumerate(row) if a]
-        place = " + ".join(["state", *terms])
-        body.append(f"k{i + 1} = cls._rhs(math, {time}, {place}, condition, {inputs[i]}, constants, networks)")
-    common = lcm(*(b.denominator for b in tableau.b))
-    parts = [_multiple(b * common, f"k{i + 1}") for i, b in enumerate(tableau.b) if b]
-    body.append(f"return state + {_multiple(Fraction(1, common), 'column')}*({' + '.join(parts)})")
-    times = ", ".join("t" if c == 0 else f"t + {_multiple(c, 'h')}" for c in nodes)
-    document = f"One step of size h ({tableau.name.upper()}); `inputs` is a tuple of the inputs at {times}."
-    parameters = ["cls", "math", "t", "state", "h", "condition", "inputs", "constants", "networks"]
-    return _method("@classmethod", "_step", parameters, document, body)
+        node = nodes.index(c)
+        body.append(f"k{i + 1} = rhs(t{node}, {_ahead(row)}, u{node})")
+    body.append(f"return {_ahead(tableau.b)}")
+    times = ", ".join(_time(c) for c in nodes)
+    document = f"One step ({tableau.name.upper()}) of state' = rhs(time, state, inputs); `inputs` are those at {times}."
+    return _method("@staticmethod", "_step", ["math", "rhs", "grid", "state", "inputs"], document, body)
+
+
+def _sizes(tableau: Tableau) -> list[Fraction]:
+    """The parts of a step by which sums of stages are multiplied."""
+    return sorted({min(filter(None, row)) for row in (*tableau.a, tableau.b) if any(row)})
+
+
+def _size_name(factor: Fraction) -> str:
+    """`h`, `h_2` for h/2, `h2_3` for 2*h/3."""
+    above = "h" if factor.numerator == 1 else f"h{factor.numerator}"
+    return above if factor.denominator == 1 else f"{above}_{factor.denominator}"
+
+
+def _ahead(row: Sequence[Fraction]) -> str:
+    """The state moved by the stages in their proportions; stages that count alike are added first."""
+    if not any(row):
+        return "state"
+    unit = min(filter(None, row))
+    ratios = sorted({b / unit for b in row if b})
+    sums = [" + ".join(f"k{i + 1}" for i, b in enumerate(row) if b == ratio * unit) for ratio in ratios]
+    total = sums[0]
+    for ratio, stages in zip(ratios[1:], sums[1:], strict=True):
+        total = f"math.ahead({total}, {ratio}, {stages})"
+    return f"math.ahead(state, {_size_name(unit)}, {total})"
+
+
+def _time(c: Fraction) -> str:
+    return "t" if c == 0 else f"t + {_multiple(c, 'h')}"
 
 
 def _multiple(factor: Fraction, name: str) -> str:

@@ -43,6 +43,7 @@ def _places(model: Model, class_name: str) -> dict[str, str]:
         equations.observe_method(model),
         equations.initial_method(model),
         *([equations.doses_method(model)] if model.doses else []),
+        equations.grid_method(RK4),
         equations.step_method(RK4),
         _unknown_table(model),
     ]

@@ -11,11 +11,11 @@ import numpy as np
 # <body>
 # ---------------------------------------------------------------------- arithmetic
 # One namespace a library, all with the same names, so that the equations are written once. `where(condition, a, b)`
-# chooses; `guard(condition, x)` is x, in torch with its gradient cut off where the condition does not hold; `unpack`
-# splits the last axis, `pack(like, parts)` joins parts along a new one in the shape and type of `like`, `column`
-# appends an axis, `columns` to each of several; `fill(like, x)` is a number for each point of a batch. Of vectors on
-# the last axis, `part` takes components, `entry` one, `total` their sum; `join` puts vectors one behind the other,
-# `spread` repeats a scalar, `indices` counts.
+# chooses; `guard(condition, x)` is x, in torch with its gradient cut off where the condition does not hold; `ahead(x,
+# h, k)` is x + h*k; `unpack` splits the last axis (a tuple is split already), `pack(like, parts)` joins parts along a
+# new one in the shape and type of `like`, `column` appends an axis, `columns` to each of several; `fill(like, x)` is a
+# number for each point of a batch. Of vectors on the last axis, `part` takes components, `entry` one, `total` their
+# sum; `join` puts vectors one behind the other, `spread` repeats a scalar, `indices` counts.
 
 
 @functools.cache
@@ -77,11 +77,12 @@ def _torch_arithmetic() -> Any:
         logical_not=lambda a: torch.logical_not(torch.as_tensor(a)),
         where=where,
         guard=guard,
-        unpack=lambda x: x.unbind(-1),
+        unpack=lambda x: x if isinstance(x, tuple) else x.unbind(-1),
         pack=pack,
         column=column,
         columns=lambda values: tuple(map(column, values)),
         fill=lambda like, x: like.new_tensor(x).expand(like.shape[:-1]),
+        ahead=lambda x, h, k: torch.addcmul(x, h, k) if isinstance(h, Tensor) else torch.add(x, k, alpha=h),
         part=lambda x, *ends: x[..., slice(*ends) if len(ends) < 3 else list(range(*ends))],
         entry=lambda x, place: x[..., place],
         total=lambda x: x.sum(-1),
@@ -118,6 +119,7 @@ def _casadi_arithmetic() -> Any:
         column=lambda h: h,
         columns=lambda values: values,
         fill=lambda like, x: x,
+        ahead=lambda x, h, k: x + h * k,
         part=lambda x, *ends: x[slice(*ends) if len(ends) < 3 else list(range(*ends))],
         entry=lambda x, place: x[place],
         total=ca.sum1,
@@ -156,6 +158,7 @@ def _numpy_arithmetic() -> Any:
         column=lambda h: np.expand_dims(h, -1),
         columns=lambda values: tuple(np.expand_dims(value, -1) for value in values),
         fill=lambda like, x: np.broadcast_to(x, np.shape(like)[:-1]),
+        ahead=lambda x, h, k: x + h * k,
         part=lambda x, *ends: x[..., slice(*ends) if len(ends) < 3 else list(range(*ends))],
         entry=lambda x, place: x[..., place],
         total=lambda x: np.sum(x, -1),

@@ -67,14 +67,21 @@ class Template:  # {{class}}
     def _initial(cls, math: Any, state: Any, condition: Any, constants: Any) -> Any:
         return state
 
-    @classmethod
-    def _step(
-        cls, math: Any, t: Any, state: Any, h: Any, condition: Any, inputs: Any, constants: Any, networks: Any
-    ) -> Any:
+    @staticmethod
+    def _grid(math: Any, t: Any, h: Any) -> Any:
+        return (), ()
+
+    @staticmethod
+    def _step(math: Any, rhs: Any, grid: Any, state: Any, inputs: Any) -> Any:
         return state
 
     _unknowns: ClassVar[dict[str, tuple[int, int, Any]]] = {}
     # equations}}
+
+    @classmethod
+    def _field(cls, math: Any, condition: Any, constants: Any, networks: Any) -> Any:
+        """`_rhs` as a function of time, state and inputs."""
+        return lambda t, state, inputs: cls._rhs(math, t, state, condition, inputs, constants, networks)
 
     # ------------------------------------------------------------------ weights
     # `self.weights` maps names to float64 arrays:
@@ -238,8 +245,9 @@ class Template:  # {{class}}
         """One RK4 step of size h (a number or [...]) from x [..., n_states] at t; `inputs` hold through the step."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
-        t, h = self._like(t, x), self._like(h, x)
-        return self._step(_torch_arithmetic(), t, x, h, condition, (inputs,) * 3, k, f)
+        m = _torch_arithmetic()
+        grid = self._grid(m, self._like(t, x), self._like(h, x))
+        return self._step(m, self._field(m, condition, k, f), grid, x, (inputs,) * len(grid[0]))
 
     def simulate(
         self,
@@ -269,14 +277,15 @@ class Template:  # {{class}}
         signal = self._signal(inputs, grid, x)
         batch = np.broadcast_shapes(x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1])
         x = x.expand(*batch, x.shape[-1])
-        path = [x]
+        path, m = [x], _torch_arithmetic()
+        rhs = self._field(m, condition, k, f)
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
             count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))
             h = (end - start) / count
             for j in range(count):
-                t = start + j * h
-                u = tuple(signal(i, time) for time in (t, t + h / 2, t + h))
-                x = self._step(_torch_arithmetic(), self._like(t, x), x, h, condition, u, k, f)
+                nodes, sizes = self._grid(m, start + j * h, h)
+                u = tuple(signal(i, t) for t in nodes)
+                x = self._step(m, rhs, ([self._like(t, x) for t in nodes], sizes), x, u)
             path.append(x)
         return torch.stack(path, -2)
 

@@ -77,11 +77,49 @@ class _Raw:
     """A network whose outputs keep out their centers and scales (lists of numbers), which a contract's form puts in."""
 
     def __init__(self, call: Any, center: Any, scale: Any, spread: Any) -> None:
-        self._call = call
+        self.call = call
         self.center, self.scale, self.spread = center.tolist(), scale.tolist(), spread.tolist()
 
     def __call__(self, *arguments: Any) -> Any:
-        return self._call(*arguments)
+        return self.call(*arguments)
+
+
+def _folded(network: dict[str, Any], layers: Any, scales: tuple[Any, ...]) -> list[tuple[Any, Any]]:
+    """Torch layers with a network's scales multiplied into the first and the last; with raw outputs the first alone."""
+    center, scale, output_center, output_scale = scales
+    (weight, bias), folded = layers[0], list(layers)
+    folded[0] = (weight / scale, bias - (weight / scale) @ center)
+    if not network["raw"]:
+        weight, bias = folded[-1]
+        folded[-1] = (output_scale[:, None] * weight, output_scale * bias + output_center)
+    return folded
+
+
+class _TorchNetwork:
+    """A network over torch tensors; its scales go into the first and the last layer once, instead of into every call.
+
+    `layers`: weights [in, out] and biases with the scales in them; `activations`: that of each hidden layer.
+    """
+
+    def __init__(self, layers: Any, activations: Any, together: Any) -> None:
+        self.layers = [(weight.T, bias) for weight, bias in layers]
+        self.activations, self._together = activations, together
+
+    def __call__(self, *arguments: Any) -> Any:
+        points = self._together(arguments)
+        if points.ndim == 2:
+            return self.through(self.layers, points).unbind(-1)
+        out = self.through(self.layers, points.reshape(-1, points.shape[-1]))
+        return out.reshape(*points.shape[:-1], out.shape[-1]).unbind(-1)
+
+    def through(self, layers: Any, points: Any) -> Any:
+        """What layers like its own give [B, out] at points [B, in]; a bias is [width] or [B, width]."""
+        import torch
+
+        a = points
+        for i, (weight, bias) in enumerate(layers):
+            a = torch.addmm(bias, self.activations[i - 1](a) if i else a, weight)
+        return a
 
 
 def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list[Any] | None) -> Any:
@@ -91,7 +129,8 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
     m = _torch_arithmetic()
     own = _torch_activation(network["activation"])
     activations = _activations(network, own, m, _torch_split, lambda parts: torch.cat(parts, -1))
-    layers, (center, scale, output_center, output_scale) = _layers(network, weights, m, _torch_like)
+    layers, scales = _layers(network, weights, m, _torch_like)
+    center, scale, output_center, output_scale = scales
     raw, shape = network["raw"], [()]
 
     def together(arguments: Any) -> Any:
@@ -111,23 +150,8 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
                 tape.append((index, i, a, z))
         return (z if raw else output_center + output_scale * z).unbind(-1)
 
-    if tape is not None:
-        return _Raw(taped, output_center, output_scale, scale) if raw else taped
-    # The scales go into the first and the last layer once, instead of into every call.
-    (weight, bias), folded = layers[0], list(layers)
-    folded[0] = (weight / scale, bias - (weight / scale) @ center)
-    if not raw:
-        weight, bias = folded[-1]
-        folded[-1] = (output_scale[:, None] * weight, output_scale * bias + output_center)
-    *hidden, (last_weight, last_bias) = folded
-
-    def plain(*arguments: Any) -> Any:
-        a = together(arguments)
-        for (weight, bias), activation in zip(hidden, activations, strict=True):
-            a = activation(linear(a, weight, bias))
-        return linear(a, last_weight, last_bias).unbind(-1)
-
-    return _Raw(plain, output_center, output_scale, scale) if raw else plain
+    call = taped if tape is not None else _TorchNetwork(_folded(network, layers, scales), activations, together)
+    return _Raw(call, output_center, output_scale, scale) if raw else call
 
 
 def _torch_split(z: Any, sizes: list[int]) -> list[Any]:

@@ -1,0 +1,236 @@
+"""Right-hand sides that are affine in states, inputs and unknowns, in as few operations as a hand would write.
+
+The generated module's own equations tell whether they are: they are evaluated once an unroll with `Form`s in place of
+numbers, sums of multiples of states, inputs and outputs of networks. Where nothing else occurs, a network's arguments
+too, then
+
+    dx/dt = shift + x A + u U + sum over the calls of networks of hidden(x, u) G
+
+where hidden is what a network's last layer gets. Conditions, constants and scales are in the matrices, the first
+layers' biases and the shift, all of them computed once an unroll and differentiable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+Coefficient = float | Tensor
+Key = tuple[Any, ...]
+Field = Callable[[Any, Tensor, Tensor], Tensor]
+"""A right-hand side: of times [B], states [B, n_states] and inputs [B, n_inputs]."""
+
+
+class NotAffineError(Exception):
+    """The equations hold something that is no sum of multiples; they are then evaluated as they stand."""
+
+
+def _refuse(*_: Any) -> Any:
+    raise NotAffineError
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """`constant` plus the sum of `terms[key]` times what the key stands for."""
+
+    terms: dict[Key, Coefficient]
+    constant: Coefficient = 0.0
+
+    def __add__(self, other: Any) -> Form:
+        other = form_of(other)
+        terms = dict(self.terms)
+        for key, value in other.terms.items():
+            terms[key] = terms[key] + value if key in terms else value
+        return Form(terms, self.constant + other.constant)
+
+    def __mul__(self, factor: Any) -> Form:
+        if isinstance(factor, Form):
+            raise NotAffineError
+        return Form({key: value * factor for key, value in self.terms.items()}, self.constant * factor)
+
+    def __neg__(self) -> Form:
+        return self.__mul__(-1.0)
+
+    def __sub__(self, other: Any) -> Form:
+        return self.__add__(form_of(other).__mul__(-1.0))
+
+    def __rsub__(self, other: Any) -> Form:
+        return self.__mul__(-1.0).__add__(other)
+
+    def __truediv__(self, divisor: Any) -> Form:
+        return self.__mul__(1.0 / divisor)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+    __rtruediv__ = __pow__ = __rpow__ = __mod__ = __rmod__ = _refuse
+    __lt__ = __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __bool__ = __float__ = _refuse
+
+
+def form_of(value: Any) -> Form:
+    """A value as a form; numbers and tensors are constants."""
+    return value if isinstance(value, Form) else Form({}, value)
+
+
+def _arithmetic(ops: Any) -> Any:
+    """The torch arithmetic, in which no function but a sum takes a form."""
+
+    def only_numbers(function: Any) -> Any:
+        def call(*arguments: Any) -> Any:
+            flat = [x for a in arguments for x in (a if isinstance(a, tuple) else (a,))]
+            return _refuse() if any(isinstance(x, Form) for x in flat) else function(*arguments)
+
+        return call
+
+    table = {name: only_numbers(value) if callable(value) else value for name, value in vars(ops).items()}
+    table |= {"unpack": lambda x: x, "pack": lambda like, parts: parts, "fill": lambda like, x: x}
+    return SimpleNamespace(**table)
+
+
+_Calls = list[tuple[Any, list[Form]]]
+"""The networks that were called, with their arguments."""
+
+
+@dataclass(frozen=True)
+class _Call:
+    """A call of a network: its first layer over states (with a bias) and over inputs, and the layers after it."""
+
+    network: Any
+    states: Tensor
+    inputs: Tensor | None
+    bias: Tensor
+    hidden: Sequence[tuple[Tensor, Tensor]]
+    last: Tensor
+
+    def added(self, out: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """`out` [B, n_states], with what the call contributes to the right-hand sides."""
+        bias = self.bias if self.inputs is None else torch.addmm(self.bias, u, self.inputs)
+        moved: Tensor = self.network.through([(self.states, bias), *self.hidden, (self.last, out)], x)
+        return moved
+
+
+@dataclass(frozen=True)
+class Affine:
+    """The matrices of such a right-hand side for P trajectories; None: zero. `shift` is [n_states] or [P, n_states]."""
+
+    shift: Tensor
+    states: Tensor | None
+    inputs: Tensor | None
+    calls: Sequence[_Call]
+
+    def at(self, rows: Any) -> Field:
+        """The right-hand side of some of the trajectories."""
+        shift = _rows(self.shift, rows)
+        calls = [_Call(**vars(call) | {"bias": _rows(call.bias, rows)}) for call in self.calls]
+
+        def field(t: Any, x: Tensor, u: Tensor) -> Tensor:
+            out = shift if self.states is None else torch.addmm(shift, x, self.states)
+            out = out if self.inputs is None else torch.addmm(out, u, self.inputs)
+            for call in calls:
+                out = call.added(out, x, u)
+            return out
+
+        return field
+
+
+def _rows(table: Tensor, rows: Any) -> Tensor:
+    return table[rows] if table.ndim > 1 else table
+
+
+class _Probe:
+    """A network that writes down its calls and gives forms; it has the numbers that forms of contracts use."""
+
+    def __init__(self, network: Any, calls: _Calls) -> None:
+        if hasattr(network, "scale"):
+            self.center, self.scale, self.spread = network.center, network.scale, network.spread
+        self._network, self._calls = getattr(network, "call", network), calls
+        if not hasattr(self._network, "through") or len(self._network.layers) < 2:
+            raise NotAffineError
+
+    def __call__(self, *arguments: Any) -> tuple[Form, ...]:
+        number, outputs = len(self._calls), self._network.layers[-1][0].shape[1]
+        self._calls.append((self._network, [form_of(argument) for argument in arguments]))
+        return tuple(Form({("output", number, i): 1.0}) for i in range(outputs))
+
+
+def affine(module: Any, ops: Any, condition: Tensor, constants: Sequence[Tensor], networks: Sequence[Any]) -> Affine:
+    """The right-hand side of trajectories of these conditions [P, n_conditions] and constants ([P] or [] each).
+
+    Raises NotAffineError where it is not affine, or its matrices would differ between trajectories.
+    """
+    calls: _Calls = []
+    probes = tuple(_Probe(network, calls) for network in networks)
+    states = tuple(("state", i) for i in range(len(module.states)))
+    inputs = tuple(("input", i) for i in range(len(module.inputs)))
+    rows = module._rhs(
+        _arithmetic(ops),
+        Form({("time",): 1.0}),
+        tuple(Form({key: 1.0}) for key in states),
+        condition.unbind(1),
+        tuple(Form({key: 1.0}) for key in inputs),
+        tuple(constants),
+        probes,
+    )
+    return _assembled([form_of(row) for row in rows], states, inputs, calls, condition)
+
+
+def _assembled(
+    rows: Sequence[Form],
+    states: Sequence[Key],
+    inputs: Sequence[Key],
+    calls: _Calls,
+    like: Tensor,
+) -> Affine:
+    """The matrices, from what each row is and which network was called with what."""
+    shift, made = _constant(rows, like), []
+    known = {*states, *inputs}
+    for number, (network, arguments) in enumerate(calls):
+        _within(arguments, {*states, *inputs})
+        (first, bias), *hidden, (last, last_bias) = network.layers
+        outputs = [("output", number, i) for i in range(last.shape[1])]
+        into, aside = (_matrix(arguments, keys, like) for keys in (states, inputs))
+        out = _matrix(rows, outputs, like)
+        known.update(outputs)
+        if out is None:
+            continue
+        start = first.new_zeros((len(states), first.shape[1])) if into is None else into @ first
+        bias = bias + _constant(arguments, like) @ first
+        made.append(_Call(network, start, None if aside is None else aside @ first, bias, hidden, last @ out))
+        shift = shift + last_bias @ out
+    _within(rows, known)
+    moved = _matrix(rows, states, like)
+    if moved is None and not made:
+        moved = like.new_zeros((len(states), len(states)))
+    return Affine(shift, moved, _matrix(rows, inputs, like), made)
+
+
+def _within(forms: Iterable[Form], known: set[Key]) -> None:
+    """Refuses forms with other terms: times, and outputs of networks as arguments of networks."""
+    if any(key not in known for form in forms for key in form.terms):
+        raise NotAffineError
+
+
+def _matrix(forms: Sequence[Form], keys: Sequence[Key], like: Tensor) -> Tensor | None:
+    """Coefficients [keys, forms]; None where all are absent."""
+    if not any(key in form.terms for form in forms for key in keys):
+        return None
+    table = [[_tensor(form.terms.get(key, 0.0), like) for form in forms] for key in keys]
+    if any(entry.ndim for row in table for entry in row):
+        raise NotAffineError
+    return torch.stack([torch.stack(row) for row in table])
+
+
+def _constant(forms: Sequence[Form], like: Tensor) -> Tensor:
+    """Constants [forms], or [P, forms] where they differ between trajectories."""
+    parts = [_tensor(form.constant, like) for form in forms]
+    shape = np.broadcast_shapes(*(part.shape for part in parts))
+    return torch.stack([part.expand(shape) for part in parts], -1)
+
+
+def _tensor(value: Coefficient, like: Tensor) -> Tensor:
+    return value.to(like) if isinstance(value, Tensor) else like.new_tensor(value)
