@@ -18,15 +18,19 @@ typedef int64_t bits;
 #if defined(__AVX512F__)
 #define VECTOR_BYTES 64
 #define COLUMNS 4
+#define ABREAST 4
 #elif defined(__AVX__)
 #define VECTOR_BYTES 32
 #define COLUMNS 2
+#define ABREAST 2
 #elif defined(__aarch64__)
 #define VECTOR_BYTES 16
 #define COLUMNS 4
+#define ABREAST 4
 #else
 #define VECTOR_BYTES 16
 #define COLUMNS 2
+#define ABREAST 2
 #endif
 typedef real vec __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
 typedef bits mask __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
@@ -35,18 +39,29 @@ typedef bits mask __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)
 #define INLINE static inline __attribute__((always_inline))
 #define APART static __attribute__((noinline))
 #define UNROLL _Pragma("GCC unroll 8")
+#define UNROLL_MORE _Pragma("GCC unroll 16")
 #define BITS(x) ((mask)(x))
 #define FROM_BITS(b) ((vec)(b))
+#if defined(__AVX512F__)
+#define IN_REGISTER(v) __asm__("" : "+v"(v))
+#elif defined(__x86_64__)
+#define IN_REGISTER(v) __asm__("" : "+x"(v))
+#else
+#define IN_REGISTER(v) (void)(v)
+#endif
 #define SELECT(condition, a, b) FROM_BITS((BITS(a) & (mask)(condition)) | (BITS(b) & ~(mask)(condition)))
 #else
 typedef real vec;
 typedef bits mask;
 #define COLUMNS 4
+#define ABREAST 1
+#define IN_REGISTER(v) (void)(v)
 #define LANES 1
 #define LANES_HALVED 0
 #define INLINE static inline
 #define APART static
 #define UNROLL
+#define UNROLL_MORE
 INLINE bits BITS(real x) { bits b; memcpy(&b, &x, sizeof b); return b; }
 INLINE real FROM_BITS(bits b) { real x; memcpy(&x, &b, sizeof x); return x; }
 #define SELECT(condition, a, b) ((condition) ? (a) : (b))
@@ -102,28 +117,64 @@ INLINE void exp_parts(vec x, vec *s, vec *q) {
 INLINE vec v_exp(vec x) { vec s, q; exp_parts(x, &s, &q); return s + s * q; }
 INLINE vec v_expm1(vec x) { vec s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
 
-/* 1/d for d in [1, 2]: the polynomial of degree 5 with the least relative error, 1/T6(3), then Newton's iteration, which
-   squares the error. Divisions of whole vectors take several times as long. */
-INLINE vec v_reciprocal(vec d) {
-    const vec d2 = d * d;
-    const vec top = d * R(-2048.0 / 19601) + R(18432.0 / 19601), low = d * R(-145224.0 / 19601) + R(83160.0 / 19601);
-    vec y = (top * d2 + (d * R(-68352.0 / 19601) + R(133632.0 / 19601))) * d2 + low;
-    y = y + y * (R(1) - d * y);
-#if !REAL_IS_FLOAT
-    y = y + y * (R(1) - d * y);
+/* Functions of n vectors take every operation for all of them in turn: one's waits are filled with the others' work. */
+#define ALL UNROLL for (int j = 0; j < n; j++)
+
+/* 1/d for positive d that are not close to the ends of the range: from bits taken from a constant, 5 % off at most, by
+   iterations that square or cube the error. Divisions of whole vectors take several times as long. */
+INLINE void reciprocals(const int n, const vec *d, vec *y) {
+    vec miss[ABREAST];
+#if REAL_IS_FLOAT
+    ALL y[j] = FROM_BITS(0x7EF311C7 - BITS(d[j]));
+#else
+    ALL y[j] = FROM_BITS(0x7FDE6238502484BA - BITS(d[j]));
+    ALL miss[j] = R(1) - d[j] * y[j];
+    ALL y[j] = y[j] * miss[j] + y[j];
 #endif
-    return y;
+    ALL miss[j] = R(1) - d[j] * y[j];
+    ALL miss[j] = miss[j] * miss[j] + miss[j];
+    ALL y[j] = y[j] * miss[j] + y[j];
+    ALL miss[j] = R(1) - d[j] * y[j];
+    ALL y[j] = y[j] * miss[j] + y[j];
 }
 
-/* The logistic function p(x), and 1 - p(x) as exactly. */
-INLINE void v_logistic(vec x, vec *p, vec *rest) {
-    const vec e = v_exp(-size_of(x)), large = v_reciprocal(R(1) + e), small = e * large;
-    *p = SELECT(x < splat(0), small, large);
-    *rest = SELECT(x < splat(0), large, small);
+INLINE vec v_reciprocal(vec d) { vec y; reciprocals(1, &d, &y); return y; }
+
+/* Coefficients of the polynomials 1 + c r + ... with the least relative distance from 2^r for |r| <= 1/2 (4e-9, 2e-17),
+   the highest first. */
+#if REAL_IS_FLOAT
+static const real POWER_OF_2[] = {
+    R(0.00015394103730624784), R(0.0013409230741605595), R(0.009618294483665279),
+    R(0.055502997187595897),   R(0.24022649036934279),   R(0.69314722389514778),
+};
+#else
+static const real POWER_OF_2[] = {
+    R(4.0779938562463538e-10), R(7.0725704454692941e-09), R(1.0180648196555812e-07), R(1.3215442675115585e-06),
+    R(1.5252727383872463e-05), R(1.5403530441572599e-04), R(1.3333558153441335e-03), R(9.6181291076070020e-03),
+    R(5.5504108664790389e-02), R(2.4022650695910098e-01), R(6.9314718055994570e-01),
+};
+#endif
+#define POWER_TERMS (int)(sizeof POWER_OF_2 / sizeof *POWER_OF_2)
+
+/* The logistic function p(x), and 1 - p(x) as exactly, by e = exp(-x), which is off by what a last bit of x makes. */
+INLINE void logistics(const int n, const vec *x, vec *p, vec *rest) {
+    vec z[ABREAST], shifted[ABREAST], r[ABREAST], e[ABREAST], d[ABREAST];
+    ALL z[j] = SELECT(x[j] < splat(-EXP_MOST), splat(-EXP_MOST), x[j]);
+    ALL z[j] = SELECT(z[j] > splat(EXP_MOST), splat(EXP_MOST), z[j]);
+    ALL shifted[j] = z[j] * R(-1.44269504088896340736) + (SHIFT + BIAS);
+    ALL r[j] = z[j] * R(-1.44269504088896340736) - (shifted[j] - (SHIFT + BIAS));
+    ALL e[j] = r[j] * POWER_OF_2[0] + POWER_OF_2[1];
+    UNROLL_MORE for (int i = 2; i < POWER_TERMS; i++) ALL e[j] = e[j] * r[j] + POWER_OF_2[i];
+    ALL e[j] = (e[j] * r[j] + R(1)) * FROM_BITS(BITS(shifted[j]) << MANTISSA);
+    ALL d[j] = R(1) + e[j];
+    reciprocals(n, d, p);
+    ALL rest[j] = e[j] * p[j];
 }
+
+INLINE void v_logistic(vec x, vec *p, vec *rest) { logistics(1, &x, p, rest); }
 
 INLINE vec v_tanh(vec x) {
-    const vec e = v_expm1(R(2) * size_of(x)), y = e / (e + R(2));
+    const vec e = v_expm1(R(2) * size_of(x)), y = e * v_reciprocal(e + R(2));
     return SELECT(x < splat(0), -y, y);
 }
 
@@ -131,7 +182,7 @@ INLINE vec v_tanh(vec x) {
    s = f/(2 + f); R in powers of s*s as in Sun's fdlibm (e_log.c), in single precision the first terms of the series of 2 artanh(s). */
 INLINE vec v_log1p_unit(vec u) {
     const vec f = SELECT(u > splat(R(0.41421356237309504880)), (u - R(1)) * R(0.5), u);
-    const vec s = f * (v_reciprocal((f + R(2)) * R(0.625)) * R(0.625)), q = s * s, q2 = q * q, half = f * f * R(0.5);
+    const vec s = f * v_reciprocal(f + R(2)), q = s * s, q2 = q * q, half = f * f * R(0.5);
 #if REAL_IS_FLOAT
     const vec rest = q * ((R(2.0 / 3) + q * R(2.0 / 5)) + q2 * (R(2.0 / 7) + q * R(2.0 / 9)));
 #else
@@ -184,7 +235,10 @@ INLINE void block_product(const int rows, const int cols, size_t depth, const re
         UNROLL for (int j = 0; j < cols; j++) acc[r][j] = load(init + r * ldi + j * LANES);
     for (size_t k = 0; k < depth; k++) {
         vec b[COLUMNS];
-        UNROLL for (int j = 0; j < cols; j++) b[j] = load(B + k * ldb + j * LANES);
+        UNROLL for (int j = 0; j < cols; j++) {
+            b[j] = load(B + k * ldb + j * LANES);
+            IN_REGISTER(b[j]); /* compilers would read it again for every row */
+        }
         UNROLL for (int r = 0; r < rows; r++) {
             const real a = A[r * ars + k * acs];
             UNROLL for (int j = 0; j < cols; j++) acc[r][j] += a * b[j];
@@ -278,10 +332,25 @@ enum { SILU, TANH, SOFTPLUS, RELU, GELU, SIGMOID, ELU, SIN };
         body; \
     }
 
+INLINE void silu(const int n, real *restrict z, real *restrict slope) {
+    vec x[ABREAST], p[ABREAST], rest[ABREAST];
+    ALL x[j] = load(z + j * LANES);
+    logistics(n, x, p, rest);
+    ALL x[j] = x[j] * p[j];
+    ALL store(z + j * LANES, x[j]);
+    ALL store(slope + j * LANES, x[j] * rest[j] + p[j]);
+}
+
+static void silus(real *restrict z, real *restrict slope, size_t n) {
+    size_t i = 0;
+    for (; i + ABREAST * LANES <= n; i += ABREAST * LANES) silu(ABREAST, z + i, slope + i);
+    for (; i < n; i += LANES) silu(1, z + i, slope + i);
+}
+
 /* n is a multiple of LANES. */
 APART void activate(int kind, real *restrict z, real *restrict slope, size_t n) {
     switch (kind) {
-    case SILU: EACH(vec p; vec q; v_logistic(x, &p, &q); y = x * p; s = p + y * q) break;
+    case SILU: silus(z, slope, n); break;
     case TANH: EACH(y = v_tanh(x); s = R(1) - y * y) break;
     case SOFTPLUS: EACH(vec q; v_logistic(x, &s, &q); y = v_softplus(x)) break;
     case RELU: EACH(y = SELECT(x < splat(0), splat(0), x); s = SELECT(x > splat(0), splat(1), splat(0))) break;
