@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -163,19 +163,14 @@ def _functions(model: Model, evaluators: Sequence[Any], truth: Any, at: RhsPoint
     """Each unknown at the arguments it is applied to, at every point; `all` of those applied once as one vector."""
     columns: dict[str, tuple[Array, Array]] = {}
     first: dict[str, tuple[Array, Array]] = {}
-    for unknown in model.unknowns:
-        tables = _arguments(model, unknown.name, truth, at)
-        if not tables:
-            continue
+    for name, tables in _arguments(model, truth, at).items():
+        true = _true_function(model, name, truth.constants)
         pairs = [
-            (
-                _true_values(model, unknown.name, table, truth.constants),
-                np.asarray(np.mean([one.functions_many(unknown.name, table) for one in evaluators], axis=0)),
-            )
+            (true(table), np.asarray(np.mean([one.functions_many(name, table) for one in evaluators], axis=0)))
             for table in tables
         ]
-        first[unknown.name] = pairs[0]
-        columns[unknown.name] = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
+        first[name] = pairs[0]
+        columns[name] = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
     if not columns:
         return {}
     found = {name: _norms_of([name], [pair]) for name, pair in columns.items()}
@@ -188,17 +183,25 @@ def _norms_of(names: Sequence[str], pairs: Sequence[tuple[Array, Array]]) -> Nor
     return norms(true, learned, np.where(size > 0, size, 1.0), names)
 
 
-def _arguments(model: Model, name: str, truth: Any, at: RhsPoints) -> list[Array]:
-    """The arguments [N, a] of every application of an unknown, evaluated with the truth at the points."""
-    expressions = (*model.inlined(model.balances), *model.inlined([channel.value for channel in model.channels]))
-    function = unknown_function(name)
+def _arguments(model: Model, truth: Any, at: RhsPoints) -> dict[str, list[Array]]:
+    """Of every unknown that is applied, the arguments [N, a] of each application, with the truth at the points."""
+    expressions = model.inlined([*model.balances, *(channel.value for channel in model.channels)])
     applied = {one for expression in expressions for one in expression.atoms(sympy.core.function.AppliedUndef)}
-    applications = sorted((one for one in applied if one.func == function), key=sympy.default_sort_key)
-    return [np.stack([_value(model, part, truth, at) for part in one.args], axis=1) for one in applications]
+    functions = {unknown.name: unknown_function(unknown.name) for unknown in model.unknowns}
+    found = {
+        name: sorted((one for one in applied if one.func == function), key=sympy.default_sort_key)
+        for name, function in functions.items()
+    }
+    # All at once: an array's balances apply a function once an element, and a call for each would take the most time.
+    values = iter(_values(model, [part for each in found.values() for one in each for part in one.args], truth, at))
+    tables = {
+        name: [np.stack([next(values) for _ in one.args], axis=1) for one in each] for name, each in found.items()
+    }
+    return {name: each for name, each in tables.items() if each}
 
 
-def _value(model: Model, expression: sympy.Expr, truth: Any, at: RhsPoints) -> Array:
-    """An expression of the model [N] at the points; unknowns within it mean their truths."""
+def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Any, at: RhsPoints) -> list[Array]:
+    """Expressions of the model [N] each at the points; unknowns within them mean their truths."""
     names = [
         model.time.symbol,
         *(item.symbol for item in (*model.states, *model.conditions, *model.inputs, *model.constants)),
@@ -216,17 +219,21 @@ def _value(model: Model, expression: sympy.Expr, truth: Any, at: RhsPoints) -> A
             table[one] = body.value.xreplace(dict(zip(formals, map(known, one.args), strict=True)))
         return expression.xreplace(table)
 
-    value = sympy.lambdify(names, known(expression), modules="numpy", dummify=True)(*numbers)
-    return np.broadcast_to(np.asarray(value, dtype=float), at.times.shape).copy()
+    found = sympy.lambdify(names, [known(one) for one in expressions], modules="numpy", dummify=True)(*numbers)
+    return [np.broadcast_to(np.asarray(value, dtype=float), at.times.shape).copy() for value in found]
 
 
-def _true_values(model: Model, name: str, table: Array, constants: Array) -> Array:
-    """The truth [N] of an unknown at arguments [N, a]."""
+def _true_function(model: Model, name: str, constants: Array) -> Callable[[Array], Array]:
+    """The truth of an unknown: values [N] at arguments [N, a]."""
     body = next(item for item in model.truth_functions if item.name == name)
     symbols = [symbol(parameter) for parameter in body.parameters]
     shared = [item.symbol for item in (*model.constants, *model.learnables) if item.name not in body.parameters]
     numbers = dict(zip(model.constant_names, map(float, constants), strict=True))
     function = sympy.lambdify([*symbols, *shared], body.value, modules="numpy", dummify=True)
-    with np.errstate(all="ignore"):
-        value = function(*table.T, *(numbers[one.name] for one in shared))
-    return np.broadcast_to(np.asarray(value, dtype=float), (len(table),)).copy()
+
+    def values(table: Array) -> Array:
+        with np.errstate(all="ignore"):
+            value = function(*table.T, *(numbers[one.name] for one in shared))
+        return np.broadcast_to(np.asarray(value, dtype=float), (len(table),)).copy()
+
+    return values

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import sympy
 
 from gbspec.analysis.comparison_points import sampling_for
 from gbspec.analysis.estimate import Estimator
@@ -107,6 +108,19 @@ def test_several_unknowns_and_fallback_scales() -> None:
     # The first commensal is washed out on the cycle: its solution does not vary, and takes the case's scale.
     assert found.solution.fallback == ("y",)
     assert found.constants == {}
+
+
+def test_a_function_applied_once_an_element_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = model_of("spreading_population")
+    case = shipped_case(model)
+    assert case is not None
+    compiled: list[Any] = []
+    own = sympy.lambdify
+    monkeypatch.setattr(sympy, "lambdify", lambda *given, **named: compiled.append(given) or own(*given, **named))  # type: ignore[func-returns-value]
+    few = replace(case.metrics, conditions=2, points=2, rhs_points=3)
+    found = truth_errors(model, [Evaluator(load_module(model).random(0))], case.sampling, few)
+    assert found.functions["g"].points == 3 * len(model.states)
+    assert len(compiled) == 2, "all arguments in one call, and the function's truth"
 
 
 def test_a_driven_model_is_compared_along_its_trajectories() -> None:
