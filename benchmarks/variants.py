@@ -51,7 +51,7 @@ PEERS = "benchmarks.peers."
 VARIANTS: Mapping[str, Variant] = {
     "native": Variant("**gbspec, native kernel**", "benchmarks.own", "native"),
     "native-2": Variant("**gbspec, native kernel, two cores**", "benchmarks.own", "native_2", threads=2),
-    "graph": Variant("gbspec, torch graph", "benchmarks.own", "graph", ("float64",)),
+    "graph": Variant("gbspec, torch graph", "benchmarks.own", "graph"),
     "jax-checkpoint": Variant("JAX `lax.scan` with `jax.checkpoint`", PEERS + "jax_scan", "checkpointed"),
     "jax": Variant("JAX `lax.scan`", PEERS + "jax_scan", "plain"),
     "torch": Variant("torch eager, written well", PEERS + "torch_eager", "well_written"),

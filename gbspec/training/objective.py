@@ -30,8 +30,8 @@ def objective(
 
     The loss is the mean of half squared residuals over all measured values; vector and gradient are float64 arrays.
     `backend="native"` compiles the kernel on the first call for a model (seconds, kept in the user's cache) and runs it
-    on `torch.get_num_threads()` threads, in float64 or float32. `backend="torch"` unrolls the torch graph (float64), at
-    most `batch` trajectories at a time. Raises ValueError where the native kernel cannot be had.
+    on `torch.get_num_threads()` threads. `backend="torch"` unrolls the torch graph, at most `batch` trajectories at a
+    time. Both work in the precision that is asked for. Raises ValueError where the native kernel cannot be had.
 
         f = objective(problem, parameters, "native")
         loss, gradient = f(theta)
@@ -44,10 +44,13 @@ def objective(
     else:
         problem = replace(problem, kernel=None)
     size = batch if batch is not None else max(parameters.trajectories, 1)
-    return lambda theta: loss_and_gradient(problem, parameters, theta, size)
+    dtype = torch.float32 if precision == "float32" else torch.float64
+    return lambda theta: loss_and_gradient(problem, parameters, theta, size, dtype)
 
 
-def loss_and_gradient(problem: Problem, parameters: Parameters, theta: Array, batch: int) -> tuple[float, Array]:
+def loss_and_gradient(
+    problem: Problem, parameters: Parameters, theta: Array, batch: int, dtype: torch.dtype = torch.float64
+) -> tuple[float, Array]:
     """Mean of half squared residuals and its gradient; the torch graph takes `batch` trajectories at a time, to bound
     the memory."""
     count = max(int((problem.packed.weights > 0).sum()), 1)
@@ -57,7 +60,7 @@ def loss_and_gradient(problem: Problem, parameters: Parameters, theta: Array, ba
     total, whole = 0.0, np.zeros_like(theta)
     for begin in range(0, parameters.trajectories, batch):
         index = np.arange(begin, min(begin + batch, parameters.trajectories), dtype=np.int64)
-        value, part = _by_graph(problem.take(index), parameters, theta, index)
+        value, part = _by_graph(problem.take(index), parameters, theta, index, dtype)
         total += value
         whole += part
     return total / count, whole / count
@@ -70,10 +73,12 @@ def half_squares(problem: Problem, parameters: Parameters, theta: Array, index: 
     return _by_graph(problem.take(index), parameters, theta, index)
 
 
-def _by_graph(problem: Problem, parameters: Parameters, theta: Array, index: Integers) -> tuple[float, Array]:
+def _by_graph(
+    problem: Problem, parameters: Parameters, theta: Array, index: Integers, dtype: torch.dtype = torch.float64
+) -> tuple[float, Array]:
     """The same for a problem of these trajectories alone, through the torch graph."""
     local = parameters.take(index)
-    vector = torch.from_numpy(parameters.take_vector(theta, index)).requires_grad_()
+    vector = torch.from_numpy(parameters.take_vector(theta, index)).to(dtype).requires_grad_()
     residuals = measured_residuals(problem, unroll(problem, local, vector).residuals)
     loss = 0.5 * (residuals**2).sum()
     gradient = np.zeros_like(theta)

@@ -110,8 +110,10 @@ class Problem:
         return replace(self, forcing=teacher_forcing(self.model, self.packed, blend))
 
     def take(self, indices: Any) -> Problem:
-        """The same problem with some of its trajectories."""
+        """The same problem with some of its trajectories; with all of them in their order it is the problem itself."""
         index = np.asarray(indices, dtype=np.int64)
+        if np.array_equal(index, np.arange(self.packed.trajectories)):
+            return self  # keeps what was prepared for it
         packed = self.packed.take(index)
         rows = matching_rows(self.packed, packed, index)
         return replace(

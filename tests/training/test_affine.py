@@ -14,6 +14,7 @@ from gbspec.backends.module import load_module
 from gbspec.diagnostics import Findings
 from gbspec.passes.contracts import with_contracts
 from gbspec.training.affine import Form, NotAffineError, affine
+from gbspec.training.objective import objective
 from gbspec.training.problem import torch_arithmetic
 from gbspec.training.unroll import unroll
 from tests.training.conftest import URP, model_of, problem_of, urp_data
@@ -130,7 +131,7 @@ class Count(TorchDispatchMode):
 def test_a_sub_step_takes_no_more_operations_than_by_hand() -> None:
     """Four times six (three products, two activations, the states' product), seven for the solver, one to force."""
     counts, depths = [], []
-    for max_step in (0.1, 0.02):
+    for max_step in (0.1, 0.05):
         problem, parameters, theta = problem_of(model_of(URP), urp_data(4, 2.0, 6), max_step, blend=1.0)
         vector = torch.from_numpy(theta).requires_grad_()
         unroll(problem, parameters, vector)
@@ -151,3 +152,14 @@ def test_single_precision_gives_the_gradient_of_double(blend: float) -> None:
         assert residuals.dtype == dtype
         found.append(torch.autograd.grad((residuals**2).sum(), vector)[0].double())
     assert torch.linalg.norm(found[1] - found[0]) < 1e-5 * torch.linalg.norm(found[0])
+    loss, gradient = objective(problem, parameters, "torch", "float32")(theta)
+    assert gradient.dtype == np.float64
+    expected = 0.5 * found[1].numpy() / (problem.packed.weights > 0).sum()
+    assert np.allclose(gradient, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+    assert loss == pytest.approx(objective(problem, parameters, "torch")(theta)[0], rel=1e-5)
+
+
+def test_all_trajectories_are_the_problem_itself() -> None:
+    problem, *_ = problem_of(model_of(URP), urp_data(4, 2.0, 6), 0.1)
+    assert problem.take(range(4)) is problem, "what was prepared for it is kept"
+    assert problem.take([1, 0, 2, 3]) is not problem
