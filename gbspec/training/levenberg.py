@@ -3,11 +3,13 @@
 The damped normal equations `(J^T W J + D) s = -(J^T W r + ridge * w)` (w the network weights, D = damping, plus the
 ridge at the weights) are solved in the smaller of their two forms. With fewer residuals than shared columns: the dual,
 of the residuals' size. Else the primal, whose blocks of single trajectories (own constants, initial states) are
-eliminated first, so that its size is the number of shared columns whatever the number of trajectories.
+eliminated first, so that its size is the number of shared columns whatever the number of trajectories. Where both are
+large, neither matrix is formed if a sketch of it does (`gbspec.training.sketch`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ import torch
 from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import Linearised
 from gbspec.training.parameters import Parameters
+from gbspec.training.sketch import LEAST, Blocks, Sketch, TooSlowError
 
 LARGE = 1000
 """Matrices of at least this size are factored by all threads (everything else in training is too small to gain)."""
@@ -98,6 +101,9 @@ class NormalEquations:
         self.theta = theta
         self.groups = [np.flatnonzero(self.owner == i) for i in range(parameters.trajectories)]
         self.dual = len(self.residuals) < parameters.n_shared
+        large = min(len(self.residuals), parameters.n_shared) >= LEAST
+        blocks = Blocks.of(self.local, self.owner, parameters.trajectories)
+        self.sketch = Sketch(self.shared, blocks) if large else None
         self._grams: tuple[Array, Array] | None = None
         self._factor: tuple[Any, tuple[float, float]] | None = None
 
@@ -137,6 +143,9 @@ class NormalEquations:
 
     def respond(self, target: Array, damping: float) -> Array:
         """-(J^T J + D)^-1 J^T target [size]."""
+        found = self._sketched(lambda: self.transposed(target), damping)
+        if found is not None:
+            return -found
         if self.dual:
             y = self._dual_factor(damping).solve(target)
             return np.asarray(-self.transposed(y) / self._diagonal(damping), dtype=np.float64)
@@ -144,6 +153,9 @@ class NormalEquations:
 
     def invert(self, vector: Array, damping: float) -> Array:
         """(J^T J + D)^-1 v [size]."""
+        found = self._sketched(lambda: vector, damping)
+        if found is not None:
+            return found
         if not self.dual:
             return self._primal(vector, damping)
         diagonal = self._diagonal(damping)
@@ -155,11 +167,21 @@ class NormalEquations:
         """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
         rng = np.random.default_rng([seed, 53])
         probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
-        if self.dual:
+        if self.dual and self.sketch is None:
             # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
             solved = self._dual_factor(damping).solve(probes.T)
             return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES
         return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
+
+    def _sketched(self, vector: Callable[[], Array], damping: float) -> Array | None:
+        """(J^T J + D)^-1 v through the sketch; None where the matrices must be factored."""
+        if self.sketch is None:
+            return None
+        try:
+            return self.sketch.solve(vector(), self._diagonal(damping))
+        except TooSlowError:
+            self.sketch = None
+            return None
 
     def _diagonal(self, damping: float) -> Array:
         return np.asarray(damping + self.ridge * self.penalised, dtype=np.float64)

@@ -26,6 +26,7 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "half": 0,
         "blend": 4,
         "autoregressive": 8,
+        "autoregressive, few data": 8,
         "least squares": 100,
         "adam": 100,
     },
@@ -36,6 +37,7 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "half": 3,
         "blend": 4,
         "autoregressive": 14,
+        "autoregressive, few data": 60,
         "least squares": 200,
         "adam": 300,
     },
@@ -46,13 +48,14 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "half": 20,
         "blend": 10,
         "autoregressive": 60,
+        "autoregressive, few data": 120,
         "least squares": 500,
         "adam": 1500,
     },
 }
 """Most iterations of each stage by effort."""
-ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-7, "high": 1e-9}
-"""Mean loss below which teacher forcing needs no further iteration (1e-7: residuals of 0.05 % of the deviations)."""
+ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-8, "high": 1e-10}
+"""Mean loss below which teacher forcing needs no further iteration (1e-8: residuals of 0.015 % of the deviations)."""
 STEADY = 1e-2
 """First damping where an earlier stage has come close already."""
 LARGEST = 4 * 1024**3
@@ -133,9 +136,16 @@ class _Planner:
         def make(theta: Array) -> Stage:
             return Search(context.problem(blend), parameters, context.seed)
 
+        def believed(theta: Array) -> bool:
+            """Whether starts stand at single values of noisy data."""
+            measured = not np.array_equal(self.released.start_free, parameters.start_free)
+            return measured and blend == 0.0 and typical(solve(context.problem(0.0), parameters, theta)) > NOISE
+
+        limit = self.limits["least squares"]
         return [
             Planned("search", 1, make, lambda theta: True),
-            self._newton("least squares", self.limits["least squares"], self._at(blend), lambda theta: True, plain),
+            self._newton("least squares", limit, self._at(blend), lambda theta: True, plain),
+            self._newton("least squares, starts too", limit, self._at(0.0), believed, plain, self.released),
         ]
 
     def _automatic(self) -> list[Planned]:
@@ -162,7 +172,7 @@ class _Planner:
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
             self._starts("initial states of whole solutions", 0.0, self._noisy, self.released),
             self._newton(
-                "autoregressive", limits["autoregressive"], self._at(0.0), self._noisy, self._regular, self.released
+                "autoregressive", self._whole_limit(), self._at(0.0), self._noisy, self._regular, self.released
             ),
             Planned("choice", 1, self._choice, lambda theta: "autoregressive" in self.marks),
         ]
@@ -180,6 +190,10 @@ class _Planner:
         """Few iterations where smooth curves already told of noise, under which teacher forcing is inconsistent."""
         limit = self.limits["teacher"]
         return min(limit, 4) if self.context.smooth else limit
+
+    def _whole_limit(self) -> int:
+        """With few data the ridge matters and comes to rest slowly; there an iteration costs little."""
+        return self.limits["autoregressive, few data" if self.values < FEW else "autoregressive"]
 
     def _hidden(self, theta: Array) -> bool:
         """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
