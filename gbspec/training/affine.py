@@ -217,12 +217,15 @@ def _within(forms: Iterable[Form], known: set[Key]) -> None:
 
 def _matrix(forms: Sequence[Form], keys: Sequence[Key], like: Tensor) -> Tensor | None:
     """Coefficients [keys, forms]; None where all are absent."""
-    if not any(key in form.terms for form in forms for key in keys):
+    place = {key: i for i, key in enumerate(keys)}
+    found = [(place[key], j, value) for j, form in enumerate(forms) for key, value in form.terms.items() if key in place]
+    if not found:
         return None
-    table = [[_tensor(form.terms.get(key, 0.0), like) for form in forms] for key in keys]
-    if any(entry.ndim for row in table for entry in row):
+    if any(isinstance(value, Tensor) and value.ndim for *_, value in found):
         raise NotAffineError
-    return torch.stack([torch.stack(row) for row in table])
+    values = torch.stack([_tensor(value, like) for *_, value in found])
+    at = torch.tensor([place for *place, _ in found], device=like.device)
+    return like.new_zeros(len(keys), len(forms)).index_put(tuple(at.T), values)
 
 
 def _constant(forms: Sequence[Form], like: Tensor) -> Tensor:

@@ -53,7 +53,7 @@ OTHERS = {
     "the time": "a' = t\nb' = a",
     "the time as an argument": "a' = s(t)\nb' = a",
     "an unknown of an unknown": "a' = s(s(a))\nb' = a",
-    "factors that differ between trajectories": "a' = -k2*a\nb' = c*s(a)",
+    "factors that differ between trajectories": "a' = -k2*a + k1*b\nb' = a",
     "a bound of an unknown": "a' = n(a)\nb' = a",
 }
 
