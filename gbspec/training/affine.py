@@ -218,13 +218,13 @@ def _within(forms: Iterable[Form], known: set[Key]) -> None:
 def _matrix(forms: Sequence[Form], keys: Sequence[Key], like: Tensor) -> Tensor | None:
     """Coefficients [keys, forms]; None where all are absent."""
     place = {key: i for i, key in enumerate(keys)}
-    found = [(place[key], j, value) for j, form in enumerate(forms) for key, value in form.terms.items() if key in place]
-    if not found:
+    terms = [(key, j, value) for j, form in enumerate(forms) for key, value in form.terms.items() if key in place]
+    if not terms:
         return None
-    if any(isinstance(value, Tensor) and value.ndim for *_, value in found):
+    if any(isinstance(value, Tensor) and value.ndim for *_, value in terms):
         raise NotAffineError
-    values = torch.stack([_tensor(value, like) for *_, value in found])
-    at = torch.tensor([place for *place, _ in found], device=like.device)
+    values = torch.stack([_tensor(value, like) for *_, value in terms])
+    at = torch.tensor([(place[key], j) for key, j, _ in terms], device=like.device)
     return like.new_zeros(len(keys), len(forms)).index_put(tuple(at.T), values)
 
 
