@@ -2,8 +2,9 @@
 
 Names of a model are one namespace through all files that extend one another; units are another. The parameters of a
 `function`, the arguments of an `unknown` and the parameters of a `truth` are names of their statement alone and shadow
-those of the model, with one exception: an unknown that is somewhere named without parentheses is applied to the names
-it was declared with, so that those arguments *are* the model's names and are renamed with them.
+those of the model, with two exceptions: an unknown that is somewhere named without parentheses is applied to the names
+it was declared with, and a contract is built for the range of the state, condition or input of an argument's name where
+the argument has none of its own. Those arguments *are* the model's names and are renamed with them.
 """
 
 from __future__ import annotations
@@ -52,13 +53,15 @@ class Names:
     """What the files of a model declare, as far as it decides what a name refers to.
 
     `declared` has the time's name also where no statement gives it one; `arguments` are those of each unknown with the
-    statement they belong to; `bare` the unknowns that are named somewhere without parentheses.
+    statement they belong to; `bare` the unknowns that are named somewhere without parentheses; `lent` those arguments
+    of each unknown that take the range of what has their name.
     """
 
     declared: frozenset[str]
     units: frozenset[str]
     arguments: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     bare: frozenset[str] = frozenset()
+    lent: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 Scope = Mapping[str, Symbol]
@@ -82,7 +85,7 @@ def names_of(files: Sequence[ast.File]) -> Names:
                     pass
     if not any(isinstance(s, ast.TimeStatement) for file in files for s in file.statements):
         found.add(DEFAULT_TIME)
-    return Names(frozenset(found), frozenset(units), arguments, _bare(files, frozenset(arguments)))
+    return Names(frozenset(found), frozenset(units), arguments, _bare(files, frozenset(arguments)), _lent(files))
 
 
 def names_declared(statement: ast.Statement) -> tuple[ast.Name, ...]:
@@ -135,6 +138,29 @@ def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]
     return frozenset(found)
 
 
+def _lent(files: Sequence[ast.File]) -> dict[str, frozenset[str]]:
+    """Of each unknown with contracts the arguments without a range that something of their name lends one."""
+    ranged: dict[str, bool] = {}
+    unknowns: dict[str, ast.UnknownStatement] = {}
+    for statement in (s for file in files for s in file.statements):
+        match statement:
+            case ast.StateStatement(declarator=ast.Declarator(name=name, first=None), range=range):
+                ranged.setdefault(name.text, range is not None)
+            case ast.ConditionStatement(name=name, range=range) | ast.InputStatement(name=name, range=range):
+                ranged.setdefault(name.text, range is not None)
+            case ast.UnknownStatement(names=outputs):
+                for name in outputs:
+                    unknowns.setdefault(name.text, statement)
+            case _:
+                pass
+    return {
+        output: frozenset(
+            a.name.text for a in s.arguments if s.contracts and a.range is None and ranged.get(a.name.text, False)
+        )
+        for output, s in unknowns.items()
+    }
+
+
 class _Statement:
     """The occurrences in one statement."""
 
@@ -176,12 +202,11 @@ class _Statement:
             case ast.FunctionStatement(parameters=parameters):
                 return self._own(parameters), {id(p) for p in parameters}
             case ast.UnknownStatement(names=outputs, arguments=arguments):
-                bare = any(name.text in self.names.bare for name in outputs)
-                return self._arguments(home(self.statement), [a.name.text for a in arguments], bare), set()
+                return self._arguments(home(self.statement), [a.name.text for a in arguments], outputs), set()
             case ast.TruthStatement(parameters=parameters) if parameters is not None:
                 return self._own(parameters), {id(p) for p in parameters}
             case ast.TruthStatement(name=name) if name.text in self.names.arguments:
-                return self._arguments(*self.names.arguments[name.text], name.text in self.names.bare), set()
+                return self._arguments(*self.names.arguments[name.text], (name,)), set()
             case (
                 ast.BalanceStatement(target=ast.Index(index=index))
                 | ast.InitialStatement(target=ast.Index(index=index))
@@ -194,8 +219,10 @@ class _Statement:
     def _own(self, parameters: Sequence[ast.Name]) -> dict[str, Symbol]:
         return {p.text: Symbol("argument", p.text, home(self.statement)) for p in parameters}
 
-    def _arguments(self, owner: str, arguments: Sequence[str], bare: bool) -> dict[str, Symbol]:
-        tied = self.names.declared if bare else frozenset()
+    def _arguments(self, owner: str, arguments: Sequence[str], outputs: Sequence[ast.Name]) -> dict[str, Symbol]:
+        bare = any(name.text in self.names.bare for name in outputs)
+        lent = frozenset[str]().union(*(self.names.lent.get(name.text, ()) for name in outputs))
+        tied = self.names.declared if bare else lent
         return {a: Symbol("name", a) if a in tied else Symbol("argument", a, owner) for a in arguments}
 
     def _sees_arguments(self, part: ast.Node) -> bool:

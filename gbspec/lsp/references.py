@@ -166,6 +166,14 @@ def _same_meaning(workspace: Workspace, family: Sequence[Parsed], renaming: Rena
             raise Refused(f"`{renaming.name}` would not be read as a name everywhere it would stand")
         if _shape(workspace.occurrences(path)) != _shape(trial.occurrences(path)):
             raise Refused(f"`{renaming.name}` means something else at one of the places where it would stand")
+        if _lending(workspace, parsed) != _lending(trial, parsed):
+            raise Refused(f"in `{Path(path).name}` a contract would be built for the range of something else")
+
+
+def _lending(workspace: Workspace, parsed: Parsed) -> list[tuple[bool, ...]]:
+    """Which arguments of the unknowns that a file sees take the range of what has their name."""
+    names = workspace.names(parsed.source.path)
+    return [tuple(a in names.lent[output] for a in formals) for output, (_, formals) in names.arguments.items()]
 
 
 def replaced(spans: Sequence[Span], name: str) -> str:

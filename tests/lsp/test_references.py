@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -9,11 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gbspec import driver
+from gbspec.cli.commands.check import describe
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings, UserError
+from gbspec.ir.dump import dump
 from gbspec.lsp.index import at
 from gbspec.lsp.references import Refused, definitions, everywhere, rename, replaced
 from gbspec.lsp.workspace import Workspace, key
+from gbspec.passes.examine import examine
+from gbspec.syntax import ast
 
 MODEL = """\
 model scopes
@@ -52,12 +58,32 @@ def renamed(workspace: Workspace, path: Path, what: str, name: str, nth: int = 0
 
 
 def test_a_state_is_renamed_everywhere_but_where_an_argument_shadows_it(tmp_path: Path) -> None:
-    new = renamed(*model(tmp_path), "x in", "conv")
-    assert new == MODEL.replace("state x", "state conv").replace("mu(y, x)", "mu(y, conv)").replace(
+    text = MODEL.replace("mu(u, x) >=", "mu(u, x in [0, 2]) >=")
+    new = renamed(*model(tmp_path, text), "x in", "conv")
+    assert new == text.replace("state x", "state conv").replace("mu(y, x)", "mu(y, conv)").replace(
         "p: x -> 2*y rate k*x", "p: conv -> 2*y rate k*conv"
     ).replace("x' = net(x)", "conv' = net(conv)").replace("if(x > y", "if(conv > y").replace(
         "initial x", "initial conv"
     ).replace("observe x", "observe conv").replace("z = x + y", "z = conv + y")
+
+
+def test_an_argument_that_takes_the_range_of_a_state_is_renamed_with_it(tmp_path: Path) -> None:
+    new = renamed(*model(tmp_path), "x in", "conv")
+    assert "unknown mu(u, conv) >= 0" in new
+    assert "= f(u, conv)*nn" in new
+    assert "truth mu(u, x) = u/(k + x)" in new
+    assert "state conv in" in renamed(*model(tmp_path), "x) >=", "conv")
+    with pytest.raises(Refused, match="something else"):
+        renamed(*model(tmp_path), "y in", "u")
+
+
+def test_a_range_that_another_file_lends_is_not_lost(tmp_path: Path) -> None:
+    (tmp_path / "base.gb").write_text(
+        "model b\nstate x = 1\nunknown q(x) >= 0, zero at x = 0 by mlp(4)\nx' = -q(x)\nobserve x\n"
+    )
+    (tmp_path / "own.gb").write_text('model o extends "base.gb"\nstate x in [0, 1] = 1\n')
+    with pytest.raises(Refused, match=r"in `own.gb` a contract would be built for the range of something else"):
+        rename(Workspace(), tmp_path / "base.gb", 14, "y")
 
 
 def test_the_parameter_of_a_function_is_renamed_in_it_alone(tmp_path: Path) -> None:
@@ -175,6 +201,32 @@ def test_whatever_is_renamed_in_a_shipped_model_it_stays_the_same_model(data: st
     back = at(trial.occurrences(path), made.places[key(path)][0].start)
     assert back is not None
     assert len(everywhere(trial, path, back.symbol)) == len(everywhere(workspace, path, chosen.symbol))
+
+
+@pytest.mark.parametrize("path", sorted(shipped_models().values()), ids=lambda p: p.stem)
+def test_a_renamed_state_leaves_the_shipped_model_as_it_was(path: Path) -> None:
+    workspace = Workspace(roots=(path.parent,))
+    before = described(path, workspace)
+    states = {
+        o.symbol.name: o
+        for parsed in workspace.chain(path)
+        for o in workspace.occurrences(parsed.source.path)
+        if isinstance(o.statement, ast.StateStatement) and o.declares
+    }
+    for name, found in states.items():
+        # Sorts as the old name does, so that sums are printed in the same order.
+        new = next(new for new in (f"{name}0", f"{name}_") if new not in workspace.names(path).declared)
+        made = rename(workspace, found.span.source.path, found.span.start, new)
+        trial = workspace.with_texts({p: replaced(spans, new) for p, spans in made.places.items()})
+        assert re.sub(rf"\b{new}(?![^\W_])", name, described(path, trial)) == before
+
+
+def described(path: Path, workspace: Workspace) -> str:
+    """All that `check --json` says of a model, and the model itself."""
+    findings = Findings()
+    model = driver.load_model(path, findings, workspace.source)
+    document = describe(str(path), model, findings, examine(model, findings))
+    return dump(model) + json.dumps(document, ensure_ascii=False, indent=1)
 
 
 @pytest.mark.parametrize("path", sorted(shipped_models().values()), ids=lambda p: p.stem)
