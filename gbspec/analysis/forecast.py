@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gbspec.analysis.estimate import Estimator
 from gbspec.analysis.metrics import finite, spread
+from gbspec.analysis.noise import interval, logarithmic, noise_at
 from gbspec.analysis.predict import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.system import trained_ranges
 from gbspec.diagnostics import ComputationError
@@ -29,8 +30,6 @@ Array = NDArray[np.float64]
 Use = Literal["training", "window", "predicted"]
 """What a row was to the prediction: seen in training, used to estimate the start, or neither."""
 
-NORMAL_90 = 1.6448536269514722
-"""Half of the width of a normal distribution's 90 % interval, in standard deviations."""
 SHARE, LEAST = 3, 3
 """Without `--window`, the first third of the measured rows is the window, and at least three of them."""
 NUDGE = 1e-4
@@ -41,7 +40,8 @@ NUDGE = 1e-4
 class Foretold:
     """One trajectory: at its R rows the mean, and the standard deviation of a new measurement, of V variables.
 
-    `used` says of each row what it was to the prediction; `outside` names what lies beyond the trained range there.
+    `used` says of each row what it was to the prediction; `outside` names what lies beyond the trained range there;
+    `in_logarithms` [V] says whose intervals reach by factors.
     """
 
     label: str
@@ -53,17 +53,18 @@ class Foretold:
     outside: tuple[tuple[str, ...], ...]
     start: Start
     estimated: tuple[str, ...]
+    in_logarithms: NDArray[np.bool_]
     failure: str = ""
 
     @property
     def low(self) -> Array:
         """Lower end of the 90 % interval [R, V]."""
-        return self.mean - NORMAL_90 * self.sd
+        return interval(self.mean, self.sd, self.in_logarithms)[0]
 
     @property
     def high(self) -> Array:
         """Upper end of the 90 % interval [R, V]."""
-        return self.mean + NORMAL_90 * self.sd
+        return interval(self.mean, self.sd, self.in_logarithms)[1]
 
 
 @dataclass(frozen=True)
@@ -170,10 +171,9 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     from gbspec.backends.casadi.evaluator import Evaluator
 
     spreads = _spreads(trajectories)
-    noise = np.array([run.fit.get("noise", {}).get(c.name) or 0.0 for c in run.model.channels])
-    seers = [_Seer(Evaluator(member), run, trajectories, spreads, noise) for member in run.members]
+    seers = [_Seer(Evaluator(member), run, trajectories, spreads) for member in run.members]
     ranges = trained_ranges(run.model, run.members[0])
-    items = tuple(_foretell(seers, index, window, noise, ranges) for index in range(len(trajectories)))
+    items = tuple(_foretell(seers, index, window, ranges) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
         first = items[0]
         raise ComputationError(
@@ -204,6 +204,12 @@ def _spreads(trajectories: Trajectories) -> Array:
     return np.array([s if math.isfinite(s) and s > 0 else 1.0 for s in found])
 
 
+def _sizes(trajectories: Trajectories) -> Array:
+    """The typical size [C] of each channel's values over the table; 1 where it is not measured."""
+    columns = np.abs(np.concatenate([item.values for item in trajectories.items]).T)
+    return np.array([np.nanmedian(column) if np.isfinite(column).any() else 1.0 for column in columns])
+
+
 def _warnings(items: Sequence[Foretold], members: int) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if members == 1:
@@ -230,11 +236,11 @@ class _View:
 class _Seer:
     """One member over a table."""
 
-    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, spreads: Array, noise: Array) -> None:
-        self.evaluator, self.model, self.trajectories = evaluator, run.model, trajectories
-        self.estimator = Estimator(evaluator, run.model, spreads, noise)
+    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, spreads: Array) -> None:
+        self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
+        self.estimator = Estimator(evaluator, run.model, spreads, noise_at(run, _sizes(trajectories)))
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
-        self.spreads, self.noise = spreads, noise
+        self.spreads = spreads
 
     def view(self, index: int, rows: int) -> _View:
         """The prediction of a trajectory from its first `rows` rows."""
@@ -274,8 +280,9 @@ class _Seer:
         misfit = seen.values - variables[:rows, :channels]
         measured = np.isfinite(misfit)
         typical = float(np.sqrt(np.mean((misfit / self.spreads)[measured] ** 2))) if measured.any() else 0.0
-        deviation = np.maximum(np.maximum(self.noise, typical * self.spreads), 1e-9 * self.spreads)
-        weighted = (slopes[:rows, :channels] / deviation[:, None])[measured]
+        noise = noise_at(self.run, variables[:rows, :channels])
+        deviation = np.maximum(np.maximum(noise, typical * self.spreads), 1e-9 * self.spreads)
+        weighted = (slopes[:rows, :channels] / deviation[:, :, None])[measured]
         precision = weighted.T @ weighted + np.eye(len(scale))
         return np.asarray(np.einsum("rvi,ij,rvj->rv", slopes, np.linalg.inv(precision), slopes), dtype=np.float64)
 
@@ -298,7 +305,7 @@ def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -
 
 
 def _foretell(
-    seers: Sequence[_Seer], index: int, window: int | None, noise: Array, ranges: Mapping[str, tuple[float, float]]
+    seers: Sequence[_Seer], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
 ) -> Foretold:
     """The members' predictions of a trajectory joined."""
     model, item = seers[0].model, seers[0].trajectories.items[index]
@@ -310,7 +317,8 @@ def _foretell(
     values = np.stack([v.variables for v in views])
     mean = values.mean(axis=0)
     between = values.var(axis=0, ddof=1) if len(views) > 1 else np.zeros_like(mean)
-    added = np.concatenate([noise**2, np.zeros(mean.shape[1] - len(noise))])
+    channels = len(model.channels)
+    added = np.pad(noise_at(seers[0].run, mean[:, :channels]) ** 2, ((0, 0), (0, mean.shape[1] - channels)))
     sd = np.sqrt(between + np.mean([v.variance for v in views], axis=0) + added)
     states = np.mean([v.prediction.states for v in views], axis=0)
     first = views[0].prediction.start
@@ -323,8 +331,9 @@ def _foretell(
     used: tuple[Use, ...] = tuple(
         "training" if trained else "window" if i < rows else "predicted" for i in range(len(item.times))
     )
+    in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
     return Foretold(item.label, item.times, mean, sd, item.values, used, _outside(model, item, states, ranges), start,
-                    estimated, failure)  # fmt: skip
+                    estimated, in_logarithms, failure)  # fmt: skip
 
 
 def _outside(

@@ -177,7 +177,7 @@ def _fitted(
     return record
 
 
-_KNOWN = ("trajectory", "time", "channel", "measured")
+_KNOWN = ("trajectory", "time", "channel", "measured", "in_logarithms")
 """What a held-out measurement always has; a prediction that is not finite (it blew up) is left out of the record."""
 
 

@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gbspec.analysis.metrics import finite
+from gbspec.analysis.noise import Flags, interval, logarithmic, noise_at
 from gbspec.data.trajectories import Array
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
     from gbspec.runs.store import Run
 
-NORMAL_90 = 1.6448536269514722
-"""Half of the width of a normal distribution's 90 % interval, in standard deviations."""
-
 
 @dataclass(frozen=True)
 class Point:
-    """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement."""
+    """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement.
+
+    `in_logarithms`: the noise is lognormal, so that the interval reaches by a factor.
+    """
 
     trajectory: str
     time: float
@@ -30,6 +31,7 @@ class Point:
     measured: float
     predicted: float
     sd: float
+    in_logarithms: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,8 @@ def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
     points = []
     for item in found.items:
         seen = np.array([use != "predicted" for use in item.used], dtype=bool)
-        points += _points(item.label, item.times, found.channels, item.measured, item.mean, item.sd, ~seen)
+        each = (item.label, item.times, found.channels, item.measured, item.mean, item.sd)
+        points += _points(*each, ~seen, logarithmic(run.model))
     return points
 
 
@@ -80,23 +83,23 @@ def _stretches(run: Run, fold: Fold) -> list[Point]:
     from gbspec.backends.casadi.evaluator import Evaluator
 
     evaluators = [Evaluator(member) for member in run.members]
-    noise = np.array([run.fit.get("noise", {}).get(channel.name) or 0.0 for channel in run.model.channels])
     points = []
     for position, (item, rows) in enumerate(zip(fold.whole.items, fold.held, strict=True)):
         each = [predict(one, run.model, item, learned_start(one, position, item)).channels for one in evaluators]
         mean = np.mean(each, axis=0)
         between = np.var(each, axis=0, ddof=1) if len(each) > 1 else np.zeros_like(mean)
-        sd = np.sqrt(between + noise**2)
-        points += _points(item.label, item.times, fold.whole.channels, item.values, mean, sd, rows)
+        sd = np.sqrt(between + noise_at(run, mean) ** 2)
+        found = (item.label, item.times, fold.whole.channels, item.values, mean, sd)
+        points += _points(*found, rows, logarithmic(run.model))
     return points
 
 
 def _points(
-    label: str, times: Array, channels: Sequence[str], measured: Array, mean: Array, sd: Array, rows: Any
+    label: str, times: Array, channels: Sequence[str], measured: Array, mean: Array, sd: Array, rows: Any, log: Flags
 ) -> list[Point]:
     """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns)."""
     return [
-        Point(label, float(times[i]), name, float(measured[i, j]), float(mean[i, j]), float(sd[i, j]))
+        Point(label, float(times[i]), name, float(measured[i, j]), float(mean[i, j]), float(sd[i, j]), bool(log[j]))
         for i in np.flatnonzero(rows)
         for j, name in enumerate(channels)
         if np.isfinite(measured[i, j])
@@ -123,5 +126,6 @@ def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
     logs = math.nan
     if (measured > 0).all() and (predicted > 0).all():
         logs = float(np.sqrt(np.mean(np.log(predicted / measured) ** 2)))
-    inside = float(np.mean(np.abs(error) <= NORMAL_90 * sd))
+    low, high = interval(predicted, sd, np.array([p.in_logarithms for p in points], dtype=bool))
+    inside = float(np.mean((measured >= low) & (measured <= high)))
     return Errors(len(points), rmse, rmse / spread, float(np.mean(np.abs(error))), logs, inside, unsolved)

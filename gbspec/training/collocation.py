@@ -19,6 +19,8 @@ from gbspec.training.splines import Curves
 
 POINTS = 6000
 """About how many points are used at most, whatever the amount of data."""
+LEAST = 400
+"""A trajectory has four points for each of its rows up to this number, then as many as it has rows."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
     """
     equations = comparable_balances(model, curves)
     covered = [i for i in range(len(model.states)) if curves.covers(i)]
-    per_trajectory = int(np.clip(POINTS // max(len(trajectories), 1), 4, 400))
+    share = max(POINTS // max(len(trajectories), 1), 4)
     columns: dict[str, list[Array]] = {name: [] for name in ("t", "x", "slope", "condition", "inputs", "trajectory")}
     for i, item in enumerate(trajectories.items):
         found = [curves.items[i][state] for state in covered]
@@ -76,7 +78,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
         low, high = max(c.low for c in present), min(c.high for c in present)
         if high <= low:
             continue
-        count = int(min(per_trajectory, 4 * len(item.times)))
+        count = min(share, max(min(4 * len(item.times), LEAST), len(item.times)))
         t = low + (high - low) * (np.arange(count) + 0.5) / count
         x, slope = np.tile(guess[i], (count, 1)), np.zeros((count, len(model.states)))
         for state, curve in zip(covered, present, strict=True):

@@ -88,10 +88,19 @@ def summarise(
 
 
 def _forced_residuals(context: Context, parameters: Parameters, theta: Array) -> Array:
-    """Residuals [R, C] with the forcing that was trained with, in units of the channels' scales."""
+    """Residuals [R, C] with the forcing that was trained with, in units of the channels' scales.
+
+    Where constants alone were fitted, to whole solutions, they are scaled up for the degrees of freedom that it took.
+    """
+    alone = not parameters.n_weights and context.options.forcing == "teacher"
     with torch.no_grad():
-        out = unroll(context.problem(context.options.blend), parameters, torch.from_numpy(theta))
-    return np.asarray(out.residuals.numpy(), dtype=np.float64)
+        out = unroll(context.problem(0.0 if alone else context.options.blend), parameters, torch.from_numpy(theta))
+    residuals = np.asarray(out.residuals.numpy(), dtype=np.float64)
+    if not alone:
+        return residuals
+    count = int((context.packed().weights > 0).sum())
+    left = max(count - float(parameters.free.sum()), 0.1 * count, 1.0)
+    return residuals * float(np.sqrt(count / left))
 
 
 def _robust_deviation(residuals: Array) -> float:

@@ -52,6 +52,8 @@ learn k2 = 1 in [0, 100]
 learn k3 = 1 in [0, 100]
 y1' = -(k1 + k3)*y1^2
 y2' = k1*y1^2 - k2*y2
+initial y1 = 1
+initial y2 = 0
 observe y1
 observe y2
 """
