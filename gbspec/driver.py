@@ -15,7 +15,7 @@ from gbspec.diagnostics import Findings, Source, UserError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.bifurcate import Diagram
+    from gbspec.analysis.diagram import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.forecast import Forecast
     from gbspec.analysis.initial_states import InitialStates

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from gbspec.analysis.bifurcate import Diagram
+from gbspec.analysis.diagram import Diagram
 
 
 def with_intervals(diagrams: Sequence[Diagram]) -> Diagram:

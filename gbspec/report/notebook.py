@@ -52,7 +52,7 @@ def figure(shown: Any) -> Figure:
     """The figure of a diagram, curves in a plane, initial states or a profile. Raises `TypeError` for others."""
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.bifurcate import Diagram
+    from gbspec.analysis.diagram import Diagram
     from gbspec.analysis.initial_states import InitialStates
     from gbspec.analysis.plane_diagram import PlaneDiagram
     from gbspec.report import diagram, initial_states, plane, profile

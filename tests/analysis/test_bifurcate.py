@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gbspec.analysis.bifurcate import BifurcationOptions, Diagram, bifurcate
+from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
+from gbspec.analysis.diagram import Diagram
 from gbspec.analysis.members import with_intervals
 from gbspec.analysis.system import system_of
 from gbspec.backends.casadi.evaluator import Evaluator

@@ -9,9 +9,10 @@ import pytest
 
 from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
 from gbspec.analysis.collocation import product_eigenvalues
-from gbspec.analysis.cycles import Cycle, CycleBranch, CycleCurve, CycleOptions, others
+from gbspec.analysis.cycles import CycleBranch, CycleCurve, CycleOptions
 from gbspec.analysis.family import Family
 from gbspec.analysis.hopf import analyse_hopf
+from gbspec.analysis.limit_cycle import Cycle, others
 from gbspec.analysis.settle import settle
 from gbspec.analysis.steady import steady_states
 from gbspec.analysis.system import System

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gbspec.analysis.bifurcate import NAMES, Diagram
+from gbspec.analysis.diagram import NAMES, Diagram
 from gbspec.analysis.eigen import Eigen
 from gbspec.analysis.initial_states import InitialStates
 from gbspec.data.trajectories import Array

@@ -16,7 +16,7 @@ from gbspec.report.html import charts, gather, mathml
 from gbspec.runs.store import Run
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcate import Diagram
+    from gbspec.analysis.diagram import Diagram
     from gbspec.analysis.eigen import Eigen
     from gbspec.analysis.validate import Validation
 
