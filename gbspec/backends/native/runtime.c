@@ -44,8 +44,12 @@ typedef bits mask __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)
 #define FROM_BITS(b) ((vec)(b))
 #if defined(__AVX512F__)
 #define IN_REGISTER(v) __asm__("" : "+v"(v))
+#define X86(name, type) _mm512_##name##_p##type
 #elif defined(__x86_64__)
 #define IN_REGISTER(v) __asm__("" : "+x"(v))
+#if defined(__AVX__)
+#define X86(name, type) _mm256_##name##_p##type
+#endif
 #else
 #define IN_REGISTER(v) (void)(v)
 #endif
@@ -90,14 +94,28 @@ INLINE real FROM_BITS(bits b) { real x; memcpy(&x, &b, sizeof x); return x; }
 INLINE vec load(const real *p) { return *(const vec *)p; }
 INLINE void store(real *p, vec v) { *(vec *)p = v; }
 INLINE vec splat(real x) { return (vec){0} + x; }
+
+/* The lesser and the larger of two; a NaN in `x` stays. On x86 compilers take three instructions where there is one. */
+#if defined(X86)
+#include <immintrin.h>
+#if REAL_IS_FLOAT
+INLINE vec at_most(real limit, vec x) { return (vec)X86(min, s)(splat(limit), x); }
+INLINE vec at_least(real limit, vec x) { return (vec)X86(max, s)(splat(limit), x); }
+#else
+INLINE vec at_most(real limit, vec x) { return (vec)X86(min, d)(splat(limit), x); }
+INLINE vec at_least(real limit, vec x) { return (vec)X86(max, d)(splat(limit), x); }
+#endif
+#else
+INLINE vec at_most(real limit, vec x) { return SELECT(x > splat(limit), splat(limit), x); }
+INLINE vec at_least(real limit, vec x) { return SELECT(x < splat(limit), splat(limit), x); }
+#endif
 INLINE vec size_of(vec x) { return SELECT(x < splat(0), -x, x); }
 
 /* exp(x) = s + s*q with s a power of two and q = exp(r) - 1, |r| <= ln 2/2, by its Taylor polynomial (error below half
    a unit in the last place). Beyond EXP_MOST activations are flat to rounding; arguments are kept far enough from where
    numbers lose digits that no product of theirs does, which costs a hundred times a usual product. */
 INLINE void exp_parts(vec x, vec *s, vec *q) {
-    x = SELECT(x < splat(-EXP_MOST), splat(-EXP_MOST), x);
-    x = SELECT(x > splat(EXP_MOST), splat(EXP_MOST), x);
+    x = at_most(EXP_MOST, at_least(-EXP_MOST, x));
     const vec shifted = x * R(1.44269504088896340736) + SHIFT;
     const vec n = shifted - SHIFT;
     const vec r = (x - n * LN2_HIGH) - n * LN2_LOW;
@@ -117,28 +135,19 @@ INLINE void exp_parts(vec x, vec *s, vec *q) {
 INLINE vec v_exp(vec x) { vec s, q; exp_parts(x, &s, &q); return s + s * q; }
 INLINE vec v_expm1(vec x) { vec s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
 
-/* Functions of n vectors take every operation for all of them in turn: one's waits are filled with the others' work. */
-#define ALL UNROLL for (int j = 0; j < n; j++)
-
 /* 1/d for positive d that are not close to the ends of the range: from bits taken from a constant, 5 % off at most, by
-   iterations that square or cube the error. Divisions of whole vectors take several times as long. */
-INLINE void reciprocals(const int n, const vec *d, vec *y) {
-    vec miss[ABREAST];
+   iterations that square or cube the error. A division of whole vectors takes longer where there is no other work. */
+INLINE vec v_reciprocal(vec d) {
 #if REAL_IS_FLOAT
-    ALL y[j] = FROM_BITS(0x7EF311C7 - BITS(d[j]));
+    vec y = FROM_BITS(0x7EF311C7 - BITS(d));
 #else
-    ALL y[j] = FROM_BITS(0x7FDE6238502484BA - BITS(d[j]));
-    ALL miss[j] = R(1) - d[j] * y[j];
-    ALL y[j] = y[j] * miss[j] + y[j];
+    vec y = FROM_BITS(0x7FDE6238502484BA - BITS(d));
+    y = y + y * (R(1) - d * y);
 #endif
-    ALL miss[j] = R(1) - d[j] * y[j];
-    ALL miss[j] = miss[j] * miss[j] + miss[j];
-    ALL y[j] = y[j] * miss[j] + y[j];
-    ALL miss[j] = R(1) - d[j] * y[j];
-    ALL y[j] = y[j] * miss[j] + y[j];
+    const vec miss = R(1) - d * y;
+    y = y + y * (miss + miss * miss);
+    return y + y * (R(1) - d * y);
 }
-
-INLINE vec v_reciprocal(vec d) { vec y; reciprocals(1, &d, &y); return y; }
 
 /* Coefficients of the polynomials 1 + c r + ... with the least relative distance from 2^r for |r| <= 1/2 (4e-9, 2e-17),
    the highest first. */
@@ -156,18 +165,19 @@ static const real POWER_OF_2[] = {
 #endif
 #define POWER_TERMS (int)(sizeof POWER_OF_2 / sizeof *POWER_OF_2)
 
-/* The logistic function p(x), and 1 - p(x) as exactly, by e = exp(-x), which is off by what a last bit of x makes. */
+#define ALL UNROLL for (int j = 0; j < n; j++)
+
+/* The logistic function p(x), and 1 - p(x) as exactly, by e = exp(-x), which is off by what a last bit of x makes; for n
+   vectors, of which each operation is done in turn: one's waits are filled with the others' work. */
 INLINE void logistics(const int n, const vec *x, vec *p, vec *rest) {
-    vec z[ABREAST], shifted[ABREAST], r[ABREAST], e[ABREAST], d[ABREAST];
-    ALL z[j] = SELECT(x[j] < splat(-EXP_MOST), splat(-EXP_MOST), x[j]);
-    ALL z[j] = SELECT(z[j] > splat(EXP_MOST), splat(EXP_MOST), z[j]);
+    vec z[ABREAST], shifted[ABREAST], r[ABREAST], e[ABREAST];
+    ALL z[j] = at_most(EXP_MOST, at_least(-EXP_MOST, x[j]));
     ALL shifted[j] = z[j] * R(-1.44269504088896340736) + (SHIFT + BIAS);
     ALL r[j] = z[j] * R(-1.44269504088896340736) - (shifted[j] - (SHIFT + BIAS));
     ALL e[j] = r[j] * POWER_OF_2[0] + POWER_OF_2[1];
     UNROLL_MORE for (int i = 2; i < POWER_TERMS; i++) ALL e[j] = e[j] * r[j] + POWER_OF_2[i];
     ALL e[j] = (e[j] * r[j] + R(1)) * FROM_BITS(BITS(shifted[j]) << MANTISSA);
-    ALL d[j] = R(1) + e[j];
-    reciprocals(n, d, p);
+    ALL p[j] = R(1) / (R(1) + e[j]);
     ALL rest[j] = e[j] * p[j];
 }
 
