@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 TEXTS = (
     ("gbspec.api", "Specification"),
     ("gbspec.api", "FittedRun"),
-    ("gbspec.analysis.bifurcate", "Diagram"),
+    ("gbspec.analysis.diagram", "Diagram"),
     ("gbspec.analysis.plane_diagram", "PlaneDiagram"),
     ("gbspec.analysis.eigen", "Eigen"),
     ("gbspec.analysis.initial_states", "InitialStates"),
@@ -27,7 +27,7 @@ TEXTS = (
 )
 """What is shown as the text that `print` gives: module and name of the type."""
 FIGURES = (
-    ("gbspec.analysis.bifurcate", "Diagram"),
+    ("gbspec.analysis.diagram", "Diagram"),
     ("gbspec.analysis.plane_diagram", "PlaneDiagram"),
     ("gbspec.analysis.initial_states", "InitialStates"),
     ("gbspec.training.profile", "Profile"),
