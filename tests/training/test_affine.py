@@ -10,8 +10,10 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
+import gbspec
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Findings
+from gbspec.ir.model import Model
 from gbspec.passes.contracts import with_contracts
 from gbspec.training.affine import Form, NotAffineError, affine
 from gbspec.training.objective import objective
@@ -58,21 +60,30 @@ OTHERS = {
 }
 
 
-def points(text: str) -> tuple[Any, Any, dict[str, Tensor], tuple[Tensor, ...], list[Tensor], Tensor, Tensor]:
+Points = tuple[Any, Any, dict[str, Tensor], tuple[Tensor, ...], list[Tensor]]
+
+
+def points(text: str) -> Points:
     """Module, arithmetic, weights; time, state, condition, inputs; constants; 7 points."""
     findings = Findings()
     model = with_contracts(model_of(text), findings)
     findings.raise_if_failed()
+    return points_of(model)
+
+
+def points_of(model: Model) -> Points:
     module, rng = load_module(model).random(3), np.random.default_rng(0)
     weights = {name: torch.from_numpy(np.array(value)) for name, value in module.weights.items()}
     for name, value in weights.items():
         if name.endswith(("_scale", "_center")):
             value += torch.from_numpy(rng.uniform(0.1, 0.5, value.shape))
         value.requires_grad_()
-    t, x, c, u = (torch.from_numpy(rng.uniform(0.5, 1.5, shape)) for shape in ((7,), (7, 2), (7, 2), (7, 1)))
-    constants = [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in (0.7, 1.3)]
-    own = torch.from_numpy(rng.uniform(0.5, 1.5, 7)).requires_grad_()
-    return module, torch_arithmetic(module), weights, (t, x.requires_grad_(), c, u), [*constants, own], x, u
+    widths = [(), (len(module.states),), (len(module.conditions),), (len(module.inputs),)]
+    t, x, c, u = (torch.from_numpy(rng.uniform(0.5, 1.5, (7, *width))) for width in widths)
+    own = {len(model.constants) + i for i, k in enumerate(model.learnables) if k.per_trajectory}
+    values = rng.uniform(0.5, 1.5, (7, len(module.constants)))
+    constants = [torch.tensor(v if i in own else v[0]).requires_grad_() for i, v in enumerate(values.T)]
+    return module, torch_arithmetic(module), weights, (t, x.requires_grad_(), c, u), constants
 
 
 def text_of(balances: str) -> str:
@@ -82,17 +93,28 @@ def text_of(balances: str) -> str:
 
 @pytest.mark.parametrize("name", AFFINE)
 def test_the_matrices_give_what_the_equations_give(name: str) -> None:
-    module, ops, weights, (t, x, c, u), k, *_ = points(text_of(AFFINE[name]))
+    same(points(text_of(AFFINE[name])))
+
+
+@pytest.mark.parametrize("name", ["urp_bb", "bf_gb1", "alpha_pinene", "lotka_volterra", "one_compartment"])
+def test_shipped_models_are_affine(name: str) -> None:
+    same(points_of(gbspec.load(name).model))
+
+
+def same(given: Points) -> None:
+    module, ops, weights, (t, x, c, u), k = given
     networks = module.torch_networks(weights)
     expected = module._rhs(ops, t, x, c, u, tuple(k), networks)
+    shape = expected.shape
     found = affine(module, ops, c, k, networks).at(slice(7))(t, x, u)
-    assert torch.allclose(found.expand(7, 2), expected, rtol=1e-13, atol=1e-13)
-    leaves, weight = [*weights.values(), *k, x], torch.linspace(0.5, 1.5, 14, dtype=torch.float64).reshape(7, 2)
+    assert torch.allclose(found.expand(shape), expected, rtol=1e-13, atol=1e-13)
+    weight = torch.linspace(0.5, 1.5, shape.numel(), dtype=torch.float64).reshape(shape)
+    leaves = [*weights.values(), *k, x]
     for one, other in zip(gradients(expected * weight, leaves), gradients(found * weight, leaves), strict=True):
         assert torch.allclose(one, other, rtol=1e-12, atol=1e-12)
     part = slice(2, 5)
     some = affine(module, ops, c, k, networks).at(part)(t[part], x[part], u[part])
-    assert torch.allclose(some.expand(3, 2), expected[part], rtol=1e-13, atol=1e-13)
+    assert torch.allclose(some.expand(3, shape[1]), expected[part], rtol=1e-13, atol=1e-13)
 
 
 def gradients(out: Tensor, leaves: list[Tensor]) -> list[Tensor]:
@@ -102,7 +124,7 @@ def gradients(out: Tensor, leaves: list[Tensor]) -> list[Tensor]:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_equations_are_left_as_they_are(name: str) -> None:
-    module, ops, weights, (_, _, c, _), k, *_ = points(text_of(OTHERS[name]))
+    module, ops, weights, (_, _, c, _), k = points(text_of(OTHERS[name]))
     with pytest.raises(NotAffineError):
         affine(module, ops, c, k, module.torch_networks(weights))
 
