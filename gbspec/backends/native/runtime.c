@@ -1,4 +1,4 @@
-/* Arithmetic that knows nothing of any model: vectors, elementary functions, products of small matrices, networks.
+/* Arithmetic that knows nothing of any model: vectors, elementary functions, products of small matrices.
 
    No instruction set is assumed. Where the compiler has vector types (GCC, Clang) the hidden units of a network fill
    them, in the width that the target has; elsewhere a vector is one number. */
@@ -237,12 +237,13 @@ INLINE real f_logistic(real x) { return R(1) / (R(1) + FN(exp)(-x)); }
 
 static void zero(real *p, size_t n) { memset(p, 0, n * sizeof(real)); }
 
-/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:]; A is read at r*ars + k*acs. */
-INLINE void block_product(const int rows, const int cols, size_t depth, const real *A, size_t ars, size_t acs,
+/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:], or, if `scales`, C times that sum; A is read at
+   r*ars + k*acs. */
+INLINE void block_product(const int scales, const int rows, const int cols, size_t depth, const real *A, size_t ars, size_t acs,
                           const real *B, size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
     vec acc[ROWS][COLUMNS];
     UNROLL for (int r = 0; r < rows; r++)
-        UNROLL for (int j = 0; j < cols; j++) acc[r][j] = load(init + r * ldi + j * LANES);
+        UNROLL for (int j = 0; j < cols; j++) acc[r][j] = scales ? splat(0) : load(init + r * ldi + j * LANES);
     for (size_t k = 0; k < depth; k++) {
         vec b[COLUMNS];
         UNROLL for (int j = 0; j < cols; j++) {
@@ -255,16 +256,20 @@ INLINE void block_product(const int rows, const int cols, size_t depth, const re
         }
     }
     UNROLL for (int r = 0; r < rows; r++)
-        UNROLL for (int j = 0; j < cols; j++) store(C + r * ldc + j * LANES, acc[r][j]);
+        UNROLL for (int j = 0; j < cols; j++) {
+            real *place = C + r * ldc + j * LANES;
+            if (scales) acc[r][j] *= load(place);
+            store(place, acc[r][j]);
+        }
 }
 
 #define BLOCK(r, c) \
-    block_product(r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, init + i * ldi + j, ldi)
+    block_product(scales, r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, init + i * ldi + j, ldi)
 
-/* C[rows][width] = init + A B, width a multiple of LANES. The three products of a layer (forward, back to its inputs,
-   gradient of its weights) all have this form, none needs a transpose in its loops. */
-APART void product(size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
-                    size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
+/* C[rows][width] = init + A B, or C times A B, width a multiple of LANES. The three products of a layer (forward, back to
+   its inputs, gradient of its weights) all have this form, none needs a transpose in its loops. */
+INLINE void any_product(const int scales, size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
+                        size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
     for (size_t j = 0; j < width;) {
         const size_t left = (width - j) / LANES;
         const int columns = left >= COLUMNS ? COLUMNS : left >= 2 ? 2 : 1;
@@ -284,6 +289,16 @@ APART void product(size_t rows, size_t width, size_t depth, const real *A, size_
         }
         j += (size_t)columns * LANES;
     }
+}
+
+APART void product(size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
+                   size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
+    any_product(0, rows, width, depth, A, ars, acs, B, ldb, C, ldc, init, ldi);
+}
+
+/* C *= A B, with A's rows `stride` apart and no gaps between those of B and C. */
+APART void scale_by_product(size_t rows, size_t width, size_t depth, const real *A, size_t stride, const real *B, real *C) {
+    any_product(1, rows, width, depth, A, stride, 1, B, width, C, width, NULL, 0);
 }
 
 #if LANES_HALVED
@@ -316,11 +331,36 @@ INLINE real lane_sum(vec v) {
 INLINE real lane_sum(vec v) { return v; }
 #endif
 
-/* Sum over n (a multiple of LANES) of a*b. */
-INLINE real dot(const real *a, const real *b, size_t n) {
-    vec sum = load(a) * load(b);
-    for (size_t i = LANES; i < n; i += LANES) sum += load(a + i) * load(b + i);
-    return lane_sum(sum);
+/* b[width] += the sum of A's rows. */
+static void add_rows(size_t rows, size_t width, const real *A, real *b) {
+    for (size_t i = 0; i < width; i += LANES) {
+        vec even = load(b + i), odd = splat(0);
+        size_t s = 0;
+        for (; s + 2 <= rows; s += 2) {
+            even += load(A + s * width + i);
+            odd += load(A + (s + 1) * width + i);
+        }
+        if (s < rows) even += load(A + s * width + i);
+        store(b + i, even + odd);
+    }
+}
+
+/* Sums over n (a multiple of LANES) of A's rows, which follow each other, times b: sums[r * stride], r < TILE. */
+INLINE void dots(const real *A, const real *b, size_t n, real *sums, size_t stride) {
+    vec sum[TILE];
+    for (int r = 0; r < TILE; r++) sum[r] = load(A + r * n) * load(b);
+    for (size_t i = LANES; i < n; i += LANES) {
+        const vec factor = load(b + i);
+        for (int r = 0; r < TILE; r++) sum[r] += load(A + r * n + i) * factor;
+    }
+    for (int r = 0; r < TILE; r++) sums[r * stride] = lane_sum(sum[r]);
+}
+
+/* Sum over n of a*b[i*stride], where there are no whole vectors. */
+INLINE real short_dot(const real *a, const real *b, size_t stride, int n) {
+    real sum = 0;
+    for (int i = 0; i < n; i++) sum += a[i] * b[i * stride];
+    return sum;
 }
 
 /* ---------------------------------------------------------------- activations: z -> value, slope */
@@ -374,132 +414,5 @@ APART void activate(int kind, real *restrict z, real *restrict slope, size_t n) 
                    slope[i] = c + x * R(0.39894228040143267794) * FN(exp)(R(-0.5) * x * x))
         break;
     default: EACH_ALONE(z[i] = FN(sin)(x); slope[i] = FN(cos)(x)) break;
-    }
-}
-
-/* ---------------------------------------------------------------- networks
-
-   A network has `layers` linear layers. `forward[l]` is the transpose of layer l's weights [in][PAD(out)], `back[l]` the
-   weights [out][PAD(in)]; the last layer has `back` alone, the first `forward` alone (unless it is the last).
-   Gradients have the layout of `forward` in the first layer, of `back` in the others. */
-
-#define MOST_LAYERS 16
-
-typedef struct {
-    int layers;
-    int size[MOST_LAYERS + 1];
-    int kinds[MOST_LAYERS];         /* parts of hidden layer l with an activation each */
-    int kind[MOST_LAYERS][3], count[MOST_LAYERS][3];
-    real *forward[MOST_LAYERS], *back[MOST_LAYERS], *bias[MOST_LAYERS];
-    real *gradient[MOST_LAYERS], *bias_gradient[MOST_LAYERS];
-} Net;
-
-/* Where a call keeps its samples: blocks of TILE rows. `hidden[l]`, `slope[l]`: of hidden layer l = 1, 2, ...; in reverse
-   the cotangents of pre-activations take the place of the slopes. */
-typedef struct {
-    const Net *net;
-    real *args, *hidden[MOST_LAYERS], *slope[MOST_LAYERS], *y, *yb, *ab;
-} Site;
-
-static const real nothing[WIDEST + LANES]; /* zeros, as many as the widest layer has units */
-
-/* Units begin to end - 1, in one vector with others: all are computed, these are kept. */
-INLINE void activate_among(int kind, real *z, real *slope, size_t begin, size_t end) {
-    const size_t from = begin / LANES * LANES;
-    vec copy = load(z + from), copy_slope;
-    activate(kind, (real *)&copy, (real *)&copy_slope, LANES);
-    for (size_t i = 0; i < LANES; i++) {
-        const int own = from + i >= begin && from + i < end;
-        z[from + i] = own ? ((real *)&copy)[i] : z[from + i];
-        slope[from + i] = own ? ((real *)&copy_slope)[i] : slope[from + i];
-    }
-}
-
-/* The hidden layer of a sample, whose parts have an activation each. */
-static void activate_parts(const Net *net, int layer, real *z, real *slope) {
-    for (size_t i = 0, begin = 0; i < (size_t)net->kinds[layer]; i++) {
-        const size_t end = begin + net->count[layer][i], whole = PAD(begin), rest = end / LANES * LANES;
-        const int kind = net->kind[layer][i];
-        if (begin < whole) activate_among(kind, z, slope, begin, end < whole ? end : whole);
-        if (whole < rest) activate(kind, z + whole, slope + whole, rest - whole);
-        if (whole <= rest && rest < end) activate_among(kind, z, slope, rest, end);
-        begin = end;
-    }
-}
-
-APART void net_forward(const Net *net, const Site *site, size_t block) {
-    const int last = net->layers - 1;
-    const int n_in = net->size[0], n_out = net->size[last + 1];
-    const real *below = site->args + block * TILE * n_in;
-    size_t stride = n_in;
-    for (int l = 0; l < last; l++) {
-        const size_t width = PAD(net->size[l + 1]);
-        real *z = site->hidden[l + 1] + block * TILE * width, *slope = site->slope[l + 1] + block * TILE * width;
-        product(TILE, width, net->size[l], below, stride, 1, net->forward[l], width, z, width, net->bias[l], 0);
-        if (net->kinds[l + 1] == 1) {
-            activate(net->kind[l + 1][0], z, slope, TILE * width);
-        } else {
-            for (int t = 0; t < TILE; t++) activate_parts(net, l + 1, z + t * width, slope + t * width);
-        }
-        below = z;
-        stride = width;
-    }
-    real *y = site->y + block * TILE * n_out;
-    const size_t width = last ? PAD(net->size[last]) : (size_t)n_in;
-    for (int t = 0; t < TILE; t++)
-        for (int o = 0; o < n_out; o++) {
-            const real *a = below + t * stride, *b = net->back[last] + o * width;
-            real sum = 0;
-            if (last) sum = dot(a, b, width);
-            else for (int i = 0; i < n_in; i++) sum += a[i] * b[i];
-            y[t * n_out + o] = net->bias[last][o] + sum;
-        }
-}
-
-/* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments that `wanted` has a bit for. */
-APART void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
-    const int last = net->layers - 1;
-    const int n_in = net->size[0], n_out = net->size[last + 1];
-    const real *above = site->yb + block * TILE * n_out;
-    size_t stride = n_out;
-    for (int l = last; l > 0; l--) {
-        const size_t width = PAD(net->size[l]);
-        real cotangent[TILE * width];
-        real *slope = site->slope[l] + block * TILE * width;
-        product(TILE, width, net->size[l + 1], above, stride, 1, net->back[l], width, cotangent, width, nothing, 0);
-        for (size_t i = 0; i < TILE * width; i++) slope[i] *= cotangent[i];
-        above = slope;
-        stride = width;
-    }
-    for (int i = 0; i < n_in; i++) {
-        if (i < 32 && !(wanted >> i & 1)) continue;
-        for (int t = 0; t < TILE; t++) {
-            real sum = 0;
-            if (last) sum = dot(above + t * stride, net->forward[0] + i * stride, stride);
-            else for (int o = 0; o < n_out; o++) sum += above[t * stride + o] * net->back[0][o * n_in + i];
-            site->ab[t * n_in + i] = sum;
-        }
-    }
-}
-
-/* Adds to the gradients what the samples of `blocks` blocks from `block` on give. */
-APART void net_gradient(const Net *net, const Site *site, size_t block, size_t blocks) {
-    const int last = net->layers - 1;
-    const size_t n_in = net->size[0], n_out = net->size[last + 1], samples = blocks * TILE;
-    const real *args = site->args + block * TILE * n_in, *yb = site->yb + block * TILE * n_out;
-    for (size_t s = 0; s < samples; s++)
-        for (size_t o = 0; o < n_out; o++) {
-            net->bias_gradient[last][o] += yb[s * n_out + o];
-            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += yb[s * n_out + o] * args[s * n_in + i];
-        }
-    for (int l = last; l > 0; l--) {
-        const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
-        const real *above = l == last ? yb : site->slope[l + 1] + block * TILE * stride;
-        const real *below = site->hidden[l] + block * TILE * width, *dz = site->slope[l] + block * TILE * width;
-        real *g = net->gradient[l], *b = net->bias_gradient[l - 1];
-        product(rows, width, samples, above, 1, stride, below, width, g, width, g, width);
-        for (size_t s = 0; s < samples; s++)
-            for (size_t i = 0; i < width; i++) b[i] += dz[s * width + i];
-        if (l == 1) product(n_in, width, samples, args, 1, n_in, dz, width, net->gradient[0], width, net->gradient[0], width);
     }
 }

@@ -64,7 +64,8 @@ def source(model: Model, precision: Precision = "float64") -> str:
     # Only fits by least squares, which are done in double precision, need the Jacobian.
     jacobian = [_text("jacobian.c")] if precision == "float64" else []
     equations = _equations(model, rhs, observe)
-    return "\n".join([*head, "", _text("runtime.c"), before, *_tableau(RK4), *equations, after, *jacobian])
+    general = [_text("runtime.c"), _text("networks.c")]
+    return "\n".join([*head, "", *general, before, *_tableau(RK4), *equations, after, *jacobian])
 
 
 @cache
@@ -90,7 +91,6 @@ def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
 
 def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equations) -> list[str]:
     sites = len(rhs.sites) + len(observe.sites)
-    widest = max([n for network in model.networks for n in network.sizes] or [1])
     size = 8 if precision == "float64" else 4
     per_step = 4 * TILE * max([n for network in model.networks for n in network.hidden] or [1]) * size
     values = {
@@ -104,7 +104,6 @@ def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equati
         "CHANNELS": len(model.channels),
         "NETWORKS": len(model.networks),
         "NUMBERS": len(numbers_of(model)),
-        "WIDEST": widest,
         "RHS_SITES": len(rhs.sites),
         "SITES": sites,
         "STAGES": len(RK4.c),

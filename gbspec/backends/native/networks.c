@@ -1,0 +1,114 @@
+/* Networks: a call forward, back, and what it gives to the weights' gradient.
+
+   A network has `layers` linear layers. `forward[l]` is the transpose of layer l's weights [in][PAD(out)], `back[l]` the
+   weights [out][PAD(in)]; the last layer has `back` alone, the first `forward` alone (unless it is the last).
+   Gradients have the layout of `forward` in the first layer, of `back` in the others. */
+
+#define MOST_LAYERS 16
+
+typedef struct {
+    int layers;
+    int size[MOST_LAYERS + 1];
+    int kinds[MOST_LAYERS];         /* parts of hidden layer l with an activation each */
+    int kind[MOST_LAYERS][3], count[MOST_LAYERS][3];
+    real *forward[MOST_LAYERS], *back[MOST_LAYERS], *bias[MOST_LAYERS];
+    real *gradient[MOST_LAYERS], *bias_gradient[MOST_LAYERS];
+} Net;
+
+/* Where a call keeps its samples: blocks of TILE rows. `hidden[l]`, `slope[l]`: of hidden layer l = 1, 2, ...; in reverse
+   the cotangents of pre-activations take the place of the slopes. */
+typedef struct {
+    const Net *net;
+    real *args, *hidden[MOST_LAYERS], *slope[MOST_LAYERS], *y, *yb, *ab;
+} Site;
+
+/* Units begin to end - 1, in one vector with others: all are computed, these are kept. */
+INLINE void activate_among(int kind, real *z, real *slope, size_t begin, size_t end) {
+    const size_t from = begin / LANES * LANES;
+    vec copy = load(z + from), copy_slope;
+    activate(kind, (real *)&copy, (real *)&copy_slope, LANES);
+    for (size_t i = 0; i < LANES; i++) {
+        const int own = from + i >= begin && from + i < end;
+        z[from + i] = own ? ((real *)&copy)[i] : z[from + i];
+        slope[from + i] = own ? ((real *)&copy_slope)[i] : slope[from + i];
+    }
+}
+
+/* The hidden layer of a sample, whose parts have an activation each. */
+static void activate_parts(const Net *net, int layer, real *z, real *slope) {
+    for (size_t i = 0, begin = 0; i < (size_t)net->kinds[layer]; i++) {
+        const size_t end = begin + net->count[layer][i], whole = PAD(begin), rest = end / LANES * LANES;
+        const int kind = net->kind[layer][i];
+        if (begin < whole) activate_among(kind, z, slope, begin, end < whole ? end : whole);
+        if (whole < rest) activate(kind, z + whole, slope + whole, rest - whole);
+        if (whole <= rest && rest < end) activate_among(kind, z, slope, rest, end);
+        begin = end;
+    }
+}
+
+APART void net_forward(const Net *net, const Site *site, size_t block) {
+    const int last = net->layers - 1;
+    const int n_in = net->size[0], n_out = net->size[last + 1];
+    const real *below = site->args + block * TILE * n_in;
+    size_t stride = n_in;
+    for (int l = 0; l < last; l++) {
+        const size_t width = PAD(net->size[l + 1]);
+        real *z = site->hidden[l + 1] + block * TILE * width, *slope = site->slope[l + 1] + block * TILE * width;
+        product(TILE, width, net->size[l], below, stride, 1, net->forward[l], width, z, width, net->bias[l], 0);
+        if (net->kinds[l + 1] == 1) {
+            activate(net->kind[l + 1][0], z, slope, TILE * width);
+        } else {
+            for (int t = 0; t < TILE; t++) activate_parts(net, l + 1, z + t * width, slope + t * width);
+        }
+        below = z;
+        stride = width;
+    }
+    real *y = site->y + block * TILE * n_out;
+    for (int o = 0; o < n_out; o++) {
+        const real *weights = net->back[last] + (size_t)o * stride;
+        if (last) dots(below, weights, stride, y + o, n_out);
+        else for (int t = 0; t < TILE; t++) y[t * n_out + o] = short_dot(below + t * n_in, weights, 1, n_in);
+        for (int t = 0; t < TILE; t++) y[t * n_out + o] += net->bias[last][o];
+    }
+}
+
+/* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments that `wanted` has a bit for. */
+APART void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
+    const int last = net->layers - 1;
+    const int n_in = net->size[0], n_out = net->size[last + 1];
+    const real *above = site->yb + block * TILE * n_out;
+    size_t stride = n_out;
+    for (int l = last; l > 0; l--) {
+        const size_t width = PAD(net->size[l]);
+        real *slope = site->slope[l] + block * TILE * width;
+        scale_by_product(TILE, width, net->size[l + 1], above, stride, net->back[l], slope);
+        above = slope;
+        stride = width;
+    }
+    for (int i = 0; i < n_in; i++) {
+        if (i < 32 && !(wanted >> i & 1)) continue;
+        if (last) dots(above, net->forward[0] + i * stride, stride, site->ab + i, n_in);
+        else for (int t = 0; t < TILE; t++) site->ab[t * n_in + i] = short_dot(above + t * n_out, net->back[0] + i, n_in, n_out);
+    }
+}
+
+/* Adds to the gradients what the samples of `blocks` blocks from `block` on give. */
+APART void net_gradient(const Net *net, const Site *site, size_t block, size_t blocks) {
+    const int last = net->layers - 1;
+    const size_t n_in = net->size[0], n_out = net->size[last + 1], samples = blocks * TILE;
+    const real *args = site->args + block * TILE * n_in, *yb = site->yb + block * TILE * n_out;
+    for (size_t s = 0; s < samples; s++)
+        for (size_t o = 0; o < n_out; o++) {
+            net->bias_gradient[last][o] += yb[s * n_out + o];
+            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += yb[s * n_out + o] * args[s * n_in + i];
+        }
+    for (int l = last; l > 0; l--) {
+        const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
+        const real *above = l == last ? yb : site->slope[l + 1] + block * TILE * stride;
+        const real *below = site->hidden[l] + block * TILE * width, *dz = site->slope[l] + block * TILE * width;
+        real *g = net->gradient[l];
+        product(rows, width, samples, above, 1, stride, below, width, g, width, g, width);
+        add_rows(samples, width, dz, net->bias_gradient[l - 1]);
+        if (l == 1) product(n_in, width, samples, args, 1, n_in, dz, width, net->gradient[0], width, net->gradient[0], width);
+    }
+}
