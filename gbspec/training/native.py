@@ -73,12 +73,13 @@ class Tables:
     def __init__(self, problem: Problem) -> None:
         packed, scaling = problem.packed, problem.scaling
         seen = packed.weights > 0
-        row_at = np.full((packed.depth + 1, packed.trajectories), -1, dtype=np.int32)
-        row_at[packed.row_step, packed.row_trajectory] = np.arange(packed.rows)
+        row_at = np.full((packed.trajectories, packed.depth + 1), -1, dtype=np.int32)
+        row_at[packed.row_trajectory, packed.row_step] = np.arange(packed.rows)
         arrays = {
-            "t": packed.t,
-            "h": packed.h,
-            "inputs": packed.inputs,
+            # What is read step by step lies in one piece for a trajectory.
+            "t": packed.t.T,
+            "h": packed.h.T,
+            "inputs": packed.inputs.swapaxes(0, 1),
             "condition": packed.condition,
             "steps": packed.steps,
             "row_at": row_at,
@@ -126,7 +127,7 @@ def _jumps(problem: Problem) -> dict[str, NDArray[np.int32]]:
         following[layer[there]] = first[there]
         first[there] = layer[there]
     state = [model.state_index[dose.state] for dose in model.doses]
-    return {"jump_at": first, "jump_next": following, "jump_state": np.array(state, dtype=np.int32)[packed.doses.kind]}
+    return {"jump_at": first.T, "jump_next": following, "jump_state": np.array(state, dtype=np.int32)[packed.doses.kind]}
 
 
 @dataclass

@@ -4,16 +4,16 @@
 
 typedef struct {
     int64_t depth, trajectories;
-    const double *t, *h;             /* [depth][trajectories] */
-    const double *inputs;            /* [depth][trajectories][NODES][INPUTS] */
+    const double *t, *h;             /* [trajectories][depth] */
+    const double *inputs;            /* [trajectories][depth][NODES][INPUTS] */
     const double *condition;         /* [trajectories][CONDITIONS] */
     const int64_t *steps;            /* [trajectories] */
-    const int32_t *row_at;           /* [depth + 1][trajectories]: key row on arrival, -1 for none */
+    const int32_t *row_at;           /* [trajectories][depth + 1]: key row on arrival, -1 for none */
     const double *row_time;          /* [rows] */
     const double *row_inputs;        /* [rows][INPUTS] */
     const double *measured, *factor; /* [rows][CHANNELS]; factor 0: not measured */
     const double *value, *weight;    /* [rows][STATES]: resets */
-    const int32_t *jump_at;          /* [depth][trajectories]: first jump at a step's start, -1 for none; or NULL */
+    const int32_t *jump_at;          /* [trajectories][depth]: first jump at a step's start, -1 for none; or NULL */
     const int32_t *jump_next;        /* [jumps]: next one at the same place, -1 for none */
     const int32_t *jump_state;       /* [jumps] */
     const int32_t *logarithmic;      /* [CHANNELS] */
@@ -173,7 +173,7 @@ static void read_step(const Work *w, int64_t s, Step *step) {
     const Data *d = w->data;
     for (int t = 0; t < TILE; t++) {
         const int moves = w->active[t] && s < w->steps[t];
-        const int64_t at = moves ? (w->first[t] + s) * d->trajectories + w->who[t] : w->who[t];
+        const int64_t at = w->who[t] * d->depth + (moves ? w->first[t] + s : 0);
         const double h = moves ? d->h[at] : 0.0;
         step->h[t] = R(h);
         for (int q = 0; q < STAGES; q++) {
@@ -188,7 +188,7 @@ static void read_step(const Work *w, int64_t s, Step *step) {
 static int32_t jump_of(const Work *w, int64_t s, int t) {
     const Data *d = w->data;
     const int there = d->jump_at && w->active[t] && s < w->steps[t];
-    return there ? d->jump_at[(w->first[t] + s) * d->trajectories + w->who[t]] : -1;
+    return there ? d->jump_at[w->who[t] * d->depth + w->first[t] + s] : -1;
 }
 
 static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
@@ -244,7 +244,7 @@ static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
 static int find_rows(Work *w, int64_t s) {
     int any = 0;
     for (int t = 0; t < TILE; t++) {
-        const int64_t at = s * w->data->trajectories + w->who[t];
+        const int64_t at = w->who[t] * (w->data->depth + 1) + s;
         w->rows[t] = w->active[t] && s <= w->steps[t] ? w->data->row_at[at] : -1;
         any |= w->rows[t] >= 0;
     }
