@@ -13,6 +13,7 @@ import torch
 
 from gbspec.data.trajectories import Array
 from gbspec.training.jacobian import linearise
+from gbspec.training.levenberg import huber_each
 from gbspec.training.packing import Integers, Packed
 from gbspec.training.parameters import Parameters
 from gbspec.training.priors import LEAST_NOISE, Priors
@@ -101,8 +102,7 @@ def _trajectory_losses(problem: Problem, parameters: Parameters, theta: Array) -
     """Huber loss of each trajectory; infinite where it blew up [N]."""
     with torch.no_grad():
         residuals = unroll(problem, parameters, torch.from_numpy(theta)).residuals.numpy()
-    size = np.abs(residuals)
-    rho = np.where(size <= HUBER, 0.5 * size**2, HUBER * (size - 0.5 * HUBER)).sum(axis=1)
+    rho = huber_each(residuals, HUBER).sum(axis=1)
     rho = np.where(np.isfinite(rho), rho, np.inf)
     losses = np.zeros(problem.packed.trajectories)
     np.add.at(losses, problem.packed.row_trajectory, rho)

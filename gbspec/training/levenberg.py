@@ -40,12 +40,18 @@ def use_threads(count: int) -> None:
 
 def huber(residuals: Array, delta: float) -> float:
     """Sum of Huber's function: r^2 / 2 up to `delta`, linear beyond; infinite if a residual is not a number."""
-    size = np.abs(residuals)
-    if not np.isfinite(size).all():
+    if not np.isfinite(residuals).all():
         return float("inf")
     if np.isinf(delta):
         return 0.5 * float(residuals @ residuals)
-    return float(np.where(size <= delta, 0.5 * residuals**2, delta * (size - 0.5 * delta)).sum())
+    return float(huber_each(residuals, delta).sum())
+
+
+def huber_each(residuals: Array, delta: float) -> Array:
+    """Huber's function of each residual; what is beyond `delta` is never squared, however large it is."""
+    size = np.abs(residuals)
+    inside = np.minimum(size, delta)
+    return np.asarray(inside * (size - 0.5 * inside), dtype=np.float64)
 
 
 def huber_weights(residuals: Array, delta: float) -> Array:
@@ -167,7 +173,12 @@ class NormalEquations:
         """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
         rng = np.random.default_rng([seed, 53])
         probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
-        if self.dual and self.sketch is None:
+        if self.sketch is not None:
+            try:
+                return self.sketch.quadratic(probes.T.copy(), self._diagonal(damping)) / PROBES
+            except TooSlowError:
+                self.sketch = None
+        if self.dual:
             # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
             solved = self._dual_factor(damping).solve(probes.T)
             return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -15,7 +17,7 @@ from gbspec.training.bounds import Bijections
 from gbspec.training.context import build_context
 from gbspec.training.initial_states import refit_starts
 from gbspec.training.jacobian import linearise
-from gbspec.training.levenberg import NormalEquations, huber, huber_weights
+from gbspec.training.levenberg import NormalEquations, huber, huber_each, huber_weights
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import pack
 from gbspec.training.preparation import prepare
@@ -89,6 +91,13 @@ def test_huber_is_quadratic_then_linear() -> None:
     assert huber(r, 0.1) == pytest.approx(0.5 * 0.05**2 + 0.1 * (3 - 0.05))
     assert huber(np.array([np.nan]), 0.1) == np.inf
     assert huber_weights(r, 0.1) == pytest.approx([1.0, 0.1 / 3])
+
+
+def test_residuals_of_a_solution_that_runs_away_are_no_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert huber(np.array([1e200, 1.0]), 0.5) == pytest.approx(5e199)
+        assert huber_each(np.array([1e200, np.inf, 0.1]), 0.5) == pytest.approx([5e199, np.inf, 0.005])
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 40])
