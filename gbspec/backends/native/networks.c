@@ -72,6 +72,15 @@ APART void net_forward(const Net *net, const Site *site, size_t block) {
     }
 }
 
+/* Has memory that is read soon brought near. */
+static void fetch(const real *p, size_t n) {
+#if defined(__GNUC__)
+    for (size_t i = 0; i < n * sizeof(real); i += 64) __builtin_prefetch((const char *)p + i, 0, 2);
+#else
+    (void)p; (void)n;
+#endif
+}
+
 /* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments that `wanted` has a bit for. */
 APART void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
     const int last = net->layers - 1;
@@ -81,6 +90,10 @@ APART void net_backward(const Net *net, const Site *site, size_t block, unsigned
     for (int l = last; l > 0; l--) {
         const size_t width = PAD(net->size[l]);
         real *slope = site->slope[l] + block * TILE * width;
+        if (block) { /* blocks are taken from the last to the first, which processors do not foresee */
+            fetch(slope - TILE * width, TILE * width);
+            fetch(site->hidden[l] + (block - 1) * TILE * width, TILE * width);
+        }
         scale_by_product(TILE, width, net->size[l + 1], above, stride, net->back[l], slope);
         above = slope;
         stride = width;
@@ -97,11 +110,14 @@ APART void net_gradient(const Net *net, const Site *site, size_t block, size_t b
     const int last = net->layers - 1;
     const size_t n_in = net->size[0], n_out = net->size[last + 1], samples = blocks * TILE;
     const real *args = site->args + block * TILE * n_in, *yb = site->yb + block * TILE * n_out;
-    for (size_t s = 0; s < samples; s++)
-        for (size_t o = 0; o < n_out; o++) {
-            net->bias_gradient[last][o] += yb[s * n_out + o];
+    for (size_t o = 0; o < n_out; o++) {
+        real sum = 0;
+        for (size_t s = 0; s < samples; s++) {
+            sum += yb[s * n_out + o];
             if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += yb[s * n_out + o] * args[s * n_in + i];
         }
+        net->bias_gradient[last][o] += sum;
+    }
     for (int l = last; l > 0; l--) {
         const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
         const real *above = l == last ? yb : site->slope[l + 1] + block * TILE * stride;
