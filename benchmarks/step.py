@@ -3,7 +3,8 @@
     python -m benchmarks.step [--rounds 9] [--seconds 80] [--variants native torch …]
 
 The limit is the time that the needed matrix products alone take, at the rate measured in the same rounds for products
-of the shape that a step consists of (trajectories x width x width). Every variant's gradient is compared with
+of the shape that a step consists of (trajectories x width x width), by torch or by NumPy, whichever is quicker: their
+libraries do not suit all processors alike. Every variant's gradient is compared with
 gbspec's torch graph before it is timed.
 """
 
@@ -17,6 +18,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 
 from benchmarks import own
@@ -32,26 +34,34 @@ PRODUCTS = 200
 TINY = Size(trajectories=4, span=2.0)
 
 
-def limit(work: Workload, dtype: torch.dtype) -> tuple[Callable[[], object], float]:
-    """A run of matrix products as a step has them, and by what its time is multiplied to give the limit."""
+def limits(work: Workload, dtype: Dtype) -> tuple[dict[str, Callable[[], object]], float]:
+    """Runs of matrix products as a step has them, by library; by what their time is multiplied to give the limit."""
     n, width = work.size.trajectories, work.size.width
-    a, b, out = (torch.rand(shape, dtype=dtype) for shape in ((n, width), (width, width), (n, width)))
+    a, b, out = (torch.rand(shape, dtype=getattr(torch, dtype)) for shape in ((n, width), (width, width), (n, width)))
+    x, y, z = a.numpy(), b.numpy(), out.numpy()
 
-    def run() -> None:
+    def by_torch() -> None:
         for _ in range(PRODUCTS):
             torch.mm(a, b, out=out)
 
-    return run, work.flop / (PRODUCTS * 2.0 * n * width**2)
+    def by_numpy() -> None:
+        for _ in range(PRODUCTS):
+            np.matmul(x, y, out=z)
+
+    return {"torch": by_torch, "numpy": by_numpy}, work.flop / (PRODUCTS * 2.0 * n * width**2)
 
 
 def measure(work: Workload, candidates: Sequence[Candidate], rounds: int, seconds: float) -> dict[str, Any]:
     """Timings by label, and the limits by precision in milliseconds."""
-    limits = {dtype: limit(work, getattr(torch, dtype)) for dtype in DTYPES}
-    runs = {c.label: c.run for c in candidates} | {f"limit {d}": run for d, (run, _) in limits.items()}
+    products = {dtype: limits(work, dtype) for dtype in DTYPES}
+    runs = {c.label: c.run for c in candidates}
+    for dtype, (by_library, _) in products.items():
+        runs |= {f"limit {dtype} {library}": run for library, run in by_library.items()}
     threads = {c.label: c.variant.threads for c in candidates}
     timings = interleaved(runs, rounds, seconds=seconds, threads=threads)
+    rates = {d: {k: timings[f"limit {d} {k}"].median for k in by_library} for d, (by_library, _) in products.items()}
     return {
-        "limit_ms": {d: 1e3 * factor * timings[f"limit {d}"].median for d, (_, factor) in limits.items()},
+        "limit_ms": {d: 1e3 * factor * min(rates[d].values()) for d, (_, factor) in products.items()},
         "busyness": round(busyness(timings, threads), 3),
         "timings": {label: timings[label].to_json() for label in threads},
     }
