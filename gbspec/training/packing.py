@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Array, Trajectories, Trajectory
-from gbspec.ir.model import Dose, Model
+from gbspec.ir.model import Dose, Expr, Model
 from gbspec.ir.tableaus import RK4
 
 Integers = NDArray[np.int64]
@@ -32,7 +32,8 @@ NODES = tuple(sorted({float(c) for c in RK4.c}))
 class DoseTable:
     """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much.
 
-    `known`: for each of the model's doses whether its lag is a number, so that sub-steps begin where it arrives.
+    `known`: for each of the model's doses whether its lag depends on nothing that is learned, so that sub-steps begin
+    where it arrives.
     """
 
     owner: Integers
@@ -158,8 +159,9 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
     With `rng`, the sub-steps of an interval are of random lengths (none above `max_step`): a learned right-hand side
     then cannot come to rely on one particular step.
     """
-    lags = [_known_lag(dose, model) for dose in model.doses]
-    plans = [_plan(item, model, max_step, rng, lags) for item in trajectories.items]
+    constants = {constant.symbol: constant.value for constant in model.constants}
+    terms = [dose.lag.subs(constants) if _known(dose, model) else None for dose in model.doses]
+    plans = [_plan(item, model, max_step, rng, _lags(item, model, terms)) for item in trajectories.items]
     depth = max((len(plan.h) for plan in plans), default=0)
     count, n_inputs = len(plans), len(model.inputs)
     t, h = np.zeros((depth, count)), np.zeros((depth, count))
@@ -196,7 +198,7 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
         weights=rows([plan.weights for plan in plans], channels),
         sd=rows([plan.sd for plan in plans], channels),
         row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
-        doses=_dose_table(trajectories, lags),
+        doses=_dose_table(trajectories, model),
         labels=tuple(item.label for item in trajectories.items),
         max_step=max_step,
     )
@@ -220,13 +222,18 @@ class _Plan:
 Lags = list[float | None]
 
 
-def _known_lag(dose: Dose, model: Model) -> float | None:
-    """The lag of a dose where it is a number, None where it depends on what is learned or on conditions."""
-    lag = dose.lag.subs({constant.symbol: constant.value for constant in model.constants})
-    return float(lag) if lag.is_number else None
+def _lags(item: Trajectory, model: Model, terms: Sequence[Expr | None]) -> Lags:
+    """The lags of a trajectory's doses from their terms over the conditions; None where they are learned."""
+    given = {each.symbol: float(value) for each, value in zip(model.conditions, item.condition, strict=True)}
+    return [term if term is None else float(term if term.is_number else term.subs(given)) for term in terms]
 
 
-def _dose_table(trajectories: Trajectories, lags: Lags) -> DoseTable:
+def _known(dose: Dose, model: Model) -> bool:
+    """Whether the lag of a dose depends on nothing that is learned."""
+    return not dose.lag.free_symbols & {learnable.symbol for learnable in model.learnables}
+
+
+def _dose_table(trajectories: Trajectories, model: Model) -> DoseTable:
     """The doses of all trajectories."""
     rows = [
         (i, kind, time, amount)
@@ -235,7 +242,7 @@ def _dose_table(trajectories: Trajectories, lags: Lags) -> DoseTable:
         for time, amount in zip(events.times, events.amounts, strict=True)
     ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    known = tuple(lag is not None for lag in lags)
+    known = tuple(_known(dose, model) for dose in model.doses)
     return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], known)
 
 

@@ -10,10 +10,13 @@ import torch
 
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
+from gbspec.backends.native import CompilerError
+from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
 from gbspec.training.jacobian import linearise
+from gbspec.training.objective import objective
 from gbspec.training.unroll import measured_residuals, solve, unroll
 from tests.training.conftest import model_of, problem_of, trajectory
 
@@ -121,6 +124,19 @@ def test_training_solves_doses_as_the_evaluator_does() -> None:
     weights = {}
     theta = parameters.vector(weights, np.array([0.7, 0.63, 1.4]))
     assert np.abs(solve(problem, parameters, theta)).max() < 1e-6
+
+
+def test_a_lag_that_conditions_set_is_covered_by_the_kernel() -> None:
+    try:
+        find_compiler()
+    except CompilerError as error:
+        pytest.skip(str(error))
+    text = MANY.replace("lag 0.3*own + 0.1*c", "lag early + 0.3*c")
+    problem, parameters, theta = problem_of(model_of(text), many_data(), 0.13, blend=0.3)
+    assert all(problem.packed.doses.known)
+    graph, kernel = (objective(problem, parameters, backend)(theta) for backend in ("torch", "native"))
+    assert kernel[0] == pytest.approx(graph[0], rel=1e-12)
+    assert np.abs(kernel[1] - graph[1]).max() <= 1e-12 * np.abs(graph[1]).max()
 
 
 def test_a_trajectory_taken_twice_gets_its_doses_twice() -> None:

@@ -56,7 +56,7 @@ def test_without_a_compiler_the_graph_serves_and_a_line_says_so(
 
 
 def test_a_learned_lag_is_left_to_the_graph_and_a_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    why = "the native kernel does not cover this model: the lag of a dose is learned or depends on conditions"
+    why = "the native kernel does not cover this model: the lag of the dose into `gut` is learned"
     model, heard = model_of(DEPOT), Heard()
     data = depot_data(model, 1)
     with pytest.raises(UserError, match=f"GB863.*cannot be had: {why}"):

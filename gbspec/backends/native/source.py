@@ -79,9 +79,10 @@ def _check(model: Model) -> None:
             raise NotCoveredError(f"the network `{network.name}` has too many layers or arguments")
     if not model.states:
         raise NotCoveredError("it has no states")
-    known = {constant.symbol: constant.value for constant in model.constants}
-    if any(not dose.lag.subs(known).is_number for dose in model.doses):
-        raise NotCoveredError("the lag of a dose is learned or depends on conditions")
+    learned = {learnable.symbol for learnable in model.learnables}
+    for dose in model.doses:
+        if dose.lag.free_symbols & learned:
+            raise NotCoveredError(f"the lag of the dose into `{dose.state}` is learned")
 
 
 def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
