@@ -173,7 +173,12 @@ class NormalEquations:
         """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
         rng = np.random.default_rng([seed, 53])
         probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
-        if self.dual and self.sketch is None:
+        if self.sketch is not None:
+            try:
+                return self.sketch.quadratic(probes.T.copy(), self._diagonal(damping)) / PROBES
+            except TooSlowError:
+                self.sketch = None
+        if self.dual:
             # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
             solved = self._dual_factor(damping).solve(probes.T)
             return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES

@@ -85,16 +85,25 @@ class Sketch:
 
         Raises TooSlowError where another method should be taken.
         """
+        n, count = self.shared.shape[1], self.blocks.trajectories
+        g = torch.from_numpy(gradient)
+        shared, local = self._solve(g[:n, None], g[n:].reshape(count, -1, 1), torch.from_numpy(damping))
+        return np.concatenate([shared.numpy().ravel(), local.numpy().ravel()])
+
+    def quadratic(self, rows: Array, damping: Array) -> float:
+        """Sum over the columns r of `rows` [m, k] of r^T J (J^T J + D)^-1 J^T r. Raises TooSlowError."""
+        given = torch.from_numpy(rows)
+        shared, local = self.shared.T @ given, self.blocks.transposed(given)
+        x_shared, x_local = self._solve(shared, local, torch.from_numpy(damping))
+        return float((shared * x_shared).sum() + (local * x_local).sum())
+
+    def _solve(self, shared: Tensor, local: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
+        """For k right-hand sides: [n, k] and [N, n_local, k]."""
         n, blocks = self.shared.shape[1], self.blocks
-        g, d = torch.from_numpy(gradient), torch.from_numpy(damping)
-        g_local, d_local = (part[n:].reshape(blocks.trajectories, -1) for part in (g, d))
-        inverse = blocks.inverses(d_local)
-        eliminated = torch.bmm(inverse, g_local[:, :, None])
-        right = g[:n] - self.shared.T @ blocks.times(eliminated)[:, 0]
-        x = self._conjugate_gradients(right, d[:n], inverse)
-        cross = blocks.transposed((self.shared @ x)[:, None])
-        local = torch.bmm(inverse, g_local[:, :, None] - cross)
-        return np.concatenate([x.numpy(), local.numpy().ravel()])
+        inverse = blocks.inverses(damping[n:].reshape(blocks.trajectories, -1))
+        right = shared - self.shared.T @ blocks.times(torch.bmm(inverse, local))
+        x = self._conjugate_gradients(right, damping[:n], inverse)
+        return x, torch.bmm(inverse, local - blocks.transposed(self.shared @ x))
 
     # ---------------------------------------------------------------- the operator
     def _apply(self, columns: Tensor, inverse: Tensor) -> Tensor:
@@ -104,21 +113,22 @@ class Sketch:
         return self.shared.T @ rows
 
     def _conjugate_gradients(self, right: Tensor, damping: Tensor, inverse: Tensor) -> Tensor:
+        """All columns side by side, each with its own lengths, until the last one is done."""
         precondition = self._preconditioner(damping, inverse)
         x, residual = torch.zeros_like(right), right.clone()
         z = precondition(residual)
-        direction, energy = z.clone(), float(residual @ z)
+        direction, energy = z.clone(), (residual * z).sum(0)
         goal = TOLERANCE**2 * energy
         for _ in range(ITERATIONS):
-            if not energy > goal:
+            if not bool((energy > goal).any()):
                 break
-            product = self._apply(direction[:, None], inverse)[:, 0] + damping * direction
-            length = energy / float(direction @ product)
+            product = self._apply(direction, inverse) + damping[:, None] * direction
+            length = _ratio(energy, (direction * product).sum(0))
             x += length * direction
             residual -= length * product
             z = precondition(residual)
-            energy, before = float(residual @ z), energy
-            direction = z + energy / before * direction
+            before, energy = energy, (residual * z).sum(0)
+            direction = z + _ratio(energy, before) * direction
         else:
             raise TooSlowError
         if not bool(torch.isfinite(x).all()):
@@ -166,5 +176,11 @@ class _Preconditioner:
         self.factor = torch.linalg.cholesky(core)
 
     def __call__(self, vector: Tensor) -> Tensor:
-        inner = torch.cholesky_solve((self.scaled.T @ vector)[:, None], self.factor)[:, 0]
-        return self.inverse_damping * vector - self.scaled @ inner
+        """Of the columns of [n, k]."""
+        inner = torch.cholesky_solve(self.scaled.T @ vector, self.factor)
+        return self.inverse_damping[:, None] * vector - self.scaled @ inner
+
+
+def _ratio(above: Tensor, below: Tensor) -> Tensor:
+    """Quotients; 0 of columns that are solved exactly."""
+    return torch.where(below > 0, above / below, torch.zeros_like(above))

@@ -36,6 +36,9 @@ def test_steps_equal_those_of_factored_matrices(text: str, ridge: float, monkeyp
         vector = np.random.default_rng(2).standard_normal(parameters.size)
         one, other = sketched.invert(vector, damping), factored.invert(vector, damping)
         assert np.linalg.norm(one - other) < 1e-7 * np.linalg.norm(other)
+    for damping in (1e-2, 1e-4):
+        found = sketched.degrees_of_freedom(damping, 3)
+        assert found == pytest.approx(factored.degrees_of_freedom(damping, 3), rel=1e-6)
     assert sketched.sketch is not None
 
 
