@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcate import Diagram
+    from gbspec.analysis.diagram import Diagram
     from gbspec.runs.store import Run
 
 SEED = 1

@@ -6,8 +6,8 @@ too, then
 
     dx/dt = shift + x A + u U + sum over the calls of networks of hidden(x, u) G
 
-where hidden is what a network's last layer gets. Conditions, constants and scales are in the matrices, the first
-layers' biases and the shift, all of them computed once an unroll and differentiable.
+where hidden is what a network's last layer gets. Constants and scales are in the matrices, what differs between
+trajectories is in the first layers' biases and the shift, all of it computed once an unroll and differentiable.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Form:
 
     __radd__ = __add__
     __rmul__ = __mul__
-    __rtruediv__ = __pow__ = __rpow__ = __mod__ = __rmod__ = _refuse
+    __rtruediv__ = __floordiv__ = __pow__ = __rpow__ = __mod__ = __rmod__ = __abs__ = __pos__ = _refuse
     __lt__ = __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __bool__ = __float__ = _refuse
 
 

@@ -11,7 +11,7 @@ Cost: one forward and n_states backward passes, whatever the number of residuals
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -469,6 +469,3 @@ def _stretch() -> float:
     from gbspec.training.bounds import STRETCH
 
     return STRETCH
-
-
-Residuals = Callable[[Array], Array]

@@ -105,8 +105,8 @@ class Tables:
         """Trajectory and sub-step of each dose that arrives."""
         out: dict[int, tuple[int, int]] = {}
         if "jump_at" in self._kept:
-            for step, owner in zip(*np.nonzero(self._kept["jump_at"] >= 0), strict=True):
-                event = int(self._kept["jump_at"][step, owner])
+            for owner, step in zip(*np.nonzero(self._kept["jump_at"] >= 0), strict=True):
+                event = int(self._kept["jump_at"][owner, step])
                 while event >= 0:
                     out[event] = int(owner), int(step)
                     event = int(self._kept["jump_next"][event])

@@ -223,9 +223,13 @@ Lags = list[float | None]
 
 
 def _lags(item: Trajectory, model: Model, terms: Sequence[Expr | None]) -> Lags:
-    """The lags of a trajectory's doses from their terms over the conditions; None where they are learned."""
+    """The lags of a trajectory's doses from their terms over the conditions; None where they are learned.
+
+    NaN where the conditions leave one undefined: such a dose never arrives.
+    """
     given = {each.symbol: float(value) for each, value in zip(model.conditions, item.condition, strict=True)}
-    return [term if term is None else float(term if term.is_number else term.subs(given)) for term in terms]
+    found = [term if term is None or term.is_number else term.subs(given) for term in terms]
+    return [term if term is None else float(term) if term.is_real and term.is_finite else np.nan for term in found]
 
 
 def _known(dose: Dose, model: Model) -> bool:

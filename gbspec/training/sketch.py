@@ -27,10 +27,12 @@ BELOW = 10.0
 """The smallest eigenvalue of a sketch must lie below this multiple of the damping: the number of iterations follows."""
 TOLERANCE, ITERATIONS = 1e-10, 60
 """Relative size of the last residual, in the preconditioner's norm, and the most iterations."""
+TRUE = 1e-6
+"""Relative size, in the plain norm, that the residual of what is returned has at most."""
 
 
 class TooSlowError(Exception):
-    """The sketch does not pay: the spectrum falls too slowly for this damping."""
+    """The sketch does not pay: the spectrum falls too slowly for this damping, or the equations are near singular."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,17 @@ class Blocks:
         return out
 
     def inverses(self, damping: Tensor) -> Tensor:
-        """Inverses of their normal matrices with the diagonals `damping` [N, n_local] added: [N, n_local, n_local]."""
+        """Inverses of their normal matrices with the diagonals `damping` [N, n_local] added: [N, n_local, n_local].
+
+        Raises TooSlowError where one is singular to rounding.
+        """
         n = self.values.shape[1]
         grams = self.values.new_zeros((self.trajectories, n, n))
         grams.index_add_(0, self.owner, self.values[:, :, None] * self.values[:, None, :])
-        inverses: Tensor = torch.linalg.inv(grams + torch.diag_embed(damping))
-        return inverses
+        inverses, info = torch.linalg.inv_ex(grams + torch.diag_embed(damping))
+        if bool((info != 0).any()):
+            raise TooSlowError
+        return Tensor(inverses)
 
 
 class Sketch:
@@ -113,7 +120,10 @@ class Sketch:
         return self.shared.T @ rows
 
     def _conjugate_gradients(self, right: Tensor, damping: Tensor, inverse: Tensor) -> Tensor:
-        """All columns side by side, each with its own lengths, until the last one is done."""
+        """All columns side by side, each with its own lengths, until the last one is done.
+
+        Raises TooSlowError where they do not get there, or only by the recurrence: near rounding it drifts away.
+        """
         precondition = self._preconditioner(damping, inverse)
         x, residual = torch.zeros_like(right), right.clone()
         z = precondition(residual)
@@ -131,7 +141,8 @@ class Sketch:
             direction = z + _ratio(energy, before) * direction
         else:
             raise TooSlowError
-        if not bool(torch.isfinite(x).all()):
+        left = right - self._apply(x, inverse) - damping[:, None] * x
+        if not bool((torch.linalg.vector_norm(left, dim=0) <= TRUE * torch.linalg.vector_norm(right, dim=0)).all()):
             raise TooSlowError
         return x
 
@@ -161,6 +172,8 @@ class Sketch:
             raise TooSlowError
         root = torch.linalg.solve_triangular(factor, product.T, upper=False).T
         q, r = torch.linalg.qr(root)
+        if not bool(torch.isfinite(r).all()):
+            raise TooSlowError
         u, s, _ = torch.linalg.svd(r)
         return q @ u, (s**2 - shift).clamp(min=0.0)
 
@@ -173,7 +186,9 @@ class _Preconditioner:
         weighted = vectors * values.sqrt()  # U S^1/2
         self.scaled = weighted * self.inverse_damping[:, None]
         core = torch.eye(len(values), dtype=vectors.dtype) + weighted.T @ self.scaled
-        self.factor = torch.linalg.cholesky(core)
+        self.factor, info = torch.linalg.cholesky_ex(core)
+        if int(info) != 0:
+            raise TooSlowError
 
     def __call__(self, vector: Tensor) -> Tensor:
         """Of the columns of [n, k]."""

@@ -92,7 +92,7 @@ def _forced_residuals(context: Context, parameters: Parameters, theta: Array) ->
 
     Where constants alone were fitted, to whole solutions, they are scaled up for the degrees of freedom that it took.
     """
-    alone = not parameters.n_weights and context.options.forcing == "teacher"
+    alone = not parameters.n_weights and (context.options.forcing, context.options.method) == ("teacher", "auto")
     with torch.no_grad():
         out = unroll(context.problem(0.0 if alone else context.options.blend), parameters, torch.from_numpy(theta))
     residuals = np.asarray(out.residuals.numpy(), dtype=np.float64)

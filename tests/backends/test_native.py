@@ -141,7 +141,7 @@ unknown r(x in [0, 3], y in [0, 3]) >= 0, increasing in x, decreasing in y by ml
 unknown g(y in [0, 3]) <= 2, zero at y = 0 by mlp(5)
 x' = F - r(x, y) - k*x*g(y)
 y' = r(x, y) - g(y)
-dose x
+dose x times 0.3 + 0.4*k
 observe x
 observe y
 """
@@ -231,6 +231,26 @@ def test_memory_does_not_grow_with_the_length(
     expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, short))
     assert found[0] == expected[0]
     assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())
+
+
+STILL = """model still
+state x in [0, 2]
+state y in [0, 2]
+unknown g(y in [0, 3]) by mlp(5, 4)
+x' = 0.3 - 0.2*x
+y' = x - g(y) + g(1.0)
+observe x
+"""
+
+
+@pytest.mark.usefixtures("quick")
+def test_jacobians_of_stretches_longer_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a call that is made once for a whole stretch, whose slopes every part of it needs."""
+    problem, parameters, theta = random_problem(model_of(STILL), 3, step=0.02)
+    compare_jacobians(problem, parameters, theta)
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 20_000)
+    monkeypatch.setattr("gbspec.training.native._kernels", {})
+    compare_jacobians(problem, parameters, theta)
 
 
 def test_a_blow_up_gives_no_finite_loss(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:

@@ -156,3 +156,15 @@ def test_learns_the_fraction_and_the_lag(tmp_path: Path) -> None:
     constants = run.fit["constants"]
     for name, value in {"F": 0.7, "tlag": 0.63, "ka": 1.4}.items():
         assert constants[name]["value"] == pytest.approx(value, rel=1e-3), name
+
+
+@pytest.mark.parametrize("lag", ["1/c", "log(c)", "sqrt(c - 1)"])
+def test_a_lag_that_a_condition_leaves_undefined_never_ends(lag: str) -> None:
+    """The dose does not arrive, as if it came after the end."""
+    text = DEPOT.replace("learn tlag = 0.3 in [0, 2]\n", "condition c in [0, 1]\n").replace("lag tlag", f"lag {lag}")
+    model = model_of("\n".join(line for line in text.splitlines() if not line.startswith("truth")) + "\n")
+    values = np.linspace(0.1, 0.5, 5)[:, None]
+    dosed = trajectory("1", 0.0, np.arange(1.0, 6.0), values, [0.0], doses=(DoseEvents(np.zeros(1), np.ones(1)),))
+    problem, parameters, theta = problem_of(model, Trajectories((dosed,), ("blood",)), 0.25, blend=0.0)
+    assert np.isfinite(solve(problem, parameters, theta)).all()
+    assert float(np.abs(unroll(problem, parameters, torch.from_numpy(theta)).arrival.numpy()).max()) == 0.0

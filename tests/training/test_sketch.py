@@ -42,6 +42,43 @@ def test_steps_equal_those_of_factored_matrices(text: str, ridge: float, monkeyp
     assert sketched.sketch is not None
 
 
+def test_factored_matrices_serve_where_the_sketch_does_not_pay(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(6, 5.0, 1), 0.2)
+    system = linearise(problem, parameters, theta)
+    ones = np.ones(len(system.residuals))
+    expected = NormalEquations(system, parameters, ones, 0.0, theta).step(1e-2)
+    monkeypatch.setattr(levenberg, "LEAST", 1)
+    monkeypatch.setattr(sketch, "SHARE", 0.0)
+    equations = NormalEquations(system, parameters, ones, 0.0, theta)
+    assert np.array_equal(equations.step(1e-2), expected)
+    assert equations.sketch is None
+
+
+@pytest.mark.parametrize("damping", [1e-12, 3e-12, 1e-2])
+def test_what_is_returned_is_a_solution(damping: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At dampings near rounding the recurrence of conjugate gradients drifts away from the true residual."""
+    monkeypatch.setattr(sketch, "FIRST_RANK", 70)
+    rng = np.random.default_rng(4)
+    q, _ = np.linalg.qr(rng.standard_normal((300, 300)))
+    shared = np.sqrt(1e4 * 0.64 ** np.arange(300))[:, None] * q
+    nothing = Blocks.of(np.zeros((300, 1)), np.zeros(300, dtype=np.int64), 1)
+    right = np.append(shared.T @ rng.standard_normal(300), 0.0)
+    try:
+        x = Sketch(shared, nothing).solve(right, np.full(301, damping))
+    except TooSlowError:
+        assert damping < 1e-6
+        return
+    left = shared.T @ (shared @ x[:300]) + damping * x[:300]
+    assert np.linalg.norm(left - right[:300]) < 1e-5 * np.linalg.norm(right)
+
+
+def test_collinear_columns_of_a_trajectory_are_no_defect() -> None:
+    own = np.ones((50, 2)) * 1e3
+    blocks = Blocks.of(own, np.zeros(50, dtype=np.int64), 1)
+    with pytest.raises(TooSlowError):
+        Sketch(np.random.default_rng(0).standard_normal((50, 4)), blocks).solve(np.ones(6), np.full(6, 1e-14))
+
+
 def test_a_spectrum_that_does_not_fall_is_left_to_factored_matrices() -> None:
     rng = np.random.default_rng(0)
     nothing = Blocks.of(np.zeros((400, 1)), np.zeros(400, dtype=np.int64), 1)

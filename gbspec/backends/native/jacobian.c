@@ -139,6 +139,7 @@ static void stretch_tile(Work *w, const Stretches *all, const int64_t *which, co
             memcpy(x, w->checkpoints + (size_t)(begin / w->segment) * block, sizeof x);
             for (int64_t s = begin; s < end; s++) step_forward(w, s, (size_t)(s - begin), x);
         }
+        still_forward(w); /* the way back has overwritten its slopes */
         copy_slopes(w, keep, (size_t)(end - begin), 0);
         for (int i = 0; i < STATES; i++) {
             copy_slopes(w, keep, (size_t)(end - begin), 1);
