@@ -15,7 +15,7 @@ from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem, typical
 from gbspec.training.search import Search
-from gbspec.training.stages import Choice, InitialStates, Stage, imputed_forcing
+from gbspec.training.stages import STARTS_TOO, Choice, InitialStates, Stage, imputed_forcing
 from gbspec.training.unroll import solve
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {
@@ -145,7 +145,7 @@ class _Planner:
         return [
             Planned("search", 1, make, lambda theta: True),
             self._newton("least squares", limit, self._at(blend), lambda theta: True, plain),
-            self._newton("least squares, starts too", limit, self._at(0.0), believed, plain, self.released),
+            self._newton(STARTS_TOO, limit, self._at(0.0), believed, plain, self.released),
         ]
 
     def _automatic(self) -> list[Planned]:

@@ -21,6 +21,9 @@ from gbspec.training.unroll import explain_failure, solve
 
 State = dict[str, Array]
 
+STARTS_TOO = "least squares, starts too"
+"""The stage that fits measured first values as measurements, where all functions are known."""
+
 
 @dataclass(frozen=True)
 class Outcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from gbspec.data.trajectories import Array
 from gbspec.training.context import Context
 from gbspec.training.parameters import Parameters
+from gbspec.training.stages import STARTS_TOO
 from gbspec.training.unroll import observe_rows, unroll
 
 
@@ -64,7 +66,7 @@ def summarise(
     blown = seen & ~np.isfinite(predicted)
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
     rmse, noise = {}, {}
-    forced = _forced_residuals(context, parameters, theta)
+    forced = _forced_residuals(context, parameters, theta, [str(stage["name"]) for stage in stages])
     for i, channel in enumerate(model.channels):
         column = difference[seen[:, i], i]
         rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
@@ -87,7 +89,7 @@ def summarise(
     )
 
 
-def _forced_residuals(context: Context, parameters: Parameters, theta: Array) -> Array:
+def _forced_residuals(context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]) -> Array:
     """Residuals [R, C] with the forcing that was trained with, in units of the channels' scales.
 
     Where constants alone were fitted, to whole solutions, they are scaled up for the degrees of freedom that it took.
@@ -99,7 +101,9 @@ def _forced_residuals(context: Context, parameters: Parameters, theta: Array) ->
     if not alone:
         return residuals
     count = int((context.packed().weights > 0).sum())
-    left = max(count - float(parameters.free.sum()), 0.1 * count, 1.0)
+    # Measured first values are fitted only by a stage of their own.
+    free = (parameters if STARTS_TOO in stages else context.parameters(parameters.fixed)).free
+    left = max(count - float(free.sum()), 0.1 * count, 1.0)
     return residuals * float(np.sqrt(count / left))
 
 
