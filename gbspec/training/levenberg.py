@@ -4,7 +4,7 @@ The damped normal equations `(J^T W J + D) s = -(J^T W r + ridge * w)` (w the ne
 ridge at the weights) are solved in the smaller of their two forms. With fewer residuals than shared columns: the dual,
 of the residuals' size. Else the primal, whose blocks of single trajectories (own constants, initial states) are
 eliminated first, so that its size is the number of shared columns whatever the number of trajectories. Where both are
-large, neither matrix is formed if a sketch of it does (`gbspec.training.sketch`).
+large (`sketch.LEAST`), neither matrix is formed if a sketch of it does.
 """
 
 from __future__ import annotations
