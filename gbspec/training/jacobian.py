@@ -12,7 +12,7 @@ Cost: one forward and n_states backward passes, whatever the number of residuals
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gbspec.data.trajectories import Array
+from gbspec.training.bounds import STRETCH
 from gbspec.training.doses import SubStep, advance, arrivals
+from gbspec.training.linearised import Batch, Linearised, Observed
+from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 from gbspec.training.unroll import Unrolled, measured_residuals, observe_rows, residuals_of, unroll
@@ -29,35 +32,10 @@ from gbspec.training.unroll import Unrolled, measured_residuals, observe_rows, r
 if TYPE_CHECKING:
     from gbspec.training.native import Kernel
 
-Integers = NDArray[np.int64]
 Taped = list[tuple[int, int, Tensor, Tensor]]
 
 CHUNK_BYTES = 256 * 1024 * 1024
 """Segments' weight Jacobians are formed in chunks of about this size."""
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """Residuals and their Jacobian at one vector; m measured values.
-
-    `residuals` [m]; `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of
-    the block of the trajectory `owner` [m] that the residual belongs to (all its other columns are zero).
-    """
-
-    residuals: Tensor
-    shared: Tensor
-    local: Tensor
-    owner: Tensor
-
-    def dense(self, parameters: Parameters) -> Tensor:
-        """The whole Jacobian [m, size] (for tests and small problems)."""
-        out = torch.zeros((len(self.residuals), parameters.size), dtype=self.residuals.dtype)
-        out[:, : parameters.n_shared] = self.shared
-        block = parameters.n_local
-        for i in range(len(self.residuals)):
-            begin = parameters.n_shared + int(self.owner[i]) * block
-            out[i, begin : begin + block] = self.local[i]
-        return out
 
 
 def linearise(problem: Problem, parameters: Parameters, theta: Array, only_local: bool = False) -> Linearised:
@@ -182,19 +160,23 @@ class _Sweep:
     # ---------------------------------------------------------------- starts
     def _initial(self, who: Tensor) -> tuple[Tensor, Tensor]:
         """Sensitivity of the initial states of some trajectories [B, n_states, columns]: shared and local."""
-        packed, parameters, problem = self.problem.packed, self.parameters, self.problem
-        n, count = self.n_states, len(who)
-        x0 = parameters.starts(self.vector)[who].detach().requires_grad_()
-        k = [column.detach().clone().requires_grad_() for column in self.constants[who].unbind(1)]
-        c = self._tensor(packed.condition)[who]
-        out = problem.module._initial(problem.ops, x0, c, tuple(k))
-        d_start, *d_constants = _rows_of_jacobian(out, [x0, *k])
+        parameters, n, count = self.parameters, self.n_states, len(who)
+        d_start, *d_constants = (part[who] for part in self._start_derivatives)
         shared = self._zeros((count, n, self.shared_columns))
         local = self._zeros((count, n, parameters.n_local))
-        scale = self._tensor(parameters.start_free * parameters.start_scale * _stretch())[who]
+        scale = self._tensor(parameters.start_free * parameters.start_scale * STRETCH)[who]
         local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
         self._add_constants(shared, local, d_constants, who)
         return shared, local
+
+    @cached_property
+    def _start_derivatives(self) -> list[Tensor]:
+        """Of the initial states, by what is learned of them [N, n, n] and by each constant [N, n]."""
+        problem = self.problem
+        x0 = self.parameters.starts(self.vector).detach().requires_grad_()
+        k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
+        out = problem.module._initial(problem.ops, x0, self._tensor(problem.packed.condition), tuple(k))
+        return _rows_of_jacobian(out, [x0, *k])
 
     def _add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:
         """Adds d/d constants (one [B, n] a constant, natural) to the columns of their trainable values."""
@@ -212,7 +194,7 @@ class _Sweep:
                 local[..., column] += derivatives[known + index] * slope[owner, column][:, None]
 
     # ---------------------------------------------------------------- observations
-    def _observations(self) -> _Observed:
+    def _observations(self) -> Observed:
         problem, packed = self.problem, self.problem.packed
         seen = np.nonzero(packed.weights > 0)
         row, channel = (self._tensor(places) for places in seen)
@@ -241,7 +223,7 @@ class _Sweep:
             )
             if not self.only_local:
                 self._add_weights(d_shared[:, i], tape, grads[1 + len(k) :])
-        return _Observed(
+        return Observed(
             row,
             np.searchsorted(seen[0], np.arange(packed.rows + 1)),
             d_state.detach()[row, channel],
@@ -282,7 +264,7 @@ class _Sweep:
         first, start = self._segment_starts(rows)
         length = packed.row_step[rows] - first
         order = np.argsort(-length, kind="stable")
-        batch = _Batch(owner[order], first[order], length[order])
+        batch = Batch(owner[order], first[order], length[order])
         x = start[self._tensor(order)].requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants[self._tensor(batch.owner)].unbind(1)]
         tape: Taped = []
@@ -318,7 +300,7 @@ class _Sweep:
         start[self._tensor(fresh)] = self.initial[self._tensor(packed.row_trajectory[rows][fresh])].detach()
         return np.asarray(first, dtype=np.int64), start
 
-    def _propagate(self, batch: _Batch, x: Tensor, k: list[Tensor], tape: Taped) -> tuple[Tensor, list[int]]:
+    def _propagate(self, batch: Batch, x: Tensor, k: list[Tensor], tape: Taped) -> tuple[Tensor, list[int]]:
         """Steps the batch to its ends; `calls[j]` tape entries were written by the first j sub-steps."""
         problem, packed = self.problem, self.problem.packed
         networks = problem.module.torch_networks(self.weights, tape)
@@ -343,7 +325,7 @@ class _Sweep:
             state = state[:remaining]
         return torch.cat(finished[::-1]), calls
 
-    def _collect_activations(self, tape: Taped, calls: list[int], batch: _Batch) -> dict[tuple[int, int, int], Tensor]:
+    def _collect_activations(self, tape: Taped, calls: list[int], batch: Batch) -> dict[tuple[int, int, int], Tensor]:
         """Inputs of each layer by (network, layer, group): [B, Q, width] over sub-steps, stages, elements."""
         out: dict[tuple[int, int, int], Tensor] = {}
         for group, (length, begin, end) in enumerate(batch.groups):
@@ -360,7 +342,7 @@ class _Sweep:
         cotangents: list[Tensor],
         activations: dict[tuple[int, int, int], Tensor],
         calls: list[int],
-        batch: _Batch,
+        batch: Batch,
     ) -> None:
         """Writes the weights' columns [B, columns] of one state: sum over sub-steps and stages of dz (x) a."""
         for group, (length, begin, end) in enumerate(batch.groups):
@@ -378,65 +360,6 @@ class _Sweep:
 def _side_by_side(parts: list[Tensor]) -> Tensor:
     """Points [B, ..., width] of several calls as one [B, Q, width]; calls for whole arrays have an axis of elements."""
     return torch.cat([part.reshape(len(part), -1, part.shape[-1]) for part in parts], 1)
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """Segments sorted by falling number of sub-steps: owner, first sub-step, number of sub-steps (each [B])."""
-
-    owner: Integers
-    first: Integers
-    length: Integers
-
-    @property
-    def depth(self) -> int:
-        return int(self.length.max(initial=0))
-
-    def live(self, step: int) -> int:
-        """How many segments take more than `step` sub-steps: the live prefix."""
-        return int(np.searchsorted(-self.length, -step, side="left"))
-
-    @property
-    def groups(self) -> list[tuple[int, int, int]]:
-        """(length, begin, end) of each run of segments of equal positive length."""
-        out = []
-        for length in sorted({int(n) for n in self.length if n > 0}, reverse=True):
-            begin = int(np.searchsorted(-self.length, -length, side="left"))
-            end = int(np.searchsorted(-self.length, -length, side="right"))
-            out.append((length, begin, end))
-        return out
-
-
-@dataclass(frozen=True)
-class _Observed:
-    """Derivatives of the m residuals: of the state [m, n], and directly of the shared and local columns (or None).
-
-    `row` [m] is each residual's key row; `bounds` [R + 1] where each row's residuals begin.
-    """
-
-    row: Tensor
-    bounds: Integers
-    state: Tensor
-    shared: Tensor | None
-    local: Tensor | None
-
-    def of_rows(self, rows: slice) -> slice:
-        """The residuals of some key rows."""
-        return slice(int(self.bounds[rows.start]), int(self.bounds[rows.stop]))
-
-    def _apply(self, rows: slice, sensitivity: Tensor, direct: Tensor | None) -> Tensor:
-        part = self.of_rows(rows)
-        which = self.row[part] - rows.start
-        out = torch.bmm(self.state[part][:, None, :], sensitivity[which])[:, 0]
-        return out if direct is None else out + direct[part]
-
-    def apply_shared(self, rows: slice, sensitivity: Tensor) -> Tensor:
-        """Rows of the Jacobian's shared columns, from the states' sensitivities on arrival at `rows`."""
-        return self._apply(rows, sensitivity, self.shared)
-
-    def apply_local(self, rows: slice, sensitivity: Tensor) -> Tensor:
-        """Rows of the Jacobian's local columns."""
-        return self._apply(rows, sensitivity, self.local)
 
 
 def _layer_offsets(parameters: Parameters) -> dict[tuple[int, int], tuple[int, int, int]]:
@@ -463,9 +386,3 @@ def _rows_of_jacobian(output: Tensor, inputs: list[Tensor]) -> list[Tensor]:
     """d output[b, i] / d input[b, ...] for each input: [B, n, ...]; rows of a batch do not depend on each other."""
     rows = [_gradients(output[:, i].sum(), inputs) for i in range(output.shape[1])]
     return [torch.stack([row[j] for row in rows], 1) for j in range(len(inputs))]
-
-
-def _stretch() -> float:
-    from gbspec.training.bounds import STRETCH
-
-    return STRETCH

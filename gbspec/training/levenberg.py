@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from gbspec.data.trajectories import Array
-from gbspec.training.jacobian import Linearised
+from gbspec.training.linearised import Linearised
 from gbspec.training.parameters import Parameters
 from gbspec.training.sketch import LEAST, Blocks, Sketch, TooSlowError
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.jacobian import Linearised, linearise
+from gbspec.training.jacobian import linearise
 from gbspec.training.levenberg import NormalEquations, huber, huber_weights
+from gbspec.training.linearised import Linearised
 from gbspec.training.parameters import Parameters
 from gbspec.training.priors import Priors
 from gbspec.training.problem import Problem

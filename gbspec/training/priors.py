@@ -17,7 +17,7 @@ from torch import Tensor
 
 from gbspec.data.trajectories import Array
 from gbspec.ir.model import Prior
-from gbspec.training.jacobian import Linearised
+from gbspec.training.linearised import Linearised
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem, typical
