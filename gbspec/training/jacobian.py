@@ -70,7 +70,6 @@ class _Sweep:
         with torch.no_grad():
             self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
             self.constants = parameters.constants(self.vector)
-        self.arrivals = arrivals(problem, self.constants)
         for name in parameters.weight_shapes:
             # Only so that every pre-activation is part of the graph; the gradients of the weights are never asked for.
             self.weights[name].requires_grad_()
@@ -168,6 +167,11 @@ class _Sweep:
         local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
         self._add_constants(shared, local, d_constants, who)
         return shared, local
+
+    @cached_property
+    def _arrivals(self) -> Integers:
+        """Which doses arrive in which sub-step: see `arrivals`."""
+        return arrivals(self.problem, self.constants)
 
     @cached_property
     def _start_derivatives(self) -> list[Tensor]:
@@ -290,15 +294,10 @@ class _Sweep:
     def _segment_starts(self, rows: Integers) -> tuple[Integers, Tensor]:
         """Sub-step at which the segment ending at each row begins, and its state there."""
         packed = self.problem.packed
-        width = int(packed.row_index.max(initial=0)) + 1
-        table = np.zeros((packed.trajectories, width), dtype=np.int64)
-        table[packed.row_trajectory, packed.row_index] = np.arange(packed.rows)
-        previous = table[packed.row_trajectory[rows], np.maximum(packed.row_index[rows] - 1, 0)]
         fresh = packed.row_index[rows] == 0
-        first = np.where(fresh, 0, packed.row_step[previous])
-        start = self.departure[self._tensor(previous)].detach().clone()
+        start = self.departure[self._tensor(packed.previous_row[rows])].detach().clone()
         start[self._tensor(fresh)] = self.initial[self._tensor(packed.row_trajectory[rows][fresh])].detach()
-        return np.asarray(first, dtype=np.int64), start
+        return packed.first_step[rows], start
 
     def _propagate(self, batch: Batch, x: Tensor, k: list[Tensor], tape: Taped) -> tuple[Tensor, list[int]]:
         """Steps the batch to its ends; `calls[j]` tape entries were written by the first j sub-steps."""
@@ -316,7 +315,7 @@ class _Sweep:
                 self._tensor(packed.h[steps, who]),
                 c[:live],
                 self._tensor(packed.inputs[steps, who]).unbind(1),
-                self.arrivals[:, steps, who] if len(self.arrivals) else None,
+                self._arrivals[:, steps, who] if len(self._arrivals) else None,
             )
             state = advance(problem, state, step, [column[:live] for column in k], networks)
             calls.append(len(tape))

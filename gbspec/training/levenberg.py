@@ -10,7 +10,7 @@ large (`sketch.LEAST`), neither matrix is formed if a sketch of it does.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +19,8 @@ from gbspec.data.trajectories import Array
 from gbspec.training.linearised import Linearised
 from gbspec.training.parameters import Parameters
 from gbspec.training.sketch import LEAST, Blocks, Sketch, TooSlowError
+
+Found = TypeVar("Found")
 
 LARGE = 1000
 """Matrices of at least this size are factored by all threads (everything else in training is too small to gain)."""
@@ -149,7 +151,7 @@ class NormalEquations:
 
     def respond(self, target: Array, damping: float) -> Array:
         """-(J^T J + D)^-1 J^T target [size]."""
-        found = self._sketched(lambda: self.transposed(target), damping)
+        found = self._sketched(lambda sketch: sketch.solve(self.transposed(target), self._diagonal(damping)))
         if found is not None:
             return -found
         if self.dual:
@@ -159,7 +161,7 @@ class NormalEquations:
 
     def invert(self, vector: Array, damping: float) -> Array:
         """(J^T J + D)^-1 v [size]."""
-        found = self._sketched(lambda: vector, damping)
+        found = self._sketched(lambda sketch: sketch.solve(vector, self._diagonal(damping)))
         if found is not None:
             return found
         if not self.dual:
@@ -173,23 +175,21 @@ class NormalEquations:
         """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
         rng = np.random.default_rng([seed, 53])
         probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
-        if self.sketch is not None:
-            try:
-                return self.sketch.quadratic(probes.T.copy(), self._diagonal(damping)) / PROBES
-            except TooSlowError:
-                self.sketch = None
+        found = self._sketched(lambda sketch: sketch.quadratic(probes.T.copy(), self._diagonal(damping)))
+        if found is not None:
+            return found / PROBES
         if self.dual:
             # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
             solved = self._dual_factor(damping).solve(probes.T)
             return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES
         return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
 
-    def _sketched(self, vector: Callable[[], Array], damping: float) -> Array | None:
-        """(J^T J + D)^-1 v through the sketch; None where the matrices must be factored."""
+    def _sketched(self, of: Callable[[Sketch], Found]) -> Found | None:
+        """What the sketch gives; None where the matrices must be factored, from then on."""
         if self.sketch is None:
             return None
         try:
-            return self.sketch.solve(vector(), self._diagonal(damping))
+            return of(self.sketch)
         except TooSlowError:
             self.sketch = None
             return None

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,22 +94,25 @@ class Tables:
         self._kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         pointers = [self._kept[name].ctypes.data if name in self._kept else None for name in _FIELDS]
         self.struct = _Data(packed.depth, packed.trajectories, *pointers)
-        self.jumps = len(packed.doses.time)
+        self._packed, self.jumps = packed, len(packed.doses.time)
         self.shape = (packed.rows, len(problem.model.channels))
         self.states = len(problem.model.states)
         self.steps, self.depth = packed.steps, packed.depth
         # Trajectories of about the same number of steps share a tile.
         self.order = np.argsort(-packed.steps, kind="stable").astype(np.int64)
 
-    def jump_places(self) -> dict[int, tuple[int, int]]:
-        """Trajectory and sub-step of each dose that arrives."""
-        out: dict[int, tuple[int, int]] = {}
-        if "jump_at" in self._kept:
-            for owner, step in zip(*np.nonzero(self._kept["jump_at"] >= 0), strict=True):
-                event = int(self._kept["jump_at"][owner, step])
-                while event >= 0:
-                    out[event] = int(owner), int(step)
-                    event = int(self._kept["jump_next"][event])
+    @cached_property
+    def jump_row(self) -> Integers:
+        """The key row at the end of the stretch in which each dose arrives [E]; -1: none."""
+        packed = self._packed
+        out = np.full(self.jumps, -1, dtype=np.int64)
+        first, following = (self._kept.get(name, np.zeros((0, 0))) for name in ("jump_at", "jump_next"))
+        for owner, step in zip(*np.nonzero(first >= 0), strict=True):
+            mine = np.flatnonzero((packed.row_trajectory == owner) & (packed.row_step > step))
+            event = int(first[owner, step])
+            while event >= 0 and len(mine):
+                out[event] = mine[np.argmin(packed.row_step[mine])]
+                event = int(following[event])
         return out
 
 

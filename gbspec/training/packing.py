@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -99,6 +100,24 @@ class Packed:
     def substeps(self) -> int:
         """Number of true sub-steps (of positive length)."""
         return int(self.steps.sum())
+
+    @cached_property
+    def row_table(self) -> Integers:
+        """The key row [N, places] of each trajectory at each place (0 beyond its last)."""
+        table = np.zeros((self.trajectories, int(self.row_index.max(initial=0)) + 1), dtype=np.int64)
+        table[self.row_trajectory, self.row_index] = np.arange(self.rows)
+        return table
+
+    @cached_property
+    def previous_row(self) -> Integers:
+        """The key row before each one in its trajectory [R] (itself, if it is the first)."""
+        return np.asarray(self.row_table[self.row_trajectory, np.maximum(self.row_index - 1, 0)], dtype=np.int64)
+
+    @property
+    def first_step(self) -> Integers:
+        """The sub-step at which the stretch that ends at each key row begins [R]."""
+        begins = np.where(self.row_index == 0, 0, self.row_step[self.previous_row])
+        return np.asarray(begins, dtype=np.int64)
 
     def take(self, indices: Sequence[int] | Integers) -> Packed:
         """The same packing with some of its trajectories, in the order given (repeats allowed)."""

@@ -126,10 +126,7 @@ class Problem:
 
 def matching_rows(whole: Packed, part: Packed, index: NDArray[np.int64]) -> NDArray[np.int64]:
     """For each row of `part = whole.take(index)`, the row of `whole` that it is."""
-    width = int(whole.row_index.max(initial=0)) + 1
-    table = np.zeros((whole.trajectories, width), dtype=np.int64)
-    table[whole.row_trajectory, whole.row_index] = np.arange(whole.rows)
-    return np.asarray(table[index[part.row_trajectory], part.row_index], dtype=np.int64)
+    return np.asarray(whole.row_table[index[part.row_trajectory], part.row_index], dtype=np.int64)
 
 
 def torch_arithmetic(module: Any) -> Any:

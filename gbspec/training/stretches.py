@@ -64,11 +64,10 @@ class Stretches:
             self.natural = Natural.of(problem, parameters, vector)
             self.factor, self.shift = _trained(problem, parameters, theta)
         packed = problem.packed
-        previous = previous_rows(problem)
-        fresh = packed.row_index == 0
-        self.first = np.where(fresh, 0, packed.row_step[previous]).astype(np.int64)
+        self.first = packed.first_step
         self.steps = (packed.row_step - self.first).astype(np.int64)
-        start = np.where(fresh[:, None], initial[packed.row_trajectory], departure[previous])
+        fresh = (packed.row_index == 0)[:, None]
+        start = np.where(fresh, initial[packed.row_trajectory], departure[packed.previous_row])
         self.start = np.ascontiguousarray(start)
         self.doses = _Doses(problem, parameters, vector) if len(packed.doses.time) else None
 
@@ -149,15 +148,6 @@ def chain(
     kernel.library.chain(len(owner), own.shape[-1], *(array.ctypes.data for array in arrays))
 
 
-def previous_rows(problem: Problem) -> Integers:
-    """The key row before each one in its trajectory (itself, if it is the first)."""
-    packed = problem.packed
-    width = int(packed.row_index.max(initial=0)) + 1
-    table = np.zeros((packed.trajectories, width), dtype=np.int64)
-    table[packed.row_trajectory, packed.row_index] = np.arange(packed.rows)
-    return np.asarray(table[packed.row_trajectory, np.maximum(packed.row_index - 1, 0)], dtype=np.int64)
-
-
 def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Array, Array]:
     """`factor` and `shift` [W] that take derivatives by the weights of the kernel to those by the trained ones.
 
@@ -199,7 +189,7 @@ class _Doses:
                 for i, gradient in enumerate(found):
                     slope[kind, :, i] = 0.0 if gradient is None else gradient.numpy()
         self.slope = slope[events.kind, events.owner] * events.amount[:, None]
-        self.row = _rows_after(problem)
+        self.row = problem.tables.jump_row
 
     def add(self, constants: Array, rows: Integers, d_jumps: Array) -> None:
         """Adds, to derivatives by constants [B, n, n_learnables] of some rows, those through the jumps [n, E]."""
@@ -207,17 +197,3 @@ class _Doses:
         order = np.argsort(rows)
         place = order[np.searchsorted(rows, self.row[here], sorter=order)]
         np.add.at(constants, place, d_jumps.T[here][:, :, None] * self.slope[here][:, None, :])
-
-
-def _rows_after(problem: Problem) -> Integers:
-    """The key row at the end of the stretch in which each dose arrives [E]; -1: none."""
-    packed, tables = problem.packed, problem.tables
-    out = np.full(len(packed.doses.time), -1, dtype=np.int64)
-    order = np.lexsort((packed.row_step, packed.row_trajectory))
-    owners, steps = packed.row_trajectory[order], packed.row_step[order]
-    for event, (owner, step) in tables.jump_places().items():
-        mine = order[owners == owner]
-        later = np.searchsorted(steps[owners == owner], step, side="right")
-        if later < len(mine):
-            out[event] = mine[later]
-    return out

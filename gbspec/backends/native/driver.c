@@ -306,7 +306,7 @@ static void arrive_reverse(Work *w, int64_t s, const real *x, const double *cota
         }
     }
     observe_reverse(w, 0, x, ob, xb, w->kb);
-    for (int i = RHS_SITES; i < SITES; i++) net_gradient(w->sites[i].net, &w->sites[i], 0, 1);
+    for (int i = RHS_SITES; i < SITES; i++) net_gradient(w->sites[i].net, &w->sites[i], 0, TILE, 1);
 }
 
 /* ---------------------------------------------------------------- one tile */
@@ -327,7 +327,8 @@ static void segment_reverse(Work *w, int64_t begin, int64_t end, const double *c
         /* The weights' products wait for some steps, so that a block of sums stays in registers for longer. */
         if (++pending == WEIGHT_STEPS || s == begin) {
             for (int i = 0; i < RHS_SITES; i++)
-                if (kept(i)) net_gradient(w->sites[i].net, &w->sites[i], slot * STAGES, (size_t)pending * STAGES);
+                if (kept(i))
+                    net_gradient(w->sites[i].net, &w->sites[i], slot * STAGES * TILE, (size_t)pending * STAGES * TILE, 1);
             pending = 0;
         }
     }
@@ -364,7 +365,7 @@ static void run_tile(Work *w, const double *initial, const double *cotangent, do
     for (int i = 0; i < RHS_SITES; i++)
         if (SITE_STILL[i]) {
             net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
-            net_gradient(w->sites[i].net, &w->sites[i], 0, 1);
+            net_gradient(w->sites[i].net, &w->sites[i], 0, TILE, 1);
         }
     add_to_totals(w);
     for (int t = 0; t < TILE; t++) {

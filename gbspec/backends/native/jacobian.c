@@ -49,29 +49,6 @@ static void copy_slopes(const Work *w, const Kept *k, size_t steps, int back) {
     }
 }
 
-/* Adds to the gradients what one lane of `blocks` blocks gives. */
-static void lane_gradient(const Net *net, const Site *site, int lane, size_t blocks) {
-    const int last = net->layers - 1;
-    const size_t n_in = net->size[0], n_out = net->size[last + 1];
-    const real *args = site->args + lane * n_in, *yb = site->yb + lane * n_out;
-    for (size_t s = 0; s < blocks; s++)
-        for (size_t o = 0; o < n_out; o++) {
-            const real c = yb[s * TILE * n_out + o];
-            net->bias_gradient[last][o] += c;
-            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += c * args[s * TILE * n_in + i];
-        }
-    for (int l = last; l > 0; l--) {
-        const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
-        const real *above = l == last ? yb : site->slope[l + 1] + lane * stride;
-        const real *below = site->hidden[l] + lane * width, *dz = site->slope[l] + lane * width;
-        real *g = net->gradient[l], *b = net->bias_gradient[l - 1];
-        product(rows, width, blocks, above, 1, TILE * stride, below, TILE * width, g, width, g, width);
-        for (size_t s = 0; s < blocks; s++)
-            for (size_t i = 0; i < width; i++) b[i] += dz[s * TILE * width + i];
-        if (l == 1) product(n_in, width, blocks, args, 1, TILE * n_in, dz, TILE * width, net->gradient[0], width, net->gradient[0], width);
-    }
-}
-
 /* Adds the gradients to a row of derivatives by the weights as they are trained: those by the weights in use, less
    `shift` times that by their unit's bias (by which a first layer takes its arguments' centres), times `factor`. */
 static void write_lane(const Work *w, const double *factor, const double *shift, double *row) {
@@ -113,7 +90,7 @@ static void reverse_state(Work *w, const Stretches *all, const int64_t *which, i
         if (!all->d_weights || steps <= 0) continue;
         zero(w->gradients, w->n_gradients);
         for (int i = 0; i < RHS_SITES; i++)
-            lane_gradient(w->sites[i].net, &w->sites[i], t, SITE_STILL[i] ? 1 : (size_t)steps * STAGES);
+            net_gradient(w->sites[i].net, &w->sites[i], (size_t)t, SITE_STILL[i] ? 1 : (size_t)steps * STAGES, TILE);
         write_lane(w, all->factor, all->shift, all->d_weights + row * all->columns);
     }
 }

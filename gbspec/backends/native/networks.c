@@ -105,26 +105,28 @@ APART void net_backward(const Net *net, const Site *site, size_t block, unsigned
     }
 }
 
-/* Adds to the gradients what the samples of `blocks` blocks from `block` on give. */
-APART void net_gradient(const Net *net, const Site *site, size_t block, size_t blocks) {
+/* Adds to the gradients what some samples give: from the sample `first` on, `apart` from each other (1: all of a tile's
+   lanes, TILE: one lane). */
+APART void net_gradient(const Net *net, const Site *site, size_t first, size_t samples, size_t apart) {
     const int last = net->layers - 1;
-    const size_t n_in = net->size[0], n_out = net->size[last + 1], samples = blocks * TILE;
-    const real *args = site->args + block * TILE * n_in, *yb = site->yb + block * TILE * n_out;
+    const size_t n_in = net->size[0], n_out = net->size[last + 1];
+    const real *args = site->args + first * n_in, *yb = site->yb + first * n_out;
     for (size_t o = 0; o < n_out; o++) {
         real sum = 0;
         for (size_t s = 0; s < samples; s++) {
-            sum += yb[s * n_out + o];
-            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += yb[s * n_out + o] * args[s * n_in + i];
+            const real c = yb[s * apart * n_out + o];
+            sum += c;
+            if (!last) for (size_t i = 0; i < n_in; i++) net->gradient[0][o * n_in + i] += c * args[s * apart * n_in + i];
         }
         net->bias_gradient[last][o] += sum;
     }
     for (int l = last; l > 0; l--) {
         const size_t width = PAD(net->size[l]), rows = net->size[l + 1], stride = l == last ? n_out : PAD(rows);
-        const real *above = l == last ? yb : site->slope[l + 1] + block * TILE * stride;
-        const real *below = site->hidden[l] + block * TILE * width, *dz = site->slope[l] + block * TILE * width;
-        real *g = net->gradient[l];
-        product(rows, width, samples, above, 1, stride, below, width, g, width, g, width);
-        add_rows(samples, width, dz, net->bias_gradient[l - 1]);
-        if (l == 1) product(n_in, width, samples, args, 1, n_in, dz, width, net->gradient[0], width, net->gradient[0], width);
+        const real *above = l == last ? yb : site->slope[l + 1] + first * stride;
+        const real *below = site->hidden[l] + first * width, *dz = site->slope[l] + first * width;
+        real *g = net->gradient[l], *g0 = net->gradient[0];
+        product(rows, width, samples, above, 1, apart * stride, below, apart * width, g, width, g, width);
+        add_rows(samples, width, dz, apart * width, net->bias_gradient[l - 1]);
+        if (l == 1) product(n_in, width, samples, args, 1, apart * n_in, dz, apart * width, g0, width, g0, width);
     }
 }

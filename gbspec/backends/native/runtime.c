@@ -331,16 +331,16 @@ INLINE real lane_sum(vec v) {
 INLINE real lane_sum(vec v) { return v; }
 #endif
 
-/* b[width] += the sum of A's rows. */
-static void add_rows(size_t rows, size_t width, const real *A, real *b) {
+/* b[width] += the sum of A's rows, which are `lda` apart. */
+static void add_rows(size_t rows, size_t width, const real *A, size_t lda, real *b) {
     for (size_t i = 0; i < width; i += LANES) {
         vec even = load(b + i), odd = splat(0);
         size_t s = 0;
         for (; s + 2 <= rows; s += 2) {
-            even += load(A + s * width + i);
-            odd += load(A + (s + 1) * width + i);
+            even += load(A + s * lda + i);
+            odd += load(A + (s + 1) * lda + i);
         }
-        if (s < rows) even += load(A + s * width + i);
+        if (s < rows) even += load(A + s * lda + i);
         store(b + i, even + odd);
     }
 }
