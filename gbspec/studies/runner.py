@@ -11,13 +11,14 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
+from gbspec.runs import files
 from gbspec.studies.member import Place, fit_member, read_record
 from gbspec.studies.options import StudyOptions
 from gbspec.studies.tables import write_tables
@@ -41,20 +42,46 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
     tasks = study.tasks()
     check_settings(tasks, place)
     waiting = [] if options.table_only else [task for task in tasks if read_record(place.record(task)) is None]
-    done = len(tasks) - len(waiting)
+    if not waiting:
+        return write_tables(study, place, command)
+    check_models(study)
+    # With `--keep-runs` every member has a run of its own.
+    equal = {} if options.keep_runs else equal_tasks(tasks)
+    share_records(equal, place)
+    waiting = [task for task in waiting if task.name not in equal]
     summary = write_tables(study, place, command)
 
     def finished(task: Task) -> None:
-        nonlocal done, summary
-        done += 1
+        nonlocal summary
+        share_records(equal, place)
         summary = write_tables(study, place, command)
+        done = sum(entry["members"] for entry in summary["cases"].values())
         told(task, read_record(place.record(task)) or {}, done, len(tasks))
 
-    if waiting:
-        check_models(study)
-        with _terminable():
-            _fit(waiting, place, options, finished)
+    with _terminable():
+        _fit(waiting, place, options, finished)
     return summary
+
+
+def equal_tasks(tasks: Sequence[Task]) -> dict[str, tuple[Task, Task]]:
+    """By name, tasks whose fit is that of an earlier one (the same model, data, options and tables), and that one."""
+    first: dict[tuple[object, ...], Task] = {}
+    equal: dict[str, tuple[Task, Task]] = {}
+    settings = {task.case.name: task.settings for task in tasks if task.member == 0}
+    for task in tasks:
+        other = first.setdefault((settings[task.case.name], task.seed, task.case.tables), task)
+        if other is not task:
+            equal[task.name] = task, other
+    return equal
+
+
+def share_records(equal: Mapping[str, tuple[Task, Task]], place: Place) -> None:
+    """Gives tasks that have no record that of the equal one, where it is finished."""
+    for task, other in equal.values():
+        if read_record(place.record(task)) is None:
+            record = read_record(place.record(other))
+            if record is not None:
+                files.write_json(place.record(task), record | {"case": task.case.name, "fit_of": other.case.name})
 
 
 def check_models(study: Study) -> None:

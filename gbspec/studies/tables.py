@@ -110,6 +110,7 @@ def _case(case: Case, planned: int, effort: str, records: Sequence[Mapping[str, 
         "model": case.model.stem if case.model else None,
         "members": len(records),
         "planned": planned,
+        "fit_of": next((record["fit_of"] for record in records if "fit_of" in record), None),
         "effort": effort,
         "noise": case.sampling.noise,
         "failed": [record["member"] for record in records if record.get("failure")],
@@ -181,6 +182,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
         time = f"{cpu['median']:.0f} ({cpu['most']:.0f})" if cpu else ""
         what = case["title"] + (f"; effort {case['effort']}" if case["effort"] != "normal" else "")
         what += f"; noise {case['noise']:g}" if case["noise"] else ""
+        what += f"; the fits of {case['fit_of']}" if case["fit_of"] else ""
         counts = f"{case['members']} of {case['planned']} | {len(case['failed'])} | {len(case['step_warnings'])}"
         lines.append(f"| {name} | {what} | {counts} | {time} |")
     lines += sections(summary["cases"])

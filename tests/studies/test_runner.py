@@ -117,3 +117,29 @@ def test_a_worker_that_dies_is_told_and_the_others_are_kept(cases: Path, monkeyp
         lambda *_: pytest.fail("nothing is fitted"),
     )
     assert told["cases"]["ONE"]["members"] == 1
+
+
+def test_cases_that_differ_in_nothing_but_their_names_are_fitted_once(
+    cases: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The paper has pairs of cases that only its own settings distinguish."""
+    cases.write_text(cases.read_text() + '\n[case.AGAIN]\ntitle = "the first again"\nmodel = "decay"\n')
+    fitted: list[str] = []
+
+    def fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Any) -> None:
+        for task in waiting:
+            fitted.append(task.name)
+            files.write_json(place.record(task), record(task.member, 1e-3, settings=task.settings, seed=task.seed))
+            finished(task)
+
+    monkeypatch.setattr(runner, "_fit", fit)
+    study, told = study_of([f"{cases}:ONE,AGAIN,TWO"], StudyOptions()), []
+    out = cases.parent / "out"
+    summary = run_study(study, out, StudyOptions(), "", lambda *arguments: told.append(arguments[2:]))
+    assert fitted == ["ONE member 0", "TWO member 0", "ONE member 1"]
+    assert told == [(2, 5), (3, 5), (5, 5)]
+    assert summary["cases"]["AGAIN"]["members"] == 2 and summary["cases"]["AGAIN"]["fit_of"] == "ONE"
+    assert "| AGAIN | the first again; the fits of ONE | 2 of 2 |" in (out / "table.md").read_text()
+    fitted.clear()
+    run_study(study, cases.parent / "kept", StudyOptions(keep_runs=True), "", lambda *_: None)
+    assert len(fitted) == 5  # a run for each was asked for
