@@ -23,6 +23,8 @@ ATTEMPTS = 10
 """Dampings tried in one iteration before the stage gives up."""
 DIFFERENCE, BEND = 0.1, 0.75
 """The part of a step at which its curvature is taken, and how large the correction may be beside the step."""
+CORRECTIONS, WORTHWHILE = 8, 0.02
+"""Most corrections of a step, and by which part of the objective each must lower it for another."""
 WEAK = 1e-2
 """Prior precision of what has no prior, relative to the noise, in the count of degrees of freedom."""
 
@@ -32,13 +34,14 @@ class LevenbergOptions:
     """How a stage steps and when it ends.
 
     `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
-    stage ends; `enough`: mean loss below which it ends at once; `damping`: the first one; `ridge`: precision of the
-    weights' prior in units of squared residuals; `evidence`: let the data set it anew after each iteration.
+    stage ends; `enough`: mean loss below which it ends at once, or what gives it for a vector; `damping`: the first
+    one; `ridge`: precision of the weights' prior in units of squared residuals; `evidence`: let the data set it anew
+    after each iteration.
     """
 
     robust: bool = True
     tolerance: float = 1e-3
-    enough: float = 0.0
+    enough: float | Callable[[Array], float] = 0.0
     damping: float = 1.0
     ridge: float = 0.0
     evidence: bool = False
@@ -79,63 +82,34 @@ class LevenbergMarquardt:
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
         system = linearise(problem, self.parameters, theta)
         require_finite(problem, self.parameters, theta, system.residuals.numpy(), self.name)
-        delta = self.threshold(system.residuals.numpy())
-        fit = _Fit(problem, self.parameters, system, theta, delta)
-        residuals, count = fit.residuals, fit.count
-        equations = NormalEquations(fit.system, self.parameters, fit.weights, ridge, theta)
-
-        def objective(r: Array, at: Array) -> float:
-            penalty = ridge * float(np.sum(equations.penalised * at**2)) + fit.balance * float(np.sum(r[count:] ** 2))
-            return huber(r[:count], delta) + 0.5 * penalty
-
-        value = objective(residuals, theta)
+        fit = _Fit(problem, self.parameters, system, theta, self.threshold(system.residuals.numpy()), ridge)
+        raised = 2.0
         for _ in range(ATTEMPTS):
-            step = _try_step(equations, damping)
-            trial = theta + step
-            new_residuals = fit.solved(trial)
-            new = objective(new_residuals, trial)
-            bent = trial + self._bend(fit, theta, step, equations, damping)
-            if not np.array_equal(bent, trial):
-                bent_residuals = fit.solved(bent)
-                bent_value = objective(bent_residuals, bent)
-                if bent_value < new:
-                    trial, new_residuals, new = bent, bent_residuals, bent_value
-            if new < value:
+            step = _try_step(fit.equations, damping)
+            move, after = _followed(fit, step, damping)
+            if after.value < fit.start.value:
                 break
-            damping *= 4
+            damping, raised = damping * raised, 2 * raised
         else:
             kept = state | {"damping": np.array(damping), "small": np.array(2.0)}
-            return Outcome(kept, mean_loss(residuals[:count]), True)
-        foretold = equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
-        gain = min((value - new) / foretold, 1.0) if foretold > 0 else 1.0
+            return Outcome(kept, mean_loss(fit.measured(fit.start)), True)
+        before, trial = fit.start.value, theta + move
+        foretold = fit.equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
+        gain = min((before - after.value) / foretold, 1.0) if foretold > 0 else 1.0
         if self.options.evidence:
-            ridge = evidence(equations, residuals[:count], delta, trial, ridge, iteration)
+            ridge = evidence(fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
         # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
         damping *= float(np.clip(1 - (2 * gain - 1) ** 3, 0.2, 2.0))
-        small = small + 1 if (value - new) < self.options.tolerance * max(value, 1e-300) else 0.0
-        after: State = {
+        small = small + 1 if (before - after.value) < self.options.tolerance * max(before, 1e-300) else 0.0
+        new: State = {
             "theta": trial,
             "damping": np.array(max(damping, 1e-12)),
             "ridge": np.array(ridge),
             "small": np.array(small),
         }
-        loss = mean_loss(new_residuals[:count])
-        return Outcome(after, loss, small >= 2 or loss < self.options.enough)
-
-    def _bend(self, fit: _Fit, theta: Array, step: Array, equations: NormalEquations, damping: float) -> Array:
-        """Half the geodesic acceleration along a step (Transtrum and Sethna 2012), zero where it is not a correction.
-
-        The second derivative of the residuals along the step is taken by a difference; in narrow curved valleys, in
-        which damped steps must be short, following the curve allows much longer ones.
-        """
-        ahead = fit.solved(theta + DIFFERENCE * step)
-        if not np.isfinite(ahead).all() or not np.isfinite(step).all():
-            return np.zeros_like(step)
-        root = equations.root
-        second = 2 / DIFFERENCE * (root * (ahead - fit.residuals) / DIFFERENCE - equations.times(step))
-        bend = 0.5 * equations.respond(second, damping)
-        small = 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step))
-        return bend if small else np.zeros_like(step)
+        loss = mean_loss(fit.measured(after))
+        enough = self.options.enough
+        return Outcome(new, loss, small >= 2 or loss < (enough(trial) if callable(enough) else enough))
 
     def uncertainty(self, state: State) -> tuple[Array, Array]:
         """Standard deviations [k] and correlations [k, k] of shared constants (natural values) at a converged state.
@@ -158,8 +132,7 @@ class LevenbergMarquardt:
         if not np.isfinite(residuals).all():
             return _unknown(len(parameters.shared))
         delta = self.threshold(residuals)
-        fit = _Fit(problem, parameters, system, theta, delta)
-        equations = NormalEquations(fit.system, parameters, fit.weights, ridge, theta)
+        equations = _Fit(problem, parameters, system, theta, delta, ridge).equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
         ahead, count = _try_step(equations, weak), len(parameters.shared)
@@ -175,27 +148,90 @@ class LevenbergMarquardt:
         return out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots)
 
 
+@dataclass(frozen=True)
+class _Solved:
+    """All rows of residuals at a vector, and the objective there."""
+
+    residuals: Array
+    value: float
+
+
 class _Fit:
-    """The residuals of the `count` measured values and, below them, the rows of the priors, around one vector.
+    """One linearisation: the residuals of the `count` measured values and, below them, the rows of the priors.
 
     Where Huber's function weighs measurements down, priors count for as much less as the measurements do on average.
     """
 
     def __init__(
-        self, problem: Problem, parameters: Parameters, system: Linearised, theta: Array, delta: float
+        self, problem: Problem, parameters: Parameters, system: Linearised, theta: Array, delta: float, ridge: float
     ) -> None:
         measured = system.residuals.numpy()
         weights = huber_weights(measured, delta)
         self.problem, self.parameters, self.count = problem, parameters, len(measured)
+        self.theta, self.delta, self.ridge = theta, delta, ridge
         self.priors = Priors.of(problem, parameters, measured)
-        self.system = self.priors.with_rows(system, theta)
-        self.residuals: Array = self.system.residuals.numpy()
         self.balance = float(weights.mean()) if len(weights) else 1.0
-        self.weights: Array = np.concatenate([weights, np.full(len(self.priors), self.balance)])
+        rows = self.priors.with_rows(system, theta)
+        residuals: Array = rows.residuals.numpy()
+        weights = np.concatenate([weights, np.full(len(self.priors), self.balance)])
+        self.equations = NormalEquations(rows, parameters, weights, ridge, theta)
+        self.start = self._with_value(residuals, theta)
 
-    def solved(self, theta: Array) -> Array:
-        """All rows at another vector."""
-        return np.concatenate([solve(self.problem, self.parameters, theta), self.priors.rows(theta)])
+    def solved(self, move: Array) -> _Solved:
+        """All rows at another vector, so far from the first."""
+        at = self.theta + move
+        rows = [solve(self.problem, self.parameters, at), self.priors.rows(at)]
+        return self._with_value(np.concatenate(rows), at)
+
+    def _with_value(self, residuals: Array, at: Array) -> _Solved:
+        priors = residuals[self.count :]
+        penalty = self.ridge * float(np.sum(self.equations.penalised * at**2)) + self.balance * float(priors @ priors)
+        return _Solved(residuals, huber(residuals[: self.count], self.delta) + 0.5 * penalty)
+
+    def measured(self, solved: _Solved) -> Array:
+        """The residuals of measured values."""
+        return solved.residuals[: self.count]
+
+
+def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
+    """Where the path leads of which `step` is the beginning: how far to move, and what is solved there.
+
+    A fit lies in a narrow curved valley of the objective. On a straight step of useful length the residuals leave what
+    the linear model foretells by many times their size, and nearly all of that is undone by corrections which the
+    equations at hand give: first half the geodesic acceleration, then chord steps towards the residuals foretold. They
+    cost one solution each, and allow steps several times as long before the next Jacobian.
+    """
+    best = step, fit.solved(step)
+    bend = _bend(fit, step, damping)
+    if bend is None:
+        return best
+    equations, root = fit.equations, fit.equations.root
+    foretold = root * fit.start.residuals + equations.times(step)
+    move = step + bend
+    for _ in range(1 + CORRECTIONS):
+        there = fit.solved(move)
+        gained = best[1].value - there.value
+        if not gained > 0:
+            break
+        best = move, there
+        if gained < WORTHWHILE * min(there.value, fit.start.value):
+            break
+        move = move + equations.respond(root * there.residuals - foretold, damping)
+    return best
+
+
+def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
+    """Half the geodesic acceleration along a step (Transtrum and Sethna 2012); None where it is not a correction.
+
+    The second derivative of the residuals along the step is taken by a difference.
+    """
+    ahead = fit.solved(DIFFERENCE * step).residuals
+    if not np.isfinite(ahead).all():
+        return None
+    equations = fit.equations
+    second = 2 / DIFFERENCE * (equations.root * (ahead - fit.start.residuals) / DIFFERENCE - equations.times(step))
+    bend = 0.5 * equations.respond(second, damping)
+    return bend if 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step)) else None
 
 
 def _unknown(count: int) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem, typical
 from gbspec.training.search import Search
-from gbspec.training.stages import STARTS_TOO, Choice, InitialStates, Stage, imputed_forcing
+from gbspec.training.stages import STARTS_TOO, Choice, InitialStates, Stage, imputed_forcing, mean_loss
 from gbspec.training.unroll import solve
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {
@@ -34,7 +34,7 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "approach": 25,
         "imputed": 6,
         "teacher": 60,
-        "half": 3,
+        "half": 30,
         "blend": 4,
         "autoregressive": 14,
         "autoregressive, few data": 60,
@@ -45,7 +45,7 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
         "approach": 60,
         "imputed": 10,
         "teacher": 200,
-        "half": 20,
+        "half": 100,
         "blend": 10,
         "autoregressive": 60,
         "autoregressive, few data": 120,
@@ -54,8 +54,8 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
     },
 }
 """Most iterations of each stage by effort."""
-ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-8, "high": 1e-10}
-"""Mean loss below which teacher forcing needs no further iteration (1e-8: residuals of 0.015 % of the deviations)."""
+ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
+"""Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the deviations)."""
 STEADY = 1e-2
 """First damping where an earlier stage has come close already."""
 LARGEST = 4 * 1024**3
@@ -95,6 +95,7 @@ class _Planner:
         self.limits = ITERATIONS[context.options.effort]
         self.blend = context.options.blend
         self.values = int((context.packed().weights > 0).sum())
+        self.enough = ENOUGH[context.options.effort]
         # Whole solutions of noisy data must not start from one noisy value each: the vector's layout stays the same.
         self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
 
@@ -217,12 +218,17 @@ class _Planner:
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Regularised where there are few data, else plain."""
-        enough = ENOUGH[self.options.effort]
+        enough = self._above_step_error if self.options.half_step and self.limits["half"] else self.enough
         return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02, enough=enough)
 
     def _close(self, theta: Array) -> LevenbergOptions:
         """As before, from where an earlier stage came to."""
-        return replace(self._prior(theta), damping=STEADY, enough=0.0)
+        return replace(self._prior(theta), damping=STEADY, enough=self.enough)
+
+    def _above_step_error(self, theta: Array) -> float:
+        """Mean loss that is enough at the whole step: what remains below the step's own error only fits that error."""
+        whole, half = (solve(self.context.problem(1.0, part), self.parameters, theta) for part in (1.0, 0.5))
+        return max(self.enough, mean_loss(half - whole))
 
     def _regular(self, theta: Array) -> LevenbergOptions:
         """With a ridge on the weights, from the noise, or as asked for."""

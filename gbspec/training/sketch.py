@@ -86,6 +86,7 @@ class Sketch:
         self.shared, self.blocks = torch.from_numpy(shared), blocks
         self._vectors: Tensor | None = None
         self._values: Tensor | None = None
+        self._prepared: tuple[Tensor, Tensor, _Preconditioner] | None = None
 
     def solve(self, gradient: Array, damping: Array) -> Array:
         """(J^T J + D)^-1 g [size], shared entries first, then trajectory by trajectory.
@@ -107,9 +108,9 @@ class Sketch:
     def _solve(self, shared: Tensor, local: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
         """For k right-hand sides: [n, k] and [N, n_local, k]."""
         n, blocks = self.shared.shape[1], self.blocks
-        inverse = blocks.inverses(damping[n:].reshape(blocks.trajectories, -1))
+        inverse, precondition = self._prepare(damping)
         right = shared - self.shared.T @ blocks.times(torch.bmm(inverse, local))
-        x = self._conjugate_gradients(right, damping[:n], inverse)
+        x = self._conjugate_gradients(right, damping[:n], inverse, precondition)
         return x, torch.bmm(inverse, local - blocks.transposed(self.shared @ x))
 
     # ---------------------------------------------------------------- the operator
@@ -119,12 +120,13 @@ class Sketch:
         rows -= self.blocks.times(torch.bmm(inverse, self.blocks.transposed(rows)))
         return self.shared.T @ rows
 
-    def _conjugate_gradients(self, right: Tensor, damping: Tensor, inverse: Tensor) -> Tensor:
+    def _conjugate_gradients(
+        self, right: Tensor, damping: Tensor, inverse: Tensor, precondition: _Preconditioner
+    ) -> Tensor:
         """All columns side by side, each with its own lengths, until the last one is done.
 
         Raises TooSlowError where they do not get there, or only by the recurrence: near rounding it drifts away.
         """
-        precondition = self._preconditioner(damping, inverse)
         x, residual = torch.zeros_like(right), right.clone()
         z = precondition(residual)
         direction, energy = z.clone(), (residual * z).sum(0)
@@ -147,6 +149,14 @@ class Sketch:
         return x
 
     # ---------------------------------------------------------------- the preconditioner
+    def _prepare(self, damping: Tensor) -> tuple[Tensor, _Preconditioner]:
+        """The inverses of the trajectories' blocks and the preconditioner, kept for the next solution."""
+        if self._prepared is None or not torch.equal(self._prepared[0], damping):
+            n, blocks = self.shared.shape[1], self.blocks
+            inverse = blocks.inverses(damping[n:].reshape(blocks.trajectories, -1))
+            self._prepared = damping, inverse, self._preconditioner(damping[:n], inverse)
+        return self._prepared[1:]
+
     def _preconditioner(self, damping: Tensor, inverse: Tensor) -> _Preconditioner:
         typical = float(damping.median())
         while self._values is None or float(self._values[-1]) > BELOW * typical:
