@@ -85,7 +85,7 @@ class LevenbergMarquardt:
         fit = _Fit(problem, self.parameters, system, theta, self.threshold(system.residuals.numpy()), ridge)
         raised = 2.0
         for _ in range(ATTEMPTS):
-            step = _try_step(fit.equations, damping)
+            step = fit.step(damping)
             move, after = _followed(fit, step, damping)
             if after.value < fit.start.value:
                 break
@@ -132,10 +132,11 @@ class LevenbergMarquardt:
         if not np.isfinite(residuals).all():
             return _unknown(len(parameters.shared))
         delta = self.threshold(residuals)
-        equations = _Fit(problem, parameters, system, theta, delta, ridge).equations
+        fit = _Fit(problem, parameters, system, theta, delta, ridge)
+        equations = fit.equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
-        ahead, count = _try_step(equations, weak), len(parameters.shared)
+        ahead, count = fit.step(weak), len(parameters.shared)
         out, inverse = np.zeros(count), np.zeros((count, count))
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
         for i, slope in enumerate(slopes):
@@ -188,6 +189,20 @@ class _Fit:
         penalty = self.ridge * float(np.sum(self.equations.penalised * at**2)) + self.balance * float(priors @ priors)
         return _Solved(residuals, huber(residuals[: self.count], self.delta) + 0.5 * penalty)
 
+    def step(self, damping: float) -> Array:
+        """The damped step; NaN (which no objective accepts) where the equations are singular to rounding."""
+        return self._found(lambda: self.equations.step(damping))
+
+    def correction(self, target: Array, damping: float) -> Array:
+        """What undoes a change of all (weighted) rows as well as the damping allows; NaN as above."""
+        return self._found(lambda: self.equations.respond(target, damping))
+
+    def _found(self, solve: Callable[[], Array]) -> Array:
+        try:
+            return solve()
+        except np.linalg.LinAlgError:
+            return np.full(self.parameters.size, np.nan)
+
     def measured(self, solved: _Solved) -> Array:
         """The residuals of measured values."""
         return solved.residuals[: self.count]
@@ -216,7 +231,7 @@ def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
         best = move, there
         if gained < WORTHWHILE * min(there.value, fit.start.value):
             break
-        move = move + equations.respond(root * there.residuals - foretold, damping)
+        move = move + fit.correction(root * there.residuals - foretold, damping)
     return best
 
 
@@ -230,21 +245,13 @@ def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
         return None
     equations = fit.equations
     second = 2 / DIFFERENCE * (equations.root * (ahead - fit.start.residuals) / DIFFERENCE - equations.times(step))
-    bend = 0.5 * equations.respond(second, damping)
+    bend = 0.5 * fit.correction(second, damping)
     return bend if 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step)) else None
 
 
 def _unknown(count: int) -> tuple[Array, Array]:
     """Deviations and correlations of which nothing can be said."""
     return np.full(count, np.nan), np.full((count, count), np.nan)
-
-
-def _try_step(equations: NormalEquations, damping: float) -> Array:
-    """The step; a step of NaN (which no objective accepts) where the equations are singular to rounding."""
-    try:
-        return equations.step(damping)
-    except np.linalg.LinAlgError:
-        return np.full(equations.parameters.size, np.nan)
 
 
 def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:
@@ -267,7 +274,10 @@ def evidence(
     if not len(weights) or size == 0.0:
         return ridge
     scale = max(float(np.mean(residuals**2)), 1e-300)
-    freedom = equations.degrees_of_freedom(WEAK * scale, seed)
+    try:
+        freedom = equations.degrees_of_freedom(WEAK * scale, seed)
+    except np.linalg.LinAlgError:  # singular to rounding: so little damping says nothing
+        return ridge
     unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
     effective = max(freedom - unpenalised, 1.0)
     target = noise_variance(equations, residuals, delta, freedom) * effective / size

@@ -41,3 +41,16 @@ def test_a_decrease_that_was_not_foretold_ends_no_fit(tmp_path: Path, monkeypatc
     (tmp_path / "d.csv").write_text("t,x\n0,1\n0.1,0.951\n0.2,0.904\n0.4,0.819\n0.8,0.670\n")
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
     assert abs(fit["constants"]["k"]["value"] - 0.5) < 0.01
+
+
+def test_equations_that_say_nothing_about_the_prior_leave_it_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(NormalEquations, "degrees_of_freedom", singular)
+    (tmp_path / "m.gb").write_text(
+        TEXT.replace("learn k = 1 in [0, 2]", "unknown r(x) by mlp(3)").replace("k*x", "r(x)")
+    )
+    rows = "".join(f"{t / 10},{2.718281828 ** (-0.05 * t)}\n" for t in range(1, 20))
+    (tmp_path / "d.csv").write_text("t,x\n" + rows)
+    fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
+    assert fit["members"][0]["rmse"]["x"] < 0.1
