@@ -37,6 +37,8 @@ from gbspec.training.parameters import Parameters
 if TYPE_CHECKING:
     from gbspec.training.problem import Problem
 
+SHARES = 8
+"""Shares of the work for each thread."""
 _FIELDS = (
     "t",
     "h",
@@ -205,7 +207,10 @@ class Kernel:
             np.zeros(len(doses)),
         )
         tiles = -(-len(order) // TILE)
-        count = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
+        threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
+        # More shares than threads: a core that something else takes a while leaves its share to the others. Each share
+        # has sums of its own, added in order, so that the result does not depend on which thread took which.
+        count = 1 if threads == 1 else min(tiles, SHARES * threads)
         size = self.work_bytes(tables.depth)
         parts = [out.d_weights, *(np.zeros(len(weights)) for _ in range(count - 1))]
         given = None if cotangent is None else np.ascontiguousarray(cotangent)
@@ -237,7 +242,7 @@ class Kernel:
             part(0)
         else:
             # The call holds no lock of the interpreter, so plain threads run side by side.
-            list(_pool(count, os.getpid()).map(part, range(count)))
+            list(_pool(threads, os.getpid()).map(part, range(count)))
         for other in parts[1:]:
             out.d_weights += other
         return out
