@@ -17,7 +17,7 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.training.context import Context, build_context
-from gbspec.training.newton import LevenbergMarquardt
+from gbspec.training.newton import Certainty, LevenbergMarquardt
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
 from gbspec.training.plan import Planned, plan
@@ -52,8 +52,7 @@ class Position:
     best_score: float = float("inf")
     marks: dict[str, Array] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    deviations: Array = field(default_factory=lambda: np.zeros(0))
-    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    certainty: Certainty = field(default_factory=Certainty)
     seconds: float = 0.0
     loss: float = float("inf")
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
@@ -178,18 +177,17 @@ class _Runner:
             if time.monotonic() - self._saved > SAVE_EVERY:
                 self._save()
         position.marks[planned.name] = position.theta
-        self._uncertainty(stage)
+        self._take_certainty(stage)
 
-    def _uncertainty(self, stage: Stage) -> None:
-        """Standard deviations of constants, of the last stage that says any; another vector makes them void."""
+    def _take_certainty(self, stage: Stage) -> None:
+        """What the last stage that says any says of constants; another vector makes that void."""
         position = self.position
         if isinstance(stage, LevenbergMarquardt):
             # A stage that may end while the loss still falls by percents has no curvature to speak of.
-            known = stage.options.tolerance <= TIGHT and bool(self.parameters.shared)
-            nothing = np.zeros(0), np.zeros((0, 0))
-            position.deviations, position.correlations = stage.uncertainty(position.state) if known else nothing
+            known = stage.options.tolerance <= TIGHT
+            position.certainty = stage.certainty(position.state) if known else Certainty()
         elif not np.array_equal(position.theta, position.entry):
-            position.deviations, position.correlations = np.zeros(0), np.zeros((0, 0))
+            position.certainty = Certainty(freedom=position.certainty.freedom)
 
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
@@ -247,8 +245,9 @@ class _Runner:
     # ---------------------------------------------------------------- files
     def _result(self) -> MemberResult:
         position = self.position
+        freedom = position.certainty.freedom
         result = summarise(
-            self.context, self.parameters, position.best, position.loss, position.seconds, position.stages
+            self.context, self.parameters, position.best, freedom, position.loss, position.seconds, position.stages
         )
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
@@ -268,10 +267,9 @@ class _Runner:
         instance.save(temporary)
         temporary.replace(path)
         result.history = list(position.history)
-        for name, deviation in zip(self._shared_names(), position.deviations, strict=False):
+        for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
             result.sd[name] = float(deviation)
-        if len(position.correlations):
-            result.correlations = position.correlations
+        result.correlations = position.certainty.correlations
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
@@ -280,7 +278,7 @@ class _Runner:
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
         arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
-        arrays |= {"deviations": position.deviations, "correlations": position.correlations}
+        arrays |= {"deviations": position.certainty.deviations, "correlations": position.certainty.correlations}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = {
@@ -291,7 +289,11 @@ class _Runner:
             "smooth": self.context.smooth,
             "stages": position.stages,
             "notes": position.notes,
-            "exact": {"loss": position.loss.hex(), "best_score": position.best_score.hex()},
+            "exact": {
+                "loss": position.loss.hex(),
+                "best_score": position.best_score.hex(),
+                "freedom": position.certainty.freedom.hex(),
+            },
             "history": [
                 [name, i, seconds, loss.hex(), [x.hex() for x in constants]]
                 for name, i, seconds, loss, constants in position.history
@@ -322,8 +324,7 @@ def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
         iteration=remarks["iteration"],
         state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
         entry=arrays["entry"],
-        deviations=arrays["deviations"],
-        correlations=arrays.get("correlations", np.zeros((0, 0))),
+        certainty=Certainty(arrays["deviations"], arrays["correlations"], float.fromhex(remarks["exact"]["freedom"])),
         theta=arrays["theta"],
         best=arrays["best"],
         best_score=float.fromhex(remarks["exact"]["best_score"]),

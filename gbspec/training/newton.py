@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -21,6 +21,10 @@ DELTA_HIGH, DELTA_LOW = 0.1, 0.003
 """Huber's threshold, in deviations of the data: four times the median residual, within these bounds."""
 ATTEMPTS = 10
 """Dampings tried in one iteration before the stage gives up."""
+LESS, MORE, GOOD = 0.2, 2.0, 0.9
+"""Factors from one damping to the next, and the part of a foretold decrease above which less damping is tried."""
+LEAST = 1e-12
+"""The smallest damping."""
 DIFFERENCE, BEND = 0.1, 0.75
 """The part of a step at which its curvature is taken, and how large the correction may be beside the step."""
 CORRECTIONS, WORTHWHILE = 8, 0.02
@@ -83,27 +87,19 @@ class LevenbergMarquardt:
         system = linearise(problem, self.parameters, theta)
         require_finite(problem, self.parameters, theta, system.residuals.numpy(), self.name)
         fit = _Fit(problem, self.parameters, system, theta, self.threshold(system.residuals.numpy()), ridge)
-        raised = 2.0
-        for _ in range(ATTEMPTS):
-            step = fit.step(damping)
-            move, after = _followed(fit, step, damping)
-            if after.value < fit.start.value:
-                break
-            damping, raised = damping * raised, 2 * raised
-        else:
-            kept = state | {"damping": np.array(damping), "small": np.array(2.0)}
+        found = _searched(fit, damping)
+        if not found.after.value < fit.start.value:
+            kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
             return Outcome(kept, mean_loss(fit.measured(fit.start)), True)
-        before, trial = fit.start.value, theta + move
-        foretold = fit.equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
-        gain = min((before - after.value) / foretold, 1.0) if foretold > 0 else 1.0
+        before, after, trial = fit.start.value, found.after, theta + found.move
         if self.options.evidence:
             ridge = evidence(fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
         # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
-        damping *= float(np.clip(1 - (2 * gain - 1) ** 3, 0.2, 2.0))
+        damping = found.damping * float(np.clip(1 - (2 * found.gain - 1) ** 3, 0.2, 2.0))
         small = small + 1 if (before - after.value) < self.options.tolerance * max(before, 1e-300) else 0.0
         new: State = {
             "theta": trial,
-            "damping": np.array(max(damping, 1e-12)),
+            "damping": np.array(max(damping, LEAST)),
             "ridge": np.array(ridge),
             "small": np.array(small),
         }
@@ -111,31 +107,31 @@ class LevenbergMarquardt:
         enough = self.options.enough
         return Outcome(new, loss, small >= 2 or loss < (enough(trial) if callable(enough) else enough))
 
-    def uncertainty(self, state: State) -> tuple[Array, Array]:
-        """Standard deviations [k] and correlations [k, k] of shared constants (natural values) at a converged state.
+    def certainty(self, state: State) -> Certainty:
+        """What the curvature says of a converged state; nothing where the equations are singular to rounding.
 
         The covariance (Gauss-Newton, Laplace) is the noise variance times the inverse of the normal matrix, priors and
         ridge included. How far the next undamped step would move a constant is added to its deviation (in squares), NaN
-        where that is more than the deviation itself: the stage had not come to rest. All NaN where the equations are
-        singular to rounding, as those of a fit without any residual are.
+        where that is more than the deviation itself: the stage had not come to rest.
         """
         try:
-            return self._uncertainty(state)
-        except np.linalg.LinAlgError:
-            return _unknown(len(self.parameters.shared))
+            return self._certainty(state)
+        except np.linalg.LinAlgError:  # as those of a fit without any residual are
+            return Certainty.unknown(len(self.parameters.shared))
 
-    def _uncertainty(self, state: State) -> tuple[Array, Array]:
+    def _certainty(self, state: State) -> Certainty:
         parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
         problem = self.problem_at(0)
         system = linearise(problem, parameters, theta)
         residuals = system.residuals.numpy()
         if not np.isfinite(residuals).all():
-            return _unknown(len(parameters.shared))
+            return Certainty.unknown(len(parameters.shared))
         delta = self.threshold(residuals)
         fit = _Fit(problem, parameters, system, theta, delta, ridge)
         equations = fit.equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
-        variance = noise_variance(equations, residuals, delta, equations.degrees_of_freedom(weak, 0))
+        freedom = equations.degrees_of_freedom(weak, 0)
+        variance = noise_variance(equations, residuals, delta, freedom)
         ahead, count = fit.step(weak), len(parameters.shared)
         out, inverse = np.zeros(count), np.zeros((count, count))
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
@@ -146,7 +142,22 @@ class LevenbergMarquardt:
             own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])
             out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
         roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * np.where(slopes < 0, -1.0, 1.0)
-        return out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots)
+        return Certainty(out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots), freedom)
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and how many degrees of
+    freedom the fit used, priors and ridge taken into account; NaN where it is not known, correlations then empty."""
+
+    deviations: Array = field(default_factory=lambda: np.zeros(0))
+    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    freedom: float = float("nan")
+
+    @classmethod
+    def unknown(cls, count: int) -> Certainty:
+        """Of `count` constants of which nothing can be said."""
+        return cls(np.full(count, np.nan), np.full((count, count), np.nan))
 
 
 @dataclass(frozen=True)
@@ -208,6 +219,49 @@ class _Fit:
         return solved.residuals[: self.count]
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """A damping, how far it moves, what is solved there, and which part of the decrease that was foretold came true (0:
+    there was none)."""
+
+    damping: float
+    move: Array
+    after: _Solved
+    gain: float
+
+    @classmethod
+    def of(cls, fit: _Fit, damping: float) -> _Trial:
+        """Tries a damping."""
+        step = fit.step(damping)
+        move, after = _followed(fit, step, damping)
+        if not after.value < fit.start.value:
+            return cls(damping, move, after, 0.0)
+        foretold = fit.equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
+        gain = min((fit.start.value - after.value) / foretold, 1.0) if foretold > 0 else 1.0
+        return cls(damping, move, after, gain)
+
+
+def _searched(fit: _Fit, damping: float) -> _Trial:
+    """The best of a few dampings, since a Jacobian costs more than several of them.
+
+    From the one at hand it goes up until the objective falls, in growing strides; else down as long as it falls as was
+    foretold.
+    """
+    best = _Trial.of(fit, damping)
+    factor = MORE
+    for _ in range(ATTEMPTS - 1):
+        if best.gain > 0:
+            break
+        best = _Trial.of(fit, best.damping * factor)
+        factor *= MORE
+    while best.gain > GOOD and factor == MORE and best.damping > LEAST:
+        trial = _Trial.of(fit, best.damping * LESS)
+        if not trial.after.value < best.after.value:
+            break
+        best = trial
+    return best
+
+
 def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
     """Where the path leads of which `step` is the beginning: how far to move, and what is solved there.
 
@@ -247,11 +301,6 @@ def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
     second = 2 / DIFFERENCE * (equations.root * (ahead - fit.start.residuals) / DIFFERENCE - equations.times(step))
     bend = 0.5 * fit.correction(second, damping)
     return bend if 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step)) else None
-
-
-def _unknown(count: int) -> tuple[Array, Array]:
-    """Deviations and correlations of which nothing can be said."""
-    return np.full(count, np.nan), np.full((count, count), np.nan)
 
 
 def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:

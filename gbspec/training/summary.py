@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gbspec.data.trajectories import Array
 from gbspec.training.context import Context
 from gbspec.training.parameters import Parameters
-from gbspec.training.stages import STARTS_TOO
 from gbspec.training.unroll import observe_rows, unroll
 
 
@@ -47,11 +47,12 @@ def summarise(
     context: Context,
     parameters: Parameters,
     theta: Array,
+    freedom: float,
     loss: float,
     seconds: float,
     stages: list[dict[str, Any]],
 ) -> MemberResult:
-    """Evaluates a member at `theta`."""
+    """Evaluates a member at `theta`; `freedom` is how many degrees of freedom its last stage used (NaN: not known)."""
     model = context.model
     problem = context.problem(0.0)
     vector = torch.from_numpy(theta)
@@ -66,11 +67,11 @@ def summarise(
     blown = seen & ~np.isfinite(predicted)
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
     rmse, noise = {}, {}
-    forced = _forced_residuals(context, parameters, theta, [str(stage["name"]) for stage in stages])
+    noise_of = _Noise.of(context, parameters, theta, freedom, [str(stage["name"]) for stage in stages])
     for i, channel in enumerate(model.channels):
         column = difference[seen[:, i], i]
         rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
-        noise[channel.name] = _robust_deviation(forced[seen[:, i], i]) * float(problem.scaling.channel[i])
+        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i])
     known = len(model.constants)
     values = constants.numpy()[:, known:].mean(axis=0)
     names = [k.name for k in model.learnables]
@@ -89,22 +90,45 @@ def summarise(
     )
 
 
-def _forced_residuals(context: Context, parameters: Parameters, theta: Array, stages: Sequence[str]) -> Array:
-    """Residuals [R, C] with the forcing that was trained with, in units of the channels' scales.
+@dataclass(frozen=True)
+class _Noise:
+    """Residuals [R, C], in units of the channels' scales, from which the noise is told.
 
-    Where constants alone were fitted, to whole solutions, they are scaled up for the degrees of freedom that it took.
+    Where the data say that they are noisy, or constants alone are learned, the fit was to whole solutions: their mean
+    squares (each residual cut at `threshold`, four deviations), divided by the `share` of the degrees of freedom that
+    the fit left, are what a prediction errs by. Else values were predicted from the ones before: the median tells.
     """
-    alone = not parameters.n_weights and (context.options.forcing, context.options.method) == ("teacher", "auto")
-    with torch.no_grad():
-        out = unroll(context.problem(0.0 if alone else context.options.blend), parameters, torch.from_numpy(theta))
-    residuals = np.asarray(out.residuals.numpy(), dtype=np.float64)
-    if not alone:
-        return residuals
-    count = int((context.packed().weights > 0).sum())
-    # Measured first values are fitted only by a stage of their own.
-    free = (parameters if STARTS_TOO in stages else context.parameters(parameters.fixed)).free
-    left = max(count - float(free.sum()), 0.1 * count, 1.0)
-    return residuals * float(np.sqrt(count / left))
+
+    residuals: Array
+    share: float | None
+    threshold: float
+
+    @classmethod
+    def of(
+        cls, context: Context, parameters: Parameters, theta: Array, freedom: float, stages: Sequence[str]
+    ) -> _Noise:
+        """From the residuals at `theta`, with the forcing that was trained with."""
+        asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
+        whole = asked and (not parameters.n_weights or "autoregressive" in stages)
+        with torch.no_grad():
+            blend = 0.0 if whole else context.options.blend
+            out = unroll(context.problem(blend), parameters, torch.from_numpy(theta))
+        residuals = np.asarray(out.residuals.numpy(), dtype=np.float64)
+        count = int((context.packed().weights > 0).sum())
+        if not whole or not count:
+            return cls(residuals, None, float("inf"))
+        used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
+        threshold = 4 * _robust_deviation(residuals[context.packed().weights > 0])
+        return cls(residuals, max(1 - used / count, 0.1, 1 / count), threshold)
+
+    def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:
+        """The standard deviation of a channel's noise."""
+        column = self.residuals[seen, channel]
+        column = column[np.isfinite(column)]
+        if self.share is None or not len(column):
+            return _robust_deviation(column)
+        inside = np.minimum(np.abs(column), self.threshold)
+        return float(np.sqrt(np.mean(inside**2) / self.share))
 
 
 def _robust_deviation(residuals: Array) -> float:
