@@ -24,7 +24,7 @@ def test_the_cases_that_it_names_are_there_and_have_what_it_says() -> None:
     study = study_of(["urp", "bf"], StudyOptions())
     training = {case.name: options for case, options in zip(study.cases, study.training, strict=True)}
     assert set(re.findall(r"`(\w+_PUBLISHED)`", TEXT)) == {name for name in training if name.endswith("_PUBLISHED")}
-    assert training["BF_BB_A_PUBLISHED"].output_scale == 1000 and not training["BF_BB_A_PUBLISHED"].warm_start
+    assert training["BF_BB_A_PUBLISHED"].output_scale == 10000 and not training["BF_BB_A_PUBLISHED"].warm_start
     assert training["BF_BB_C_PUBLISHED"].random_substeps
     assert training["B_PUBLISHED"].max_step == 0.5
 
