@@ -197,7 +197,8 @@ class _Fit:
 
     def _with_value(self, residuals: Array, at: Array) -> _Solved:
         priors = residuals[self.count :]
-        penalty = self.ridge * float(np.sum(self.equations.penalised * at**2)) + self.balance * float(priors @ priors)
+        with np.errstate(over="ignore", invalid="ignore"):  # corrections that run away
+            penalty = self.ridge * float(self.equations.penalised @ at**2) + self.balance * float(priors @ priors)
         return _Solved(residuals, huber(residuals[: self.count], self.delta) + 0.5 * penalty)
 
     def step(self, damping: float) -> Array:
@@ -300,7 +301,9 @@ def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
     equations = fit.equations
     second = 2 / DIFFERENCE * (equations.root * (ahead - fit.start.residuals) / DIFFERENCE - equations.times(step))
     bend = 0.5 * fit.correction(second, damping)
-    return bend if 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step)) else None
+    with np.errstate(over="ignore"):
+        small = 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step))
+    return bend if small else None
 
 
 def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:

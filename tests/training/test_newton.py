@@ -1,0 +1,86 @@
+"""A damped step, followed along the curved valley by corrections with the equations at hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gbspec.data.trajectories import Array
+from gbspec.training.jacobian import linearise
+from gbspec.training.levenberg import NormalEquations
+from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions, _bend, _Fit, _followed, _searched
+
+from .conftest import URP, model_of, problem_of, urp_data
+
+
+@pytest.fixture(scope="module")
+def stage() -> tuple[LevenbergMarquardt, Array]:
+    """A stage, and a vector that it has brought into the valley."""
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(8, 4.0, 1), 0.2)
+    stage = LevenbergMarquardt("teacher forcing", 26, lambda _: problem, parameters, LevenbergOptions())
+    state = stage.begin(theta)
+    for i in range(26):
+        state = stage.step(state, i).state
+    return stage, state["theta"]
+
+
+def fit_at(stage: LevenbergMarquardt, theta: Array) -> _Fit:
+    problem = stage.problem_at(0)
+    system = linearise(problem, stage.parameters, theta)
+    return _Fit(problem, stage.parameters, system, theta, stage.threshold(system.residuals.numpy()), 0.0)
+
+
+def test_corrections_bring_a_long_step_to_where_the_linear_model_foretold(
+    stage: tuple[LevenbergMarquardt, Array],
+) -> None:
+    fit = fit_at(*stage)
+    gains = []
+    for damping in (1e-1, 1e-2, 1e-3, 1e-4):
+        step = fit.step(damping)
+        plain, (move, after) = fit.solved(step), _followed(fit, step, damping)
+        assert after.value <= plain.value
+        assert after.value == fit.solved(move).value
+        bend = _bend(fit, step, damping)
+        if bend is not None:
+            assert after.value <= max(fit.solved(step + bend).value, plain.value)
+            gains.append(plain.value / after.value)
+    assert max(gains) > 3, "the straight step leaves the valley"
+
+
+def test_a_jacobian_serves_until_no_damping_lowers_the_objective_further(
+    stage: tuple[LevenbergMarquardt, Array],
+) -> None:
+    """From far too much damping and from far too little it comes to a decrease."""
+    fit = fit_at(*stage)
+    for damping in (1e3, 1e-9):
+        found = _searched(fit, damping)
+        assert 0 < found.gain <= 1 and found.after.value < fit.start.value
+        assert found.damping < 1e3 and found.damping > 1e-9
+
+
+def test_equations_without_a_solution_are_no_step(
+    stage: tuple[LevenbergMarquardt, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = fit_at(*stage)
+
+    def singular(*_: object) -> Array:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(NormalEquations, "step", singular)
+    monkeypatch.setattr(NormalEquations, "respond", singular)
+    found = _searched(fit, 1.0)
+    assert found.gain == 0 and not found.after.value < fit.start.value
+
+
+def test_the_whole_step_ends_where_its_own_error_begins(stage: tuple[LevenbergMarquardt, Array]) -> None:
+    one, theta = stage
+    asked: list[Array] = []
+
+    def enough(at: Array) -> float:
+        asked.append(at)
+        return float("inf")
+
+    options = LevenbergOptions(enough=enough)
+    outcome = LevenbergMarquardt("t", 1, one.problem_at, one.parameters, options)
+    done = outcome.step(outcome.begin(theta), 0)
+    assert done.done and np.array_equal(asked[-1], done.state["theta"])
