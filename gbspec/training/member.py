@@ -20,7 +20,7 @@ from gbspec.training.context import Context, build_context
 from gbspec.training.newton import Certainty, LevenbergMarquardt
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
-from gbspec.training.plan import Planned, plan
+from gbspec.training.plan import HALF_STEP, Planned, plan
 from gbspec.training.preparation import prepare
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recognition import recognition
@@ -254,7 +254,8 @@ class _Runner:
             blend = 0.0 if "autoregressive" in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
-            "max_step": self.context.max_step,
+            # The largest step that the weights were fitted with last.
+            "max_step": self.context.max_step * (0.5 if HALF_STEP in position.marks else 1.0),
             "seed": self.context.seed,
             "labels": result.labels,
             # The learned initial states are found again by content, whatever table a trajectory comes in.

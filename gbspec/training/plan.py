@@ -56,6 +56,8 @@ ITERATIONS: Mapping[str, Mapping[str, int]] = {
 """Most iterations of each stage by effort."""
 ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
 """Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the deviations)."""
+HALF_STEP = "half step"
+"""The stage whose weights are those of half the largest step."""
 STEADY = 1e-2
 """First damping where an earlier stage has come close already."""
 LARGEST = 4 * 1024**3
@@ -169,7 +171,7 @@ class _Planner:
             self._starts("initial states", 1.0),
             self._newton("teacher forcing", self._teacher_limit(), self._at(1.0), lambda theta: True, self._prior),
             self._starts("initial states again", 1.0),
-            self._newton("half step", limits["half"], self._at(1.0, 0.5), self._clean, self._close),
+            self._newton(HALF_STEP, limits["half"], self._at(1.0, 0.5), self._clean, self._close),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
             self._starts("initial states of whole solutions", 0.0, self._noisy, self.released),
             self._newton(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 
+import gbspec
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
@@ -207,3 +208,17 @@ def test_refuses_to_resume_with_other_data_or_options(fitted: Path) -> None:
         train(model, urp_data(16, 5.0, 2), TrainOptions(effort="high", resume=True), fitted)
     with pytest.raises(UserError, match="another model"):
         train(model_of(URP.replace("B = 5", "B = 6")), urp_data(16, 5.0, 2), TrainOptions(resume=True), fitted)
+
+
+def test_a_run_solves_with_the_step_that_it_was_fitted_with_last(tmp_path: Path) -> None:
+    """After the stage at half the step the weights are those of half the step: no warning of the whole one."""
+    (tmp_path / "m.gb").write_text(
+        "model m\nstate N in [0, 2]\nunknown rate(N) by mlp(4)\nN' = -rate(N)\nobserve N\ntruth rate(N) = 0.9*N^2\n"
+    )
+    model = gbspec.load(tmp_path / "m.gb")
+    data = model.simulate(trajectories=4, span=2, dt=0.25, keep_start=True, initial={"N": (0.5, 2)}, seed=1)
+    for half_step, step in ((True, 0.1), (False, 0.2)):
+        run = model.train(data, tmp_path / f"{half_step}", max_step=0.2, half_step=half_step, threads=1, workers=1).run
+        assert run.max_step == step
+        stages = [stage["name"] for stage in run.fit["members"][0]["stages"]]
+        assert ("half step" in stages) is half_step
