@@ -270,7 +270,7 @@ def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
     A fit lies in a narrow curved valley of the objective. On a straight step of useful length the residuals leave what
     the linear model foretells by many times their size, and nearly all of that is undone by corrections which the
     equations at hand give: first half the geodesic acceleration, then chord steps towards the residuals foretold. They
-    cost one solution each, and allow steps several times as long before the next Jacobian.
+    cost one solution each, and a half to a quarter of the damping works before the next Jacobian.
     """
     best = step, fit.solved(step)
     bend = _bend(fit, step, damping)
