@@ -38,14 +38,14 @@ class LevenbergOptions:
     """How a stage steps and when it ends.
 
     `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
-    stage ends; `enough`: mean loss below which it ends at once, or what gives it for a vector; `damping`: the first
-    one; `ridge`: precision of the weights' prior in units of squared residuals; `evidence`: let the data set it anew
-    after each iteration.
+    stage ends; `enough`: mean loss below which it ends at once, or what gives it for a vector and its residuals;
+    `damping`: the first one; `ridge`: precision of the weights' prior in units of squared residuals; `evidence`: let
+    the data set it anew after each iteration.
     """
 
     robust: bool = True
     tolerance: float = 1e-3
-    enough: float | Callable[[Array], float] = 0.0
+    enough: float | Callable[[Array, Array], float] = 0.0
     damping: float = 1.0
     ridge: float = 0.0
     evidence: bool = False
@@ -105,7 +105,9 @@ class LevenbergMarquardt:
         }
         loss = mean_loss(fit.measured(after))
         enough = self.options.enough
-        return Outcome(new, loss, small >= 2 or loss < (enough(trial) if callable(enough) else enough))
+        return Outcome(
+            new, loss, small >= 2 or loss < (enough(trial, fit.measured(after)) if callable(enough) else enough)
+        )
 
     def certainty(self, state: State) -> Certainty:
         """What the curvature says of a converged state; nothing where the equations are singular to rounding.

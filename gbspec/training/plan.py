@@ -227,10 +227,10 @@ class _Planner:
         """As before, from where an earlier stage came to."""
         return replace(self._prior(theta), damping=STEADY, enough=self.enough)
 
-    def _above_step_error(self, theta: Array) -> float:
+    def _above_step_error(self, theta: Array, residuals: Array) -> float:
         """Mean loss that is enough at the whole step: what remains below the step's own error only fits that error."""
-        whole, half = (solve(self.context.problem(1.0, part), self.parameters, theta) for part in (1.0, 0.5))
-        return max(self.enough, mean_loss(half - whole))
+        half = solve(self.context.problem(1.0, 0.5), self.parameters, theta)
+        return max(self.enough, mean_loss(half - residuals))
 
     def _regular(self, theta: Array) -> LevenbergOptions:
         """With a ridge on the weights, from the noise, or as asked for."""

@@ -76,7 +76,7 @@ def test_the_whole_step_ends_where_its_own_error_begins(stage: tuple[LevenbergMa
     one, theta = stage
     asked: list[Array] = []
 
-    def enough(at: Array) -> float:
+    def enough(at: Array, residuals: Array) -> float:
         asked.append(at)
         return float("inf")
 
