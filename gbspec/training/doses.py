@@ -3,7 +3,8 @@
 A dose given at d arrives at d + lag. Where the lag is learned, the arrival moves through the sub-steps as training
 goes on; the sub-step that it falls into is then taken in two parts, up to the arrival and from it on, whose lengths
 depend on the lag. So the solution keeps the solver's order and is differentiable in the lag, and the sub-steps
-themselves stay where they are.
+themselves stay where they are. The torch graph takes the parts one after the other (`advance`); for the kernel they
+are sub-steps of a packing of their own (`gbspec.training.cut_steps`).
 """
 
 from __future__ import annotations
@@ -46,10 +47,7 @@ def arrivals(problem: Problem, constants: Tensor) -> Integers:
     packed, events = problem.packed, problem.packed.doses
     if not len(events.time):
         return np.zeros((0, packed.depth, packed.trajectories), dtype=np.int64)
-    k = tuple(constants.detach().cpu().unbind(1))
-    terms = problem.module._doses(problem.ops, torch.from_numpy(packed.condition), k)
-    lags = np.stack([np.broadcast_to(np.asarray(lag), packed.trajectories) for _, lag in terms])
-    time = events.time + lags[events.kind, events.owner]
+    time = arrival_times(problem, constants.detach().cpu()).numpy()
     places: dict[tuple[int, int], list[int]] = {}
     for event in np.argsort(time, kind="stable"):
         owner = int(events.owner[event])
@@ -61,6 +59,15 @@ def arrivals(problem: Problem, constants: Tensor) -> Integers:
     for (step, owner), found in places.items():
         out[: len(found), step, owner] = found
     return out
+
+
+def arrival_times(problem: Problem, constants: Tensor) -> Tensor:
+    """When each dose would arrive [E] at the constants [N, n_constants], differentiable in them."""
+    events, condition = problem.packed.doses, torch.from_numpy(problem.packed.condition)
+    like = constants.new_zeros(len(constants))
+    terms = problem.module._doses(problem.ops, condition, constants.unbind(1))
+    lags = torch.stack([lag + like for _, lag in terms])
+    return torch.from_numpy(events.time) + lags[torch.from_numpy(events.kind), torch.from_numpy(events.owner)]
 
 
 def _step_at(begins: np.ndarray[Any, Any], lengths: np.ndarray[Any, Any], time: float) -> int | None:

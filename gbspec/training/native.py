@@ -28,8 +28,9 @@ from gbspec.backends.native.source import TILE, Precision
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Defect, Diagnostic, UserError
 from gbspec.ir.model import Model
+from gbspec.training.cut_steps import Placed, placed
 from gbspec.training.device import device_of
-from gbspec.training.doses import arrivals
+from gbspec.training.doses import arrival_times
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
@@ -55,6 +56,8 @@ _FIELDS = (
     "jump_at",
     "jump_next",
     "jump_state",
+    "jump_cuts",
+    "slope",
     "logarithmic",
 )
 
@@ -70,10 +73,12 @@ class _Data(ctypes.Structure):
 
 
 class Tables:
-    """A problem's data as the kernel reads them; keeps the arrays that its pointers point to."""
+    """A problem's data as the kernel reads them at the constants [N, n_constants], on which only doses of a learned lag
+    depend; keeps the arrays that its pointers point to. `packed`: with the sub-steps that such doses cut."""
 
-    def __init__(self, problem: Problem) -> None:
-        packed, scaling = problem.packed, problem.scaling
+    def __init__(self, problem: Problem, constants: Tensor) -> None:
+        self._placed = placed(problem, constants)
+        packed, scaling = self._placed.packed, problem.scaling
         seen = packed.weights > 0
         row_at = np.full((packed.trajectories, packed.depth + 1), -1, dtype=np.int32)
         row_at[packed.row_trajectory, packed.row_step] = np.arange(packed.rows)
@@ -92,11 +97,11 @@ class Tables:
             "value": problem.forcing.value,
             "weight": problem.forcing.weight,
             "logarithmic": scaling.log.astype(np.int32),
-        } | _jumps(problem)
+        } | _jumps(problem.model, self._placed)
         self._kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         pointers = [self._kept[name].ctypes.data if name in self._kept else None for name in _FIELDS]
         self.struct = _Data(packed.depth, packed.trajectories, *pointers)
-        self._packed, self.jumps = packed, len(packed.doses.time)
+        self.packed, self.jumps = packed, len(packed.doses.time)
         self.shape = (packed.rows, len(problem.model.channels))
         self.states = len(problem.model.states)
         self.steps, self.depth = packed.steps, packed.depth
@@ -106,36 +111,43 @@ class Tables:
     @cached_property
     def jump_row(self) -> Integers:
         """The key row at the end of the stretch in which each dose arrives [E]; -1: none."""
-        packed = self._packed
+        packed, step = self.packed, self._placed.step
         out = np.full(self.jumps, -1, dtype=np.int64)
-        first, following = (self._kept.get(name, np.zeros((0, 0))) for name in ("jump_at", "jump_next"))
-        for owner, step in zip(*np.nonzero(first >= 0), strict=True):
-            mine = np.flatnonzero((packed.row_trajectory == owner) & (packed.row_step > step))
-            event = int(first[owner, step])
-            while event >= 0 and len(mine):
+        for event in np.flatnonzero(step >= 0):
+            later = (packed.row_trajectory == packed.doses.owner[event]) & (packed.row_step > step[event])
+            mine = np.flatnonzero(later)
+            if len(mine):
                 out[event] = mine[np.argmin(packed.row_step[mine])]
-                event = int(following[event])
         return out
 
 
-def _jumps(problem: Problem) -> dict[str, NDArray[np.int32]]:
-    """Where doses arrive: at the starts of sub-steps, their lags being known."""
-    packed, model = problem.packed, problem.model
-    if not len(packed.doses.time):
-        return {}
+def first_constants(problem: Problem) -> Tensor:
+    """The constants [N, n_constants] as the model gives them."""
+    model = problem.model
     values = [c.value for c in model.constants] + [k.start for k in model.learnables]
-    layers = arrivals(problem, torch.tensor(values, dtype=torch.float64).expand(packed.trajectories, -1))
-    first = np.full((packed.depth, packed.trajectories), -1, dtype=np.int32)
-    following = np.full(len(packed.doses.time), -1, dtype=np.int32)
-    for layer in layers[::-1]:
-        there = layer >= 0
-        following[layer[there]] = first[there]
-        first[there] = layer[there]
-    state = [model.state_index[dose.state] for dose in model.doses]
+    return torch.tensor(values, dtype=torch.float64).expand(problem.packed.trajectories, -1)
+
+
+def tables_at(problem: Problem, constants: Tensor) -> Tables:
+    """The tables of a problem, made anew where doses move with the constants."""
+    return problem.tables if all(problem.packed.doses.known) else Tables(problem, constants.detach())
+
+
+def _jumps(model: Model, places: Placed) -> dict[str, NDArray[Any]]:
+    """Doses at the starts of sub-steps."""
+    packed, step = places.packed, places.step
+    if not len(step):
+        return {}
+    first = np.full((packed.trajectories, packed.depth), -1, dtype=np.int32)
+    heads = np.setdiff1d(np.flatnonzero(step >= 0), places.following)
+    first[packed.doses.owner[heads], step[heads]] = heads
+    state = np.array([model.state_index[dose.state] for dose in model.doses], dtype=np.int32)
     return {
-        "jump_at": first.T,
-        "jump_next": following,
-        "jump_state": np.array(state, dtype=np.int32)[packed.doses.kind],
+        "jump_at": first,
+        "jump_next": places.following.astype(np.int32),
+        "jump_state": state[packed.doses.kind],
+        "jump_cuts": places.cuts.astype(np.int32),
+        "slope": places.slope.swapaxes(0, 1),
     }
 
 
@@ -144,7 +156,8 @@ class Swept:
     """What a call of the kernel gives.
 
     `residuals` [R, C], `arrivals` [R, n_states]; gradients of weights [W], learnable constants [N, n_learnables] and
-    initial states [N, n_states] and doses [E] (zeros where none were asked for).
+    initial states [N, n_states], doses [E] and, where lags are learned, their arrivals [E] (zeros where none were asked
+    for).
     """
 
     residuals: Array
@@ -153,6 +166,7 @@ class Swept:
     d_constants: Array
     d_initial: Array
     d_doses: Array
+    d_times: Array
 
 
 class Kernel:
@@ -168,7 +182,7 @@ class Kernel:
         self.library.work_bytes.argtypes = [ctypes.c_int64]
         self.library.run.restype = None
         pointer, whole = ctypes.c_void_p, ctypes.c_int64
-        self.library.run.argtypes = [pointer, pointer, *[whole] * 3, *[pointer] * 12, ctypes.c_int32, pointer]
+        self.library.run.argtypes = [pointer, pointer, *[whole] * 3, *[pointer] * 13, ctypes.c_int32, pointer]
         if precision == "float64":  # what jacobian.c adds
             self.library.stretch_bytes.restype = ctypes.c_int64
             self.library.stretch_bytes.argtypes = [ctypes.c_int64]
@@ -205,6 +219,7 @@ class Kernel:
             np.zeros((n, learnables)),
             np.zeros((n, tables.states)),
             np.zeros(len(doses)),
+            np.zeros(len(doses)),
         )
         tiles = -(-len(order) // TILE)
         threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
@@ -234,6 +249,7 @@ class Kernel:
                 out.d_constants.ctypes.data,
                 out.d_initial.ctypes.data,
                 out.d_doses.ctypes.data,
+                out.d_times.ctypes.data,
                 int(gradient),
                 workspace(size).ctypes.data,
             )
@@ -241,11 +257,25 @@ class Kernel:
         if count == 1:
             part(0)
         else:
-            # The call holds no lock of the interpreter, so plain threads run side by side.
-            list(_pool(threads, os.getpid()).map(part, range(count)))
+            _shared_out(part, count, threads)
         for other in parts[1:]:
             out.d_weights += other
         return out
+
+
+def _shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
+    """Does all parts on some threads. The one that asks is among them: if it slept, two that it wakes would often find
+    themselves on one core. The calls hold no lock of the interpreter, so plain threads run side by side."""
+    left = iter(range(count))
+
+    def work() -> None:
+        for i in left:
+            part(i)
+
+    helpers = [_pool(threads - 1, os.getpid()).submit(work) for _ in range(threads - 1)]
+    work()
+    for helper in helpers:
+        helper.result()
 
 
 @cache
@@ -353,14 +383,15 @@ def _doses(problem: Problem, constants: Tensor) -> Tensor:
 class Natural:
     """What the kernel takes, as functions of the trainable vector.
 
-    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `doses` [E];
-    `numbers`: scales that the forms of contracts use.
+    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `doses` [E] and
+    their arrivals `times` [E]; `numbers`: scales that the forms of contracts use.
     """
 
     weights: Tensor
     constants: Tensor
     initial: Tensor
     doses: Tensor
+    times: Tensor
     numbers: Array
 
     @classmethod
@@ -371,7 +402,9 @@ class Natural:
         condition = torch.from_numpy(problem.packed.condition)
         initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
         layers, doses = _layer_weights(problem, weights, vector), _doses(problem, constants)
-        return cls(layers, constants, initial, doses, _numbers(problem, weights))
+        known = all(problem.packed.doses.known)
+        times = torch.zeros_like(doses) if known else arrival_times(problem, constants)
+        return cls(layers, constants, initial, doses, times, _numbers(problem, weights))
 
     def arrays(self) -> tuple[Array, ...]:
         """All of them as arrays, in the order of the fields."""
@@ -384,13 +417,19 @@ class HalfSquares(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, call: Callable[[], Swept], weights: Tensor, constants: Tensor, initial: Tensor, doses: Tensor
+        ctx: Any,
+        call: Callable[[], Swept],
+        weights: Tensor,
+        constants: Tensor,
+        initial: Tensor,
+        doses: Tensor,
+        times: Tensor,
     ) -> Tensor:
         """`call` sweeps at the values of the other arguments."""
         swept = call()
         known = constants.shape[1] - swept.d_constants.shape[1]
         d_constants = np.concatenate([np.zeros((len(constants), known)), swept.d_constants], 1)
-        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_doses)
+        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_doses, swept.d_times)
         ctx.save_for_backward(*map(torch.from_numpy, found))
         return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
 
@@ -408,9 +447,9 @@ def half_squares(
     n = Natural.of(problem, parameters, vector)
 
     def call() -> Swept:
-        return kernel.sweep(problem.tables, n, True, index=index)
+        return kernel.sweep(tables_at(problem, n.constants), n, True, index=index)
 
-    loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses)  # type: ignore[no-untyped-call]  # torch's
+    loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses, n.times)  # type: ignore[no-untyped-call]  # torch's
     if not loss.requires_grad:
         return float(loss), np.zeros_like(theta)
     (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)
@@ -423,5 +462,5 @@ def solved(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Arr
         raise Defect("a problem without a kernel was to be solved by it")
     with torch.no_grad():
         natural = Natural.of(problem, parameters, theta)
-    swept = problem.kernel.sweep(problem.tables, natural, False)
+    swept = problem.kernel.sweep(tables_at(problem, natural.constants), natural, False)
     return swept.residuals, swept.arrivals, natural.initial.numpy()

@@ -6,8 +6,10 @@ block a trajectory: its own constants and its initial state. All of it is float6
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -43,7 +45,7 @@ class Parameters:
         """Number of trajectories."""
         return int(self.start_value.shape[0])
 
-    @property
+    @cached_property
     def weight_shapes(self) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the networks' trained arrays, in order."""
         shapes: dict[str, tuple[int, ...]] = {}
@@ -106,31 +108,29 @@ class Parameters:
         out: dict[str, Tensor] = {
             k: torch.as_tensor(v, dtype=theta.dtype, device=theta.device) for k, v in self.fixed.items()
         }
-        position = 0
-        for name, shape in self.weight_shapes.items():
-            size = int(np.prod(shape))
-            out[name] = theta[position : position + size].reshape(shape)
-            position += size
+        # Cut in one operation: on the way back of one cut each, every piece is a vector of full length.
+        shapes = self.weight_shapes
+        parts = torch.split(theta[: self.n_weights], [math.prod(shape) for shape in shapes.values()])
+        out |= {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
         return out
 
     def constants(self, theta: Tensor) -> Tensor:
         """All constants of every trajectory, known ones first [N, n_constants]."""
-        n = self.trajectories
-        columns: list[Tensor] = [theta.new_full((n,), c.value) for c in self.model.constants]
+        known = theta.new_tensor([c.value for c in self.model.constants])
         shared = self.bijections(self.shared).to_natural(theta[self.n_weights : self.n_shared])
+        same = torch.cat([known, shared]).expand(self.trajectories, -1)
+        if not self.own:
+            return same
         own = self.bijections(self.own).to_natural(self.local(theta)[:, : len(self.own)])
-        for i in range(len(self.model.learnables)):
-            if i in self.own:
-                columns.append(own[:, self.own.index(i)])
-            else:
-                columns.append(shared[self.shared.index(i)].expand(n))
-        return torch.stack(columns, -1) if columns else theta.new_zeros((n, 0))
+        order = np.argsort([*range(len(known)), *(len(known) + i for i in (*self.shared, *self.own))])
+        return torch.cat([same, own], 1)[:, torch.from_numpy(order)]
 
     def starts(self, theta: Tensor) -> Tensor:
         """Initial states before expressed ones are put in [N, n_states]."""
         u = self.local(theta)[:, len(self.own) :]
-        scale = theta.new_tensor(self.start_scale * self.start_free)
-        return theta.new_tensor(self.start_value) + STRETCH * scale * u
+        value = torch.as_tensor(self.start_value, dtype=theta.dtype, device=theta.device)
+        scale = torch.as_tensor(STRETCH * self.start_scale * self.start_free, dtype=theta.dtype, device=theta.device)
+        return torch.addcmul(value, scale, u)
 
     # ---------------------------------------------------------------- the vector from natural values
     def vector(self, weights: Mapping[str, Array], constants: Array | None = None) -> Array:

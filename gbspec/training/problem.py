@@ -84,10 +84,10 @@ class Problem:
 
     @cached_property
     def tables(self) -> Tables:
-        """The data as the kernel reads them."""
-        from gbspec.training.native import Tables
+        """The data as the kernel reads them, with the constants' first values."""
+        from gbspec.training.native import Tables, first_constants
 
-        return Tables(self)
+        return Tables(self, first_constants(self))
 
     @cached_property
     def schedule(self) -> Schedule:

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from gbspec.backends.module.template.networks import _layers, _torch_like
 from gbspec.data.trajectories import Array
-from gbspec.training.native import Kernel, Natural, workspace
+from gbspec.training.native import Kernel, Natural, Tables, tables_at, workspace
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
@@ -25,7 +24,19 @@ from gbspec.training.problem import Problem
 BLOCK_BYTES = 8 * 2**20
 """Derivatives of about this size are made before they are chained."""
 
-_FIELDS = ("owner", "first", "steps", "start", "factor", "shift", "d_start", "d_weights", "d_constants", "d_jumps")
+_FIELDS = (
+    "owner",
+    "first",
+    "steps",
+    "start",
+    "factor",
+    "shift",
+    "d_start",
+    "d_weights",
+    "d_constants",
+    "d_jumps",
+    "d_times",
+)
 
 
 class _Stretches(ctypes.Structure):
@@ -63,13 +74,14 @@ class Stretches:
         with torch.no_grad():
             self.natural = Natural.of(problem, parameters, vector)
             self.factor, self.shift = _trained(problem, parameters, theta)
-        packed = problem.packed
+        self.tables = tables_at(problem, self.natural.constants)
+        packed = self.tables.packed
         self.first = packed.first_step
         self.steps = (packed.row_step - self.first).astype(np.int64)
         fresh = (packed.row_index == 0)[:, None]
         start = np.where(fresh, initial[packed.row_trajectory], departure[packed.previous_row])
         self.start = np.ascontiguousarray(start)
-        self.doses = _Doses(problem, parameters, vector) if len(packed.doses.time) else None
+        self.doses = _Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
 
     def derivatives(self, rows: Integers, columns: int) -> Derivatives:
         """Of the stretches that end at some rows; none by weights with `columns` 0."""
@@ -88,6 +100,7 @@ class Stretches:
             "d_weights": np.zeros((count, n, columns)),
             "d_constants": np.zeros((count, n, len(self.problem.model.learnables))),
             "d_jumps": np.zeros((n, jumps)),
+            "d_times": np.zeros((n, jumps)),
         }
         pointers: dict[str, int | None] = {name: array.ctypes.data for name, array in arrays.items()}
         if not columns:
@@ -97,7 +110,7 @@ class Stretches:
         weights, constants, _, doses, numbers = (np.ascontiguousarray(a) for a in self.natural.arrays())
         library = self.kernel.library
         library.stretches(
-            ctypes.byref(self.problem.tables.struct),
+            ctypes.byref(self.tables.struct),
             ctypes.byref(struct),
             depth,
             weights.ctypes.data,
@@ -108,7 +121,7 @@ class Stretches:
         )
         found = arrays["d_constants"][back]
         if self.doses is not None:
-            self.doses.add(found, rows, arrays["d_jumps"])
+            self.doses.add(found, rows, arrays["d_jumps"], arrays["d_times"])
         return Derivatives(arrays["d_start"][back], arrays["d_weights"][back], found)
 
     def blocks(self, columns: int) -> Iterator[tuple[Integers, list[Integers]]]:
@@ -175,25 +188,31 @@ def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Ar
 
 
 class _Doses:
-    """What learned fractions of doses add to the derivatives by constants."""
+    """What learned fractions and lags of doses add to the derivatives by constants."""
 
-    def __init__(self, problem: Problem, parameters: Parameters, vector: torch.Tensor) -> None:
+    def __init__(self, problem: Problem, parameters: Parameters, vector: torch.Tensor, tables: Tables) -> None:
         packed, events, known = problem.packed, problem.packed.doses, len(problem.model.constants)
         k = [column.detach().clone().requires_grad_() for column in parameters.constants(vector).unbind(1)]
         terms = problem.module._doses(problem.ops, torch.from_numpy(packed.condition), k)
-        shape = (len(terms), packed.trajectories, len(problem.model.learnables))
-        slope: NDArray[np.float64] = np.zeros(shape)
-        for kind, (fraction, _) in enumerate(terms):
-            if isinstance(fraction, torch.Tensor) and fraction.requires_grad:
-                found: Any = torch.autograd.grad(fraction.sum(), k[known:], allow_unused=True)
-                for i, gradient in enumerate(found):
-                    slope[kind, :, i] = 0.0 if gradient is None else gradient.numpy()
-        self.slope = slope[events.kind, events.owner] * events.amount[:, None]
-        self.row = problem.tables.jump_row
 
-    def add(self, constants: Array, rows: Integers, d_jumps: Array) -> None:
+        def slopes(values: Sequence[Any]) -> Array:
+            """Derivatives [E, n_learnables] of fractions or lags."""
+            slope: Array = np.zeros((len(terms), packed.trajectories, len(problem.model.learnables)))
+            for kind, value in enumerate(values):
+                if isinstance(value, torch.Tensor) and value.requires_grad:
+                    found: Any = torch.autograd.grad(value.sum(), k[known:], allow_unused=True, retain_graph=True)
+                    for i, gradient in enumerate(found):
+                        slope[kind, :, i] = 0.0 if gradient is None else gradient.numpy()
+            return np.asarray(slope[events.kind, events.owner])
+
+        self.of_amount = slopes([fraction for fraction, _ in terms]) * events.amount[:, None]
+        self.of_time = slopes([lag for _, lag in terms])
+        self.row = tables.jump_row
+
+    def add(self, constants: Array, rows: Integers, d_jumps: Array, d_times: Array) -> None:
         """Adds, to derivatives by constants [B, n, n_learnables] of some rows, those through the jumps [n, E]."""
         here = np.flatnonzero(np.isin(self.row, rows))
         order = np.argsort(rows)
         place = order[np.searchsorted(rows, self.row[here], sorter=order)]
-        np.add.at(constants, place, d_jumps.T[here][:, :, None] * self.slope[here][:, None, :])
+        for by_jump, slope in ((d_jumps, self.of_amount), (d_times, self.of_time)):
+            np.add.at(constants, place, by_jump.T[here][:, :, None] * slope[here][:, None, :])

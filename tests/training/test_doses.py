@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,12 @@ from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
+from gbspec.training.cut_steps import placed
 from gbspec.training.jacobian import linearise
+from gbspec.training.native import Kernel, kernel_of
 from gbspec.training.objective import objective
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Problem
 from gbspec.training.unroll import measured_residuals, solve, unroll
 from tests.training.conftest import model_of, problem_of, trajectory
 
@@ -126,17 +131,52 @@ def test_training_solves_doses_as_the_evaluator_does() -> None:
     assert np.abs(solve(problem, parameters, theta)).max() < 1e-6
 
 
-def test_a_lag_that_conditions_set_is_covered_by_the_kernel() -> None:
+def same_by_the_kernel(problem: Problem, parameters: Parameters, theta: np.ndarray) -> None:
+    """Loss, gradient and Jacobian of the kernel are the torch graph's."""
     try:
         find_compiler()
     except CompilerError as error:
         pytest.skip(str(error))
+    graph, *kernel = (
+        objective(problem, parameters, backend, precision)(theta)  # type: ignore[arg-type]  # literals
+        for backend, precision in (("torch", "float64"), ("native", "float64"), ("native", "float32"))
+    )
+    for found, bound in zip(kernel, (1e-12, 1e-5), strict=True):
+        assert found[0] == pytest.approx(graph[0], rel=bound)
+        assert np.abs(found[1] - graph[1]).max() <= bound * np.abs(graph[1]).max()
+    compiled = kernel_of(problem.model, type(problem.module))
+    assert isinstance(compiled, Kernel)
+    by_graph, by_kernel = (linearise(replace(problem, kernel=k), parameters, theta) for k in (None, compiled))
+    difference = (by_graph.dense(parameters) - by_kernel.dense(parameters)).abs().max()
+    assert float(difference) <= 1e-11 * float(by_graph.dense(parameters).abs().max())
+
+
+def test_a_lag_that_conditions_set_by_the_kernel() -> None:
     text = MANY.replace("lag 0.3*own + 0.1*c", "lag early + 0.3*c")
     problem, parameters, theta = problem_of(model_of(text), many_data(), 0.13, blend=0.3)
     assert all(problem.packed.doses.known)
-    graph, kernel = (objective(problem, parameters, backend)(theta) for backend in ("torch", "native"))
-    assert kernel[0] == pytest.approx(graph[0], rel=1e-12)
-    assert np.abs(kernel[1] - graph[1]).max() <= 1e-12 * np.abs(graph[1]).max()
+    same_by_the_kernel(problem, parameters, theta)
+
+
+@pytest.mark.parametrize("blend", [1.0, 0.3, 0.0])
+def test_learned_lags_by_the_kernel(blend: float) -> None:
+    """Doses of learned and of known lags, several in a sub-step, inputs and the time in the balances."""
+    problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.13, blend=blend)
+    assert not all(problem.packed.doses.known)
+    cut = placed(problem, parameters.constants(torch.from_numpy(theta)))
+    assert cut.packed.substeps > problem.packed.substeps
+    for seed in range(3):
+        moved = theta + 0.1 * np.random.default_rng(seed).standard_normal(len(theta))
+        same_by_the_kernel(problem, parameters, moved)
+
+
+def test_a_lag_that_ends_at_a_row_by_the_kernel() -> None:
+    """At the middle of its range the lag is 1, where a row lies: one part of the sub-step has no length."""
+    model = model_of(DEPOT)
+    problem, parameters, theta = problem_of(model, depot_data(model), 0.1, blend=0.0)
+    for u in (-0.2, 0.0, 1e-13):
+        theta[parameters.n_weights + 1] = u
+        same_by_the_kernel(problem, parameters, theta)
 
 
 def test_a_trajectory_taken_twice_gets_its_doses_twice() -> None:

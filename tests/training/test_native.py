@@ -13,7 +13,6 @@ from gbspec.diagnostics import UserError
 from gbspec.training import Silent, TrainOptions, train
 from gbspec.training.native import Kernel
 from tests.training.conftest import URP, model_of, urp_data
-from tests.training.test_doses import DEPOT, depot_data
 
 
 class Heard(Silent):
@@ -55,10 +54,12 @@ def test_without_a_compiler_the_graph_serves_and_a_line_says_so(
     assert heard.messages == ["the torch graph serves: there is no C compiler (cc, gcc, clang)"]
 
 
-def test_a_learned_lag_is_left_to_the_graph_and_a_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    why = "the native kernel does not cover this model: the lag of the dose into `gut` is learned"
-    model, heard = model_of(DEPOT), Heard()
-    data = depot_data(model, 1)
+def test_what_the_kernel_does_not_cover_is_left_to_the_graph_and_a_line_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = "the native kernel does not cover this model: the network `phi` has too many layers or arguments"
+    model, heard = model_of(URP.replace("mlp(12, 12)", f"mlp({', '.join(['4'] * 15)})")), Heard()
+    data = urp_data(3, 1.0, 1)
     with pytest.raises(UserError, match=f"GB863.*cannot be had: {why}"):
         train(model, data, TrainOptions(backend="native", **QUICK), tmp_path / "native")
     monkeypatch.setattr("gbspec.training.native.LEAST_SUBSTEPS", 1)

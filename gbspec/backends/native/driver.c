@@ -16,16 +16,19 @@ typedef struct {
     const int32_t *jump_at;          /* [trajectories][depth]: first jump at a step's start, -1 for none; or NULL */
     const int32_t *jump_next;        /* [jumps]: next one at the same place, -1 for none */
     const int32_t *jump_state;       /* [jumps] */
+    const int32_t *jump_cuts;        /* [jumps]: whether it moves the start of its sub-step */
+    const double *slope;             /* [trajectories][depth][INPUTS]: of inputs in time, where sub-steps are cut */
     const int32_t *logarithmic;      /* [CHANNELS] */
 } Data;
 
 typedef struct {
     const Data *data;
     const double *jumps; /* [jumps]: what is added to the state */
-    double *d_jumps;
+    double *d_jumps, *d_times; /* [jumps]; d_times if TIMED */
     int64_t who[TILE], first[TILE], steps[TILE], depth, segment; /* a lane's trajectory, first sub-step, number of them */
     int active[TILE], rows[TILE];
     real *states;      /* [segment*STAGES][STATES][TILE]: where the right-hand side was taken */
+    real *rates;       /* [segment*STAGES][STATES][TILE] if TIMED: what the right-hand side was */
     real *arrivals;    /* [segment][STATES][TILE] */
     real *checkpoints; /* [segments][STATES][TILE] */
     real condition[CONDITIONS * TILE + 1], constants[CONSTANTS * TILE + 1], numbers[NUMBERS + 1];
@@ -77,7 +80,7 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     w->n_gradients = (size_t)(place - (char *)w->gradients) / sizeof(real);
     w->totals = take(&place, w->n_gradients * sizeof(double));
     /* What a step keeps: the states of its stages, arrivals, and of every call arguments, activations and outputs. */
-    size_t step = (STAGES + 1) * STATES * TILE;
+    size_t step = ((TIMED ? 2 : 1) * STAGES + 1) * STATES * TILE;
     for (int i = 0; i < SITES; i++) {
         const Net *net = &w->nets[SITE_NETWORK[i]];
         size_t row = net->size[0] + 2 * net->size[net->layers];
@@ -88,6 +91,7 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     if (w->segment > depth) w->segment = depth;
     if (w->segment < 1) w->segment = 1;
     w->states = take_real(&place, (size_t)w->segment * STAGES * STATES * TILE);
+    w->rates = TIMED ? take_real(&place, (size_t)w->segment * STAGES * STATES * TILE) : NULL;
     w->arrivals = take_real(&place, (size_t)w->segment * STATES * TILE);
     w->checkpoints = take_real(&place, (size_t)(depth / w->segment + 2) * STATES * TILE);
     for (int i = 0; i < SITES; i++) {
@@ -214,13 +218,43 @@ static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
             UNROLL for (int q = 0; q < STAGES; q++) sum += R(TABLEAU_B[q]) * k[q][i * TILE + t];
             x[i * TILE + t] += step.h[t] * sum;
         }
+    if (TIMED) memcpy(w->rates + slot * (STAGES * STATES * TILE), k, sizeof k);
+}
+
+/* The first jump of a lane at the start of step s, if it moves that start; else -1. */
+static int32_t cut_of(const Work *w, int64_t s, int t) {
+    const int32_t jump = jump_of(w, s, t);
+    return jump >= 0 && w->data->jump_cuts[jump] ? jump : -1;
+}
+
+static const real *rate(const Work *w, size_t slot, int q) { return w->rates + (slot * STAGES + q) * (STATES * TILE); }
+
+/* What a sub-step's start and length get: `hb` of the length where it is held, `tb` of the times of stages, `ub` of inputs there. */
+static void time_reverse(Work *w, int64_t s, const real *hb, real tb[STAGES][TILE], real ub[STAGES][INPUTS * TILE + 1]) {
+    for (int t = 0; t < TILE; t++) {
+        const int32_t start = cut_of(w, s, t), end = cut_of(w, s + 1, t);
+        double of_start = 0, of_length = hb[t];
+        if (start < 0 && end < 0) continue;
+        const double *slope = w->data->slope + (w->who[t] * w->data->depth + w->first[t] + s) * INPUTS;
+        for (int q = 0; q < STAGES; q++) {
+            double moved = tb[q][t];
+            for (int j = 0; j < INPUTS; j++) moved += ub[q][j * TILE + t] * slope[j];
+            of_start += moved;
+            of_length += TABLEAU_C[q] * moved;
+        }
+        if (start >= 0) w->d_times[start] += of_start - of_length;
+        if (end >= 0) w->d_times[end] += of_length;
+    }
 }
 
 /* `xb`: cotangent of the state after the step, then of that before its jumps. */
 static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
     Step step;
     real sb[STAGES][STATES * TILE], ob[STATES * TILE];
+    real tb[STAGES][TILE] = {{0}}, ub[STAGES][INPUTS * TILE + 1] = {{0}}, hb[TILE] = {0};
     read_step(w, s, &step);
+    for (int q = 0; TIMED && q < STAGES; q++)
+        for (int i = 0; i < STATES * TILE; i++) hb[i % TILE] += xb[i] * R(TABLEAU_B[q]) * rate(w, slot, q)[i];
     for (int q = STAGES - 1; q >= 0; q--) {
         const real *place = w->states + (slot * STAGES + q) * (STATES * TILE);
         for (int i = 0; i < STATES; i++)
@@ -230,10 +264,13 @@ static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
                 ob[i * TILE + t] = step.h[t] * sum;
             }
         zero(sb[q], STATES * TILE);
-        rhs_reverse(w, slot * STAGES + q, place, step.time[q], step.inputs[q], ob, sb[q], w->kb);
+        rhs_reverse(w, slot * STAGES + q, place, step.time[q], step.inputs[q], ob, sb[q], w->kb, tb[q], ub[q]);
+        for (int p = 0; TIMED && p < q; p++)
+            for (int i = 0; i < STATES * TILE; i++) hb[i % TILE] += sb[q][i] * R(TABLEAU_A[q][p]) * rate(w, slot, p)[i];
     }
     for (int q = 0; q < STAGES; q++)
         for (int i = 0; i < STATES * TILE; i++) xb[i] += sb[q][i];
+    if (TIMED) time_reverse(w, s, hb, tb, ub);
     for (int t = 0; t < TILE; t++)
         for (int32_t j = jump_of(w, s, t); j >= 0; j = w->data->jump_next[j])
             w->d_jumps[j] = xb[w->data->jump_state[j] * TILE + t];
@@ -388,16 +425,17 @@ int64_t work_bytes(int64_t depth) {
 /* The trajectories `order[0..count)`, of which this call takes every `stride`-th tile from `first` on: residuals
    [rows][CHANNELS], states on arrival [rows][STATES] (unless NULL), and, if `gradient`, the product of `cotangent`
    [rows][CHANNELS] (NULL: the residuals themselves) with the residuals' Jacobian: of `weights` (layer by layer, network
-   by network), of each trajectory's learnable constants, of its initial state and of jumps. `work` has `work_bytes`
-   bytes. */
+   by network), of each trajectory's learnable constants, of its initial state, of jumps and, if TIMED, of the times of
+   those that cut sub-steps. `work` has `work_bytes` bytes. */
 void run(const Data *data, const int64_t *order, int64_t count, int64_t first, int64_t stride, const double *weights,
          const double *numbers, const double *constants, const double *initial, const double *jumps,
          const double *cotangent, double *residuals, double *arrivals, double *d_weights, double *d_constants,
-         double *d_initial, double *d_jumps, int32_t gradient, char *work) {
+         double *d_initial, double *d_jumps, double *d_times, int32_t gradient, char *work) {
     Work *w = (Work *)(((uintptr_t)work + 63) / 64 * 64);
     w->data = data;
     w->jumps = jumps;
     w->d_jumps = d_jumps;
+    w->d_times = d_times;
     arrange(w, (char *)w + (sizeof *w + 63) / 64 * 64, data->depth);
     set_weights(w, weights);
     for (int i = 0; i < NUMBERS; i++) w->numbers[i] = R(numbers[i]);

@@ -10,7 +10,7 @@ typedef struct {
     double *d_start;                      /* [count][STATES][STATES]: of each final state, by the first one */
     double *d_weights;                    /* [count][STATES][columns], or NULL */
     double *d_constants;                  /* [count][STATES][LEARNABLES] */
-    double *d_jumps;                      /* [STATES][jumps] */
+    double *d_jumps, *d_times;            /* [STATES][jumps] */
     int64_t columns, jumps;
 } Stretches;
 
@@ -79,6 +79,7 @@ static void reverse_state(Work *w, const Stretches *all, const int64_t *which, i
     for (int i = 0; i < RHS_SITES; i++)
         if (SITE_STILL[i]) zero(w->sites[i].yb, TILE * w->sites[i].net->size[w->sites[i].net->layers]);
     w->d_jumps = all->d_jumps + (size_t)state * all->jumps;
+    w->d_times = all->d_times + (size_t)state * all->jumps;
     for (int64_t s = end - 1; s >= begin; s--) step_reverse(w, s, (size_t)(s - begin), xb);
     for (int i = 0; i < RHS_SITES; i++)
         if (SITE_STILL[i]) net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
@@ -139,7 +140,7 @@ int64_t stretch_bytes(int64_t depth) {
 }
 
 /* The derivatives of all stretches, which should be in the order of their sub-steps; `depth` is the most. Rows of
-   `d_weights`, `d_constants` and `d_jumps` are added to. `work` has `stretch_bytes(depth)` bytes. */
+   `d_weights`, `d_constants` and `d_times` are added to. `work` has `stretch_bytes(depth)` bytes. */
 void stretches(const Data *data, const Stretches *all, int64_t depth, const double *weights, const double *numbers,
                const double *constants, const double *jumps, char *work) {
     Work *w = (Work *)(((uintptr_t)work + 63) / 64 * 64);

@@ -37,7 +37,8 @@ class Equations:
 
     `place` gives the C text of a leaf; `outputs` are written to `out`, cotangents read from `ob`, both [output][lane].
     `skip` is a condition under which a lane is left out (its networks get zeros). `once` tells whether calls whose
-    arguments stay the same are made apart, by `still_forward`.
+    arguments stay the same are made apart, by `still_forward`; `timed` whether `tb` and `ub` get the cotangents of time
+    and of inputs.
     """
 
     def __init__(
@@ -49,8 +50,10 @@ class Equations:
         name: str,
         skip: str = "",
         once: bool = False,
+        timed: bool = False,
     ) -> None:
         self.model, self.flat, self.place, self.name, self.skip = model, flat, place, name, skip
+        self.timed = timed
         self._names: dict[sympy.Symbol, str] = {}
         self._maker = {step.symbol: step for step in flat.steps if isinstance(step, Operation)}
         self._results = {s: (call, i) for call in flat.calls for i, s in enumerate(call.results)}
@@ -77,7 +80,7 @@ class Equations:
         is active)."""
         for symbol, leaf in self.flat.leaves.items():
             learned = leaf.kind == "constant" and leaf.index >= self._known
-            if leaf.kind == "state" or learned:
+            if leaf.kind == "state" or learned or (self.timed and leaf.kind in ("time", "input")):
                 self._active.add(symbol)
             if leaf.kind in ("state", "time", "input") or learned:
                 self._moving.add(symbol)
@@ -260,4 +263,8 @@ class Equations:
         leaf = self.flat.leaves[symbol]
         if leaf.kind == "state":
             return [f"xb[{leaf.index}*TILE + t] += {text};"]
+        if leaf.kind == "time":
+            return [f"tb[t] += {text};"]
+        if leaf.kind == "input":
+            return [f"ub[{leaf.index}*TILE + t] += {text};"]
         return [f"kb[{leaf.index - self._known}*TILE + t] += {text};"]

@@ -43,7 +43,8 @@ OBSERVE_PLACES = RHS_PLACES | {
 def source(model: Model, precision: Precision = "float64") -> str:
     """C of the unroll of a model. Raises NotCoveredError, with the reason, for a form that is left to torch."""
     _check(model)
-    rhs = Equations(model, flatten(model, model.balances), 0, _places(RHS_PLACES), "rhs", once=True)
+    balances = flatten(model, model.balances)
+    rhs = Equations(model, balances, 0, _places(RHS_PLACES), "rhs", once=True, timed=_timed(model))
     observe = Equations(
         model,
         flatten(model, [channel.value for channel in model.channels]),
@@ -79,10 +80,12 @@ def _check(model: Model) -> None:
             raise NotCoveredError(f"the network `{network.name}` has too many layers or arguments")
     if not model.states:
         raise NotCoveredError("it has no states")
+
+
+def _timed(model: Model) -> bool:
+    """Whether what is learned moves the starts of sub-steps: lags of doses."""
     learned = {learnable.symbol for learnable in model.learnables}
-    for dose in model.doses:
-        if dose.lag.free_symbols & learned:
-            raise NotCoveredError(f"the lag of the dose into `{dose.state}` is learned")
+    return any(dose.lag.free_symbols & learned for dose in model.doses)
 
 
 def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
@@ -107,6 +110,7 @@ def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equati
         "NUMBERS": len(numbers_of(model)),
         "RHS_SITES": len(rhs.sites),
         "SITES": sites,
+        "TIMED": int(_timed(model)),
         "STAGES": len(RK4.c),
         "NODES": len(set(RK4.c)),
         "KEPT_BYTES": KEPT_BYTES,
@@ -152,13 +156,15 @@ def _equations(model: Model, rhs: Equations, observe: Equations) -> list[str]:
     places = "const real *restrict x, const real *restrict time, const real *restrict inputs"
     for equations, name, given in ((rhs, "rhs", places), (observe, "observe", "const real *restrict x")):
         forward = f"static void {name}_forward(Work *w, size_t block, {given}, real *restrict out) {{"
+        moved = ", real *restrict tb, real *restrict ub" if name == "rhs" else ""
         reverse = (
             f"static void {name}_reverse(Work *w, size_t block, {given}, const real *restrict ob, "
-            "real *restrict xb, double *restrict kb) {"
+            f"real *restrict xb, double *restrict kb{moved}) {{"
         )
         unused = ["    (void)w; (void)block; (void)x;"] + (["    (void)time; (void)inputs;"] if name == "rhs" else [])
         lines += [forward, *unused, *equations.forward(), "}", ""]
-        lines += [reverse, *unused, "    (void)ob; (void)xb; (void)kb;", *equations.reverse(), "}", ""]
+        unused += ["    (void)ob; (void)xb; (void)kb;"] + (["    (void)tb; (void)ub;"] if name == "rhs" else [])
+        lines += [reverse, *unused, *equations.reverse(), "}", ""]
     return lines
 
 
