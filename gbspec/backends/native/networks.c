@@ -54,11 +54,12 @@ APART void net_forward(const Net *net, const Site *site, size_t block) {
     for (int l = 0; l < last; l++) {
         const size_t width = PAD(net->size[l + 1]);
         real *z = site->hidden[l + 1] + block * TILE * width, *slope = site->slope[l + 1] + block * TILE * width;
-        product(TILE, width, net->size[l], below, stride, 1, net->forward[l], width, z, width, net->bias[l], 0);
-        if (net->kinds[l + 1] == 1) {
-            activate(net->kind[l + 1][0], z, slope, TILE * width);
+        if (net->kinds[l + 1] == 1 && net->kind[l + 1][0] == SILU) {
+            silu_of_product(TILE, width, net->size[l], below, stride, net->forward[l], net->bias[l], z, slope);
         } else {
-            for (int t = 0; t < TILE; t++) activate_parts(net, l + 1, z + t * width, slope + t * width);
+            product(TILE, width, net->size[l], below, stride, 1, net->forward[l], width, z, width, net->bias[l], 0);
+            if (net->kinds[l + 1] == 1) activate(net->kind[l + 1][0], z, slope, TILE * width);
+            else for (int t = 0; t < TILE; t++) activate_parts(net, l + 1, z + t * width, slope + t * width);
         }
         below = z;
         stride = width;

@@ -183,6 +183,14 @@ INLINE void logistics(const int n, const vec *x, vec *p, vec *rest) {
 
 INLINE void v_logistic(vec x, vec *p, vec *rest) { logistics(1, &x, p, rest); }
 
+/* x p(x) in the place of x, and its slope; for n vectors. */
+INLINE void silu(const int n, vec *x, vec *slope) {
+    vec p[ABREAST], rest[ABREAST];
+    logistics(n, x, p, rest);
+    ALL x[j] = x[j] * p[j];
+    ALL slope[j] = x[j] * rest[j] + p[j];
+}
+
 INLINE vec v_tanh(vec x) {
     const vec e = v_expm1(R(2) * size_of(x)), y = e * v_reciprocal(e + R(2));
     return SELECT(x < splat(0), -y, y);
@@ -237,13 +245,29 @@ INLINE real f_logistic(real x) { return R(1) / (R(1) + FN(exp)(-x)); }
 
 static void zero(real *p, size_t n) { memset(p, 0, n * sizeof(real)); }
 
-/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:], or, if `scales`, C times that sum; A is read at
-   r*ars + k*acs. */
-INLINE void block_product(const int scales, const int rows, const int cols, size_t depth, const real *A, size_t ars, size_t acs,
-                          const real *B, size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
+/* What becomes of a product: it is stored; C is multiplied by it; its SiLU is stored, with the slopes. */
+enum { STORED, SCALES, SILUS };
+
+/* Puts a row of a product's sums in its place. */
+INLINE void put_row(const int use, const int cols, vec *sum, real *C, real *slope) {
+    vec s[COLUMNS];
+    UNROLL for (int j = 0; j < cols; j++)
+        if (use == SCALES) sum[j] *= load(C + j * LANES);
+    if (use == SILUS)
+        UNROLL for (int j = 0; j < cols; j += ABREAST) silu(cols - j < ABREAST ? cols - j : ABREAST, sum + j, s + j);
+    UNROLL for (int j = 0; j < cols; j++) {
+        store(C + j * LANES, sum[j]);
+        if (use == SILUS) store(slope + j * LANES, s[j]);
+    }
+}
+
+/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:], used as `use` says; A is read at
+   r*ars + k*acs. With SCALES there is no `init`, and only SILUS have slopes. */
+INLINE void block_product(const int use, const int rows, const int cols, size_t depth, const real *A, size_t ars, size_t acs,
+                          const real *B, size_t ldb, real *C, size_t ldc, const real *init, size_t ldi, real *slope) {
     vec acc[ROWS][COLUMNS];
     UNROLL for (int r = 0; r < rows; r++)
-        UNROLL for (int j = 0; j < cols; j++) acc[r][j] = scales ? splat(0) : load(init + r * ldi + j * LANES);
+        UNROLL for (int j = 0; j < cols; j++) acc[r][j] = use == SCALES ? splat(0) : load(init + r * ldi + j * LANES);
     for (size_t k = 0; k < depth; k++) {
         vec b[COLUMNS];
         UNROLL for (int j = 0; j < cols; j++) {
@@ -255,21 +279,17 @@ INLINE void block_product(const int scales, const int rows, const int cols, size
             UNROLL for (int j = 0; j < cols; j++) acc[r][j] += a * b[j];
         }
     }
-    UNROLL for (int r = 0; r < rows; r++)
-        UNROLL for (int j = 0; j < cols; j++) {
-            real *place = C + r * ldc + j * LANES;
-            if (scales) acc[r][j] *= load(place);
-            store(place, acc[r][j]);
-        }
+    UNROLL for (int r = 0; r < rows; r++) put_row(use, cols, acc[r], C + r * ldc, use == SILUS ? slope + r * ldc : NULL);
 }
 
 #define BLOCK(r, c) \
-    block_product(scales, r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, init + i * ldi + j, ldi)
+    block_product(use, r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, use == SCALES ? NULL : init + i * ldi + j, \
+                  ldi, use == SILUS ? slope + i * ldc + j : NULL)
 
-/* C[rows][width] = init + A B, or C times A B, width a multiple of LANES. The three products of a layer (forward, back to
-   its inputs, gradient of its weights) all have this form, none needs a transpose in its loops. */
-INLINE void any_product(const int scales, size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
-                        size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
+/* C[rows][width] from A B, width a multiple of LANES. The three products of a layer (forward, back to its inputs, gradient
+   of its weights) all have this form, none needs a transpose in its loops. */
+INLINE void any_product(const int use, size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
+                        size_t ldb, real *C, size_t ldc, const real *init, size_t ldi, real *slope) {
     for (size_t j = 0; j < width;) {
         const size_t left = (width - j) / LANES;
         const int columns = left >= COLUMNS ? COLUMNS : left >= 2 ? 2 : 1;
@@ -291,14 +311,21 @@ INLINE void any_product(const int scales, size_t rows, size_t width, size_t dept
     }
 }
 
+/* C = init + A B. */
 APART void product(size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
                    size_t ldb, real *C, size_t ldc, const real *init, size_t ldi) {
-    any_product(0, rows, width, depth, A, ars, acs, B, ldb, C, ldc, init, ldi);
+    any_product(STORED, rows, width, depth, A, ars, acs, B, ldb, C, ldc, init, ldi, NULL);
 }
 
 /* C *= A B, with A's rows `stride` apart and no gaps between those of B and C. */
 APART void scale_by_product(size_t rows, size_t width, size_t depth, const real *A, size_t stride, const real *B, real *C) {
-    any_product(1, rows, width, depth, A, stride, 1, B, width, C, width, NULL, 0);
+    any_product(SCALES, rows, width, depth, A, stride, 1, B, width, C, width, NULL, 0, NULL);
+}
+
+/* C = silu(bias + A B) and its slopes, likewise. */
+APART void silu_of_product(size_t rows, size_t width, size_t depth, const real *A, size_t stride, const real *B,
+                           const real *bias, real *C, real *slope) {
+    any_product(SILUS, rows, width, depth, A, stride, 1, B, width, C, width, bias, 0, slope);
 }
 
 #if LANES_HALVED
@@ -382,19 +409,19 @@ enum { SILU, TANH, SOFTPLUS, RELU, GELU, SIGMOID, ELU, SIN };
         body; \
     }
 
-INLINE void silu(const int n, real *restrict z, real *restrict slope) {
-    vec x[ABREAST], p[ABREAST], rest[ABREAST];
-    ALL x[j] = load(z + j * LANES);
-    logistics(n, x, p, rest);
-    ALL x[j] = x[j] * p[j];
-    ALL store(z + j * LANES, x[j]);
-    ALL store(slope + j * LANES, x[j] * rest[j] + p[j]);
-}
-
 static void silus(real *restrict z, real *restrict slope, size_t n) {
+    vec x[ABREAST], s[ABREAST];
     size_t i = 0;
-    for (; i + ABREAST * LANES <= n; i += ABREAST * LANES) silu(ABREAST, z + i, slope + i);
-    for (; i < n; i += LANES) silu(1, z + i, slope + i);
+    for (; i + ABREAST * LANES <= n; i += ABREAST * LANES) {
+        UNROLL for (int j = 0; j < ABREAST; j++) x[j] = load(z + i + j * LANES);
+        silu(ABREAST, x, s);
+        UNROLL for (int j = 0; j < ABREAST; j++) store(z + i + j * LANES, x[j]), store(slope + i + j * LANES, s[j]);
+    }
+    for (; i < n; i += LANES) {
+        x[0] = load(z + i);
+        silu(1, x, s);
+        store(z + i, x[0]), store(slope + i, s[0]);
+    }
 }
 
 /* n is a multiple of LANES. */

@@ -20,7 +20,7 @@ TILE = 4
 KEPT_BYTES = 4 * 2**20
 """Activations kept at a time, per thread."""
 
-GROUP_BYTES = 16 * 2**10
+GROUP_BYTES = 32 * 2**10
 """Activations of a layer over which a block of the weights' gradient is summed at a time (they stay in the cache)."""
 
 MOST_LAYERS = 15
