@@ -168,6 +168,13 @@ class Swept:
     d_doses: Array
     d_times: Array
 
+    @classmethod
+    def zeros(cls, tables: Tables, weights: int, learnables: int) -> Swept:
+        """What is filled in for some tables."""
+        n, rows = len(tables.steps), tables.shape[0]
+        shapes = (tables.shape, (rows, tables.states), weights, (n, learnables), (n, tables.states))
+        return cls(*(np.zeros(shape) for shape in (*shapes, tables.jumps, tables.jumps)))
+
 
 class Kernel:
     """The compiled unroll of one model in one precision.
@@ -210,17 +217,7 @@ class Kernel:
         """
         weights, constants, initial, doses, numbers = (np.ascontiguousarray(a) for a in natural.arrays())
         order = tables.order if index is None else index[np.argsort(-tables.steps[index], kind="stable")]
-        learnables = len(self.model.learnables)
-        n = len(initial)
-        out = Swept(
-            np.zeros(tables.shape),
-            np.zeros((tables.shape[0], tables.states)),
-            np.zeros(len(weights)),
-            np.zeros((n, learnables)),
-            np.zeros((n, tables.states)),
-            np.zeros(len(doses)),
-            np.zeros(len(doses)),
-        )
+        out = Swept.zeros(tables, len(weights), len(self.model.learnables))
         tiles = -(-len(order) // TILE)
         threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
         # More shares than threads: a core that something else takes a while leaves its share to the others. Each share
@@ -228,31 +225,14 @@ class Kernel:
         count = 1 if threads == 1 else min(tiles, SHARES * threads)
         size = self.work_bytes(tables.depth)
         parts = [out.d_weights, *(np.zeros(len(weights)) for _ in range(count - 1))]
-        given = None if cotangent is None else np.ascontiguousarray(cotangent)
+        towards = None if cotangent is None else np.ascontiguousarray(cotangent)
+        given = _pointers(weights, numbers, constants, initial, doses, towards, out.residuals, out.arrivals)
+        derivatives = _pointers(out.d_constants, out.d_initial, out.d_doses, out.d_times)
 
         def part(i: int) -> None:
-            self.library.run(
-                ctypes.byref(tables.struct),
-                order.ctypes.data,
-                len(order),
-                i,
-                count,
-                weights.ctypes.data,
-                numbers.ctypes.data,
-                constants.ctypes.data,
-                initial.ctypes.data,
-                doses.ctypes.data,
-                None if given is None else given.ctypes.data,
-                out.residuals.ctypes.data,
-                out.arrivals.ctypes.data,
-                parts[i].ctypes.data,
-                out.d_constants.ctypes.data,
-                out.d_initial.ctypes.data,
-                out.d_doses.ctypes.data,
-                out.d_times.ctypes.data,
-                int(gradient),
-                workspace(size).ctypes.data,
-            )
+            here, sums, space = (order.ctypes.data, len(order), i, count), parts[i], workspace(size)
+            to = (sums.ctypes.data, *derivatives, int(gradient), space.ctypes.data)
+            self.library.run(ctypes.byref(tables.struct), *here, *given, *to)
 
         if count == 1:
             part(0)
@@ -261,6 +241,11 @@ class Kernel:
         for other in parts[1:]:
             out.d_weights += other
         return out
+
+
+def _pointers(*arrays: Array | None) -> list[int | None]:
+    """Where arrays begin; None where there is none."""
+    return [None if array is None else array.ctypes.data for array in arrays]
 
 
 def _shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
