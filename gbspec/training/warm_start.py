@@ -52,49 +52,61 @@ def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
     return torch.stack(columns, -1) if columns else torch.zeros((count, 0), dtype=torch.float64)
 
 
+class _Mismatch:
+    """Balances less slopes at M points, in units of the balances' scales [M, E], at trainable constants [n] and free
+    outputs [M, Q].
+
+    Where no balance can be compared, the rough ones serve, and constants do not count. Of many points some are taken.
+    """
+
+    def __init__(self, model: Model, module: Any, points: Points, start: Array) -> None:
+        self.model, self.module = model, module
+        self.equations, self.fixed = list(points.equations or points.rough), not points.equations
+        self.free = _free_outputs(model, module, points, start)
+        enough = int(ELIMINATION_WORK / max(len(self.equations) * len(self.free.neutral) ** 2, 1)) + 1
+        if len(points) > enough:
+            points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
+            self.free = _free_outputs(model, module, points, start)
+        self.points, self.scale = points, torch.from_numpy(points.scale[self.equations])
+
+    def _of(self, u: Array, outputs: Array, derivatives: bool) -> tuple[Tensor, Tensor, Tensor]:
+        k = _constants_at(self.model, torch.from_numpy(u), len(self.points)).detach().requires_grad_(derivatives)
+        self.free.values = o = torch.from_numpy(outputs).clone().requires_grad_(derivatives)
+        rhs = evaluate_rhs(self.model, self.module, self.points, k, self.free.functions())
+        return (rhs - torch.from_numpy(self.points.slope))[:, self.equations] / self.scale, o, k
+
+    def values(self, u: Array, outputs: Array) -> Array:
+        """The mismatch."""
+        return np.asarray(self._of(u, outputs, False)[0].detach().numpy())
+
+    def linear(self, u: Array, outputs: Array) -> tuple[Array, Array, Array]:
+        """The mismatch and its derivatives by outputs [M, E, Q] and constants [M, E, n]."""
+        r, o, k = self._of(u, outputs, True)
+        by_outputs, by_constants = [], []
+        for i in range(len(self.equations)):
+            found: Any = (None, None)
+            if r.requires_grad:
+                found = torch.autograd.grad(r[:, i].sum(), [o, k], retain_graph=True, allow_unused=True)
+            by_outputs.append(torch.zeros_like(o) if found[0] is None else found[0])
+            by_constants.append(torch.zeros_like(k) if found[1] is None else found[1])
+        slope = Bijections.of(self.model.learnables).derivative(u) * (0.0 if self.fixed else 1.0)
+        jac_k = torch.stack(by_constants, 1).numpy()[:, :, len(self.model.constants) :] * slope
+        return r.detach().numpy(), torch.stack(by_outputs, 1).numpy(), jac_k
+
+
 def eliminate(model: Model, module: Any, points: Points, start: Array) -> Eliminated:
     """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights.
 
     Where no balance can be compared, the rough ones serve, and the constants stay at `start`.
     """
-    equations = list(points.equations or points.rough)
-    fixed = not points.equations
-    free = _free_outputs(model, module, points, start)
-    enough = int(ELIMINATION_WORK / max(len(equations) * len(free.neutral) ** 2, 1)) + 1
-    if len(points) > enough:
-        points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
-        free = _free_outputs(model, module, points, start)
-    count = len(points)
-    u, outputs = start.copy(), np.tile(np.array(free.neutral), (count, 1)).reshape(count, -1)
-    scale = points.scale[equations]
-    target = torch.from_numpy(points.slope)
+    mismatch = _Mismatch(model, module, points, start)
+    points, count = mismatch.points, len(mismatch.points)
+    u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
+    width = np.median(np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()) if count else 1.0
     damping, best = 1e-2, np.inf
-    width = np.median(np.abs(points.slope[:, equations]) / scale) if count else 1.0
     centre, deviation = _prior_of_constants(model, start)
-
-    def residuals(u: Array, outputs: Array, derivatives: bool) -> tuple[Array, Array, Array]:
-        k = _constants_at(model, torch.from_numpy(u), count).detach().requires_grad_(derivatives)
-        o = torch.from_numpy(outputs).clone().requires_grad_(derivatives)
-        free.values = o
-        difference = (evaluate_rhs(model, module, points, k, free.functions()) - target)[:, equations]
-        r = difference / torch.from_numpy(scale)
-        if not derivatives:
-            return r.detach().numpy(), np.zeros(0), np.zeros(0)
-        d_o, d_k = [], []
-        for i in range(len(equations)):
-            if not r.requires_grad:
-                d_o.append(torch.zeros_like(o))
-                d_k.append(torch.zeros_like(k))
-                continue
-            g = torch.autograd.grad(r[:, i].sum(), [o, k], retain_graph=True, allow_unused=True)
-            d_o.append(torch.zeros_like(o) if g[0] is None else g[0])
-            d_k.append(torch.zeros_like(k) if g[1] is None else g[1])
-        slope = Bijections.of(model.learnables).derivative(u)
-        jac_k = torch.stack(d_k, 1).numpy()[:, :, len(model.constants) :] * (0.0 * slope if fixed else slope)
-        return r.detach().numpy(), torch.stack(d_o, 1).numpy(), jac_k
-
     for _ in range(ELIMINATION_STEPS):
-        r, jac_o, jac_k = residuals(u, outputs, True)
+        r, jac_o, jac_k = mismatch.linear(u, outputs)
         if not np.isfinite(r).all():
             break
         spread = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
@@ -103,7 +115,7 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
         # Points of one curve are not independent: the prior counts against the measurements that lie behind them.
         prior = count / points.measurements * (spread / deviation) ** 2
         du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - centre)
-        new_r, _, _ = residuals(u + du, outputs + do, False)
+        new_r = mismatch.values(u + du, outputs + do)
         new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
         if new < value:
             u, outputs, damping = u + du, outputs + do, max(damping / 5, 1e-8)
@@ -114,7 +126,7 @@ def eliminate(model: Model, module: Any, points: Points, start: Array) -> Elimin
             damping *= 4
             if damping > 1e6:
                 break
-    return Eliminated(u, outputs, tuple(free.arguments))
+    return Eliminated(u, outputs, tuple(mismatch.free.arguments))
 
 
 def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
