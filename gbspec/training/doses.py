@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.data.trajectories import Array
 from gbspec.training.affine import Field
-from gbspec.training.packing import NODES, Integers
+from gbspec.training.packing import NODES, Integers, Packed
 
 if TYPE_CHECKING:
     from gbspec.training.problem import Problem
@@ -39,46 +40,67 @@ class SubStep:
     grid: Any = None
 
 
-def arrivals(problem: Problem, constants: Tensor) -> Integers:
-    """Which doses arrive in which sub-step [L, T, N], -1 for none, at the constants [N, n_constants].
+def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> list[tuple[Any, Any]]:
+    """Fraction and lag of each of the model's doses for B trajectories, from their conditions [B, n_conditions] and
+    constants ([B] or [] each). Where conditions leave a lag undefined no gradient passes, which would not be finite."""
+    terms: list[tuple[Any, Any]] = list(problem.module._doses(problem.ops, condition, k))
+    for kind, (fraction, lag) in enumerate(terms):
+        if not isinstance(lag, Tensor) or not lag.requires_grad or not lag.ndim:
+            continue
+        sound = torch.isfinite(lag.detach())
+        if not bool(sound.all()):
+            some = [column[sound] if column.ndim else column for column in k]
+            of_some = problem.module._doses(problem.ops, condition[sound], some)[kind][1]
+            terms[kind] = fraction, lag.detach().masked_scatter(sound, of_some)
+    return terms
 
-    Doses that would arrive before a trajectory's start count as given already; those at its end have no effect.
-    """
-    packed, events = problem.packed, problem.packed.doses
+
+def delivered(problem: Problem, constants: Tensor) -> tuple[Tensor, Tensor]:
+    """How much of each dose would arrive and when [E], at the constants [N, n_constants]; differentiable in them."""
+    events = problem.packed.doses
     if not len(events.time):
-        return np.zeros((0, packed.depth, packed.trajectories), dtype=np.int64)
-    time = arrival_times(problem, constants.detach().cpu()).numpy()
-    places: dict[tuple[int, int], list[int]] = {}
-    for event in np.argsort(time, kind="stable"):
-        owner = int(events.owner[event])
-        step = _step_at(packed.t[: packed.steps[owner], owner], packed.h[: packed.steps[owner], owner], time[event])
-        if step is not None:
-            places.setdefault((step, owner), []).append(int(event))
-    layers = max((len(found) for found in places.values()), default=0)
-    out = np.full((layers, packed.depth, packed.trajectories), -1, dtype=np.int64)
-    for (step, owner), found in places.items():
-        out[: len(found), step, owner] = found
+        return constants.new_zeros(0), constants.new_zeros(0)
+    terms = terms_of(problem, torch.from_numpy(problem.packed.condition), constants.unbind(1))
+    like, place = constants.new_zeros(len(constants)), (torch.from_numpy(events.kind), torch.from_numpy(events.owner))
+    fraction, lag = (torch.stack([pair[i] + like for pair in terms])[place] for i in range(2))
+    return fraction * torch.from_numpy(events.amount), torch.from_numpy(events.time) + lag
+
+
+def arrival_steps(packed: Packed, time: Array) -> Integers:
+    """The sub-step in which each dose arrives that would do so at `time` [E]; -1: in none.
+
+    A time within rounding of a boundary is in the later one. Doses that would arrive before a trajectory's start count
+    as given already; those at its end have no effect.
+    """
+    owner, out = packed.doses.owner, np.full(len(time), -1, dtype=np.int64)
+    for i in np.unique(owner):
+        n = packed.steps[i]
+        mine = np.flatnonzero((owner == i) & np.isfinite(time))
+        if not n or not len(mine):
+            continue
+        begins, end = packed.t[:n, i], packed.t[n - 1, i] + packed.h[n - 1, i]
+        tolerance = 1e-9 * (end - begins[0])
+        step = np.searchsorted(begins, time[mine] + tolerance, side="right") - 1
+        inside = (time[mine] >= begins[0] - tolerance) & (time[mine] <= end - tolerance)
+        out[mine] = np.where(inside, step, -1)
     return out
 
 
-def arrival_times(problem: Problem, constants: Tensor) -> Tensor:
-    """When each dose would arrive [E] at the constants [N, n_constants], differentiable in them."""
-    events, condition = problem.packed.doses, torch.from_numpy(problem.packed.condition)
-    like = constants.new_zeros(len(constants))
-    terms = problem.module._doses(problem.ops, condition, constants.unbind(1))
-    lags = torch.stack([lag + like for _, lag in terms])
-    return torch.from_numpy(events.time) + lags[torch.from_numpy(events.kind), torch.from_numpy(events.owner)]
-
-
-def _step_at(begins: np.ndarray[Any, Any], lengths: np.ndarray[Any, Any], time: float) -> int | None:
-    """The sub-step that a time falls into, a time within rounding of a boundary into the later one; None: outside."""
-    if not len(begins) or not np.isfinite(time):
-        return None
-    end = begins[-1] + lengths[-1]
-    tolerance = 1e-9 * (end - begins[0])
-    if time < begins[0] - tolerance or time > end - tolerance:
-        return None
-    return int(np.searchsorted(begins, time + tolerance, side="right")) - 1
+def arrivals(problem: Problem, constants: Tensor) -> Integers:
+    """Which doses arrive in which sub-step [L, T, N], in the order of time and -1 for none, at the constants
+    [N, n_constants]."""
+    packed, owner = problem.packed, problem.packed.doses.owner
+    if not len(owner):
+        return np.zeros((0, packed.depth, packed.trajectories), dtype=np.int64)
+    time = delivered(problem, constants.detach().cpu())[1].numpy()
+    step = arrival_steps(packed, time)
+    order = np.lexsort((time, step, owner))
+    order = order[step[order] >= 0]
+    cell = owner[order] * (packed.depth + 1) + step[order]
+    rank = np.arange(len(order)) - np.searchsorted(cell, cell)
+    out = np.full((int(rank.max(initial=-1)) + 1, packed.depth, packed.trajectories), -1, dtype=np.int64)
+    out[rank, step[order], owner[order]] = order
+    return out
 
 
 def advance(
@@ -91,7 +113,7 @@ def advance(
     rhs = field or problem.module._field(problem.ops, step.condition, tuple(k), networks)
     if step.events is None or not (step.events >= 0).any():
         return _part(problem, x, step, None, None, rhs)
-    terms = problem.module._doses(problem.ops, step.condition, k)
+    terms = terms_of(problem, step.condition, k)
     doses, model = problem.packed.doses, problem.model
     begin, places = torch.zeros_like(step.h), torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
     for layer in step.events:

@@ -11,7 +11,7 @@ import ctypes
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,7 @@ from gbspec.diagnostics import Defect, Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.training.cut_steps import Placed, placed
 from gbspec.training.device import device_of
-from gbspec.training.doses import arrival_times
+from gbspec.training.doses import delivered
 from gbspec.training.options import TrainOptions
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
@@ -73,11 +73,11 @@ class _Data(ctypes.Structure):
 
 
 class Tables:
-    """A problem's data as the kernel reads them at the constants [N, n_constants], on which only doses of a learned lag
-    depend; keeps the arrays that its pointers point to. `packed`: with the sub-steps that such doses cut."""
+    """A problem's data as the kernel reads them, with doses that arrive at `time` [E]; keeps the arrays that its
+    pointers point to. `packed`: with the sub-steps that doses of a learned lag cut."""
 
-    def __init__(self, problem: Problem, constants: Tensor) -> None:
-        self._placed = placed(problem, constants)
+    def __init__(self, problem: Problem, time: Array) -> None:
+        self._placed = placed(problem.packed, time)
         packed, scaling = self._placed.packed, problem.scaling
         seen = packed.weights > 0
         row_at = np.full((packed.trajectories, packed.depth + 1), -1, dtype=np.int32)
@@ -112,25 +112,27 @@ class Tables:
     def jump_row(self) -> Integers:
         """The key row at the end of the stretch in which each dose arrives [E]; -1: none."""
         packed, step = self.packed, self._placed.step
-        out = np.full(self.jumps, -1, dtype=np.int64)
-        for event in np.flatnonzero(step >= 0):
-            later = (packed.row_trajectory == packed.doses.owner[event]) & (packed.row_step > step[event])
-            mine = np.flatnonzero(later)
-            if len(mine):
-                out[event] = mine[np.argmin(packed.row_step[mine])]
-        return out
+        owner, wide = packed.doses.owner, packed.depth + 2
+        row = np.lexsort((packed.row_step, packed.row_trajectory))
+        reached = packed.row_trajectory[row] * wide + packed.row_step[row]
+        place = np.searchsorted(reached, owner * wide + step, side="right")
+        found = np.append(row, 0)[np.minimum(place, len(row))]
+        lies = (step >= 0) & (place < len(row)) & (np.append(packed.row_trajectory[row], -1)[place] == owner)
+        return np.where(lies, found, -1)
 
 
-def first_constants(problem: Problem) -> Tensor:
-    """The constants [N, n_constants] as the model gives them."""
-    model = problem.model
-    values = [c.value for c in model.constants] + [k.start for k in model.learnables]
-    return torch.tensor(values, dtype=torch.float64).expand(problem.packed.trajectories, -1)
+class TablesAt:
+    """The tables of a problem; those of the arrivals last asked for are kept."""
 
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self._time = problem, np.zeros(0)
+        self._tables: Tables | None = None
 
-def tables_at(problem: Problem, constants: Tensor) -> Tables:
-    """The tables of a problem, made anew where doses move with the constants."""
-    return problem.tables if all(problem.packed.doses.known) else Tables(problem, constants.detach())
+    def __call__(self, time: Array) -> Tables:
+        """With doses that arrive at `time` [E], which counts where a lag is learned."""
+        if self._tables is None or not np.array_equal(time, self._time, equal_nan=True):
+            self._time, self._tables = time.copy(), Tables(self._problem, time)
+        return self._tables
 
 
 def _jumps(model: Model, places: Placed) -> dict[str, NDArray[Any]]:
@@ -258,7 +260,13 @@ def _shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
             part(i)
 
     helpers = [_pool(threads - 1, os.getpid()).submit(work) for _ in range(threads - 1)]
-    work()
+    try:
+        work()
+    finally:
+        # Whatever stopped this one: the others read arrays of the caller.
+        for _ in left:
+            pass
+        wait(helpers)
     for helper in helpers:
         helper.result()
 
@@ -352,24 +360,12 @@ def _numbers(problem: Problem, weights: dict[str, Tensor]) -> Array:
     return np.concatenate([*parts, np.zeros(0)])
 
 
-def _doses(problem: Problem, constants: Tensor) -> Tensor:
-    """How much of each dose [E] arrives."""
-    events = problem.packed.doses
-    if not len(events.time):
-        return constants.new_zeros(0)
-    k, condition = constants.unbind(1), torch.from_numpy(problem.packed.condition)
-    terms = problem.module._doses(problem.ops, condition, k)
-    like = constants.new_zeros(len(constants))
-    shares = torch.stack([fraction + like for fraction, _ in terms])
-    return shares[torch.from_numpy(events.kind), torch.from_numpy(events.owner)] * torch.from_numpy(events.amount)
-
-
 @dataclass(frozen=True)
 class Natural:
     """What the kernel takes, as functions of the trainable vector.
 
-    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `doses` [E] and
-    their arrivals `times` [E]; `numbers`: scales that the forms of contracts use.
+    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `doses` [E], how
+    much of each arrives, and `times` [E], when; `numbers`: scales that the forms of contracts use.
     """
 
     weights: Tensor
@@ -386,13 +382,16 @@ class Natural:
         constants = parameters.constants(vector)
         condition = torch.from_numpy(problem.packed.condition)
         initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
-        layers, doses = _layer_weights(problem, weights, vector), _doses(problem, constants)
-        known = all(problem.packed.doses.known)
-        times = torch.zeros_like(doses) if known else arrival_times(problem, constants)
-        return cls(layers, constants, initial, doses, times, _numbers(problem, weights))
+        layers = _layer_weights(problem, weights, vector)
+        return cls(layers, constants, initial, *delivered(problem, constants), _numbers(problem, weights))
+
+    @property
+    def arrivals(self) -> Array:
+        """`times` as an array."""
+        return np.asarray(self.times.detach().numpy())
 
     def arrays(self) -> tuple[Array, ...]:
-        """All of them as arrays, in the order of the fields."""
+        """What a call of the kernel is given, as arrays: all but the times, which are in the tables."""
         tensors = (self.weights, self.constants, self.initial, self.doses)
         return *(x.detach().numpy() for x in tensors), self.numbers
 
@@ -432,7 +431,7 @@ def half_squares(
     n = Natural.of(problem, parameters, vector)
 
     def call() -> Swept:
-        return kernel.sweep(tables_at(problem, n.constants), n, True, index=index)
+        return kernel.sweep(problem.tables(n.arrivals), n, True, index=index)
 
     loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses, n.times)  # type: ignore[no-untyped-call]  # torch's
     if not loss.requires_grad:
@@ -447,5 +446,5 @@ def solved(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Arr
         raise Defect("a problem without a kernel was to be solved by it")
     with torch.no_grad():
         natural = Natural.of(problem, parameters, theta)
-    swept = problem.kernel.sweep(tables_at(problem, natural.constants), natural, False)
+    swept = problem.kernel.sweep(problem.tables(natural.arrivals), natural, False)
     return swept.residuals, swept.arrivals, natural.initial.numpy()

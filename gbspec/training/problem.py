@@ -29,7 +29,7 @@ from gbspec.ir.model import Model
 from gbspec.training.packing import Packed
 
 if TYPE_CHECKING:
-    from gbspec.training.native import Kernel, Tables
+    from gbspec.training.native import Kernel, TablesAt
     from gbspec.training.pieces import Schedule
 
 Mask = NDArray[np.bool_]
@@ -83,11 +83,11 @@ class Problem:
         return torch_arithmetic(self.module)
 
     @cached_property
-    def tables(self) -> Tables:
-        """The data as the kernel reads them, with the constants' first values."""
-        from gbspec.training.native import Tables, first_constants
+    def tables(self) -> TablesAt:
+        """The data as the kernel reads them, for given arrivals of doses."""
+        from gbspec.training.native import TablesAt
 
-        return Tables(self, first_constants(self))
+        return TablesAt(self)
 
     @cached_property
     def schedule(self) -> Schedule:

@@ -16,7 +16,8 @@ import torch
 
 from gbspec.backends.module.template.networks import _layers, _torch_like
 from gbspec.data.trajectories import Array
-from gbspec.training.native import Kernel, Natural, Tables, tables_at, workspace
+from gbspec.training.doses import terms_of
+from gbspec.training.native import Kernel, Natural, Tables, workspace
 from gbspec.training.packing import Integers
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
@@ -74,7 +75,7 @@ class Stretches:
         with torch.no_grad():
             self.natural = Natural.of(problem, parameters, vector)
             self.factor, self.shift = _trained(problem, parameters, theta)
-        self.tables = tables_at(problem, self.natural.constants)
+        self.tables = problem.tables(self.natural.arrivals)
         packed = self.tables.packed
         self.first = packed.first_step
         self.steps = (packed.row_step - self.first).astype(np.int64)
@@ -192,8 +193,10 @@ class _Doses:
 
     def __init__(self, problem: Problem, parameters: Parameters, vector: torch.Tensor, tables: Tables) -> None:
         packed, events, known = problem.packed, problem.packed.doses, len(problem.model.constants)
-        k = [column.detach().clone().requires_grad_() for column in parameters.constants(vector).unbind(1)]
-        terms = problem.module._doses(problem.ops, torch.from_numpy(packed.condition), k)
+        k = [column.detach().clone() for column in parameters.constants(vector).unbind(1)]
+        for column in k[known:]:
+            column.requires_grad_()
+        terms = terms_of(problem, torch.from_numpy(packed.condition), k)
 
         def slopes(values: Sequence[Any]) -> Array:
             """Derivatives [E, n_learnables] of fractions or lags."""

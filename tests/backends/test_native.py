@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +23,7 @@ from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.ir.model import Model
 from gbspec.training.jacobian import linearise
-from gbspec.training.native import Kernel, Natural, half_squares, kernel_of
+from gbspec.training.native import Kernel, Natural, _shared_out, half_squares, kernel_of
 from gbspec.training.objective import objective
 from gbspec.training.packing import pack
 from gbspec.training.parameters import Parameters
@@ -214,9 +216,27 @@ def test_any_cotangent(small: tuple[Problem, Parameters, np.ndarray, Kernel]) ->
     """Products of the transposed Jacobian with any vector, linear in it; with the residuals it is the gradient."""
     problem, parameters, theta, kernel = small
     natural = Natural.of(problem, parameters, torch.from_numpy(theta))
-    own = kernel.sweep(problem.tables, natural, True)
-    again = kernel.sweep(problem.tables, natural, True, 3 * own.residuals)
+    tables = problem.tables(natural.arrivals)
+    own = kernel.sweep(tables, natural, True)
+    again = kernel.sweep(tables, natural, True, 3 * own.residuals)
     assert np.allclose(again.d_weights, 3 * own.d_weights, rtol=1e-12, atol=1e-12)
+
+
+def test_what_stops_the_thread_that_asks_stops_the_others() -> None:
+    """They read arrays that are its own."""
+    asking, done = threading.get_ident(), []
+
+    def part(i: int) -> None:
+        if threading.get_ident() == asking:
+            raise KeyboardInterrupt
+        time.sleep(0.05)
+        done.append(i)
+
+    with pytest.raises(KeyboardInterrupt):
+        _shared_out(part, 50, 3)
+    before = len(done)
+    time.sleep(0.2)
+    assert len(done) == before < 50
 
 
 def test_memory_does_not_grow_with_the_length(

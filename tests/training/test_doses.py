@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +18,9 @@ from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
 from gbspec.training.cut_steps import placed
+from gbspec.training.doses import delivered
 from gbspec.training.jacobian import linearise
-from gbspec.training.native import Kernel, kernel_of
+from gbspec.training.native import Kernel, half_squares, kernel_of
 from gbspec.training.objective import objective
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
@@ -163,8 +165,8 @@ def test_learned_lags_by_the_kernel(blend: float) -> None:
     """Doses of learned and of known lags, several in a sub-step, inputs and the time in the balances."""
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.13, blend=blend)
     assert not all(problem.packed.doses.known)
-    cut = placed(problem, parameters.constants(torch.from_numpy(theta)))
-    assert cut.packed.substeps > problem.packed.substeps
+    _, time = delivered(problem, parameters.constants(torch.from_numpy(theta)))
+    assert placed(problem.packed, time.numpy()).packed.substeps > problem.packed.substeps
     for seed in range(3):
         moved = theta + 0.1 * np.random.default_rng(seed).standard_normal(len(theta))
         same_by_the_kernel(problem, parameters, moved)
@@ -177,6 +179,67 @@ def test_a_lag_that_ends_at_a_row_by_the_kernel() -> None:
     for u in (-0.2, 0.0, 1e-13):
         theta[parameters.n_weights + 1] = u
         same_by_the_kernel(problem, parameters, theta)
+
+
+@pytest.mark.parametrize("shift", [-0.3, 2.5])
+def test_learned_lags_before_the_start_and_beyond_the_end_by_the_kernel(shift: float) -> None:
+    text = MANY.replace("lag 0.3*own + 0.1*c", f"lag 0.3*own + 0.1*c {shift:+}")
+    problem, parameters, theta = problem_of(model_of(text), many_data(), 0.13, blend=0.3)
+    same_by_the_kernel(problem, parameters, theta)
+
+
+def test_learned_lags_in_parts_of_solutions_and_of_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With only some sub-steps' activations kept, on two threads, and for some trajectories."""
+    problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.02, blend=0.3)
+    same_by_the_kernel(problem, parameters, theta)
+    whole = kernel_of(problem.model, type(problem.module))
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 12_000)
+    monkeypatch.setattr("gbspec.training.native._kernels", {})
+    same_by_the_kernel(problem, parameters, theta)
+    kernel, index = kernel_of(problem.model, type(problem.module)), np.array([2, 0])
+    assert isinstance(kernel, Kernel)
+    assert isinstance(whole, Kernel)
+    assert kernel.work_bytes(500) < whole.work_bytes(500)
+    part, local = problem.take(index), parameters.take(index)
+    loss, gradient = half_squares(kernel, part, local, parameters.take_vector(theta, index))
+    found = half_squares(kernel, problem, parameters, theta, index)
+    assert found[0] == pytest.approx(loss, rel=1e-13)
+    assert np.allclose(parameters.take_vector(found[1], index), gradient, rtol=1e-11, atol=1e-13)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    assert np.allclose(half_squares(kernel, problem, parameters, theta, index)[1], found[1], rtol=1e-11, atol=1e-13)
+
+
+def test_a_dose_that_only_constants_describe_in_a_model_that_learns_none() -> None:
+    text = """model fixed
+time t from 0
+state x in [0, 2]
+const lagc = 0.3
+const share = 0.6
+unknown g(x) by mlp(4)
+x' = -x + g
+dose x times share lag lagc
+observe x
+"""
+    dosed = trajectory("1", 0.0, np.arange(1.0, 4.0), np.ones((3, 1)), [], doses=(DoseEvents(np.ones(1), np.ones(1)),))
+    problem, parameters, theta = problem_of(model_of(text), Trajectories((dosed,), ("x",)), 0.25, blend=0.5)
+    same_by_the_kernel(problem, parameters, theta)
+
+
+@pytest.mark.parametrize("conditions", [(0.0, 0.0), (0.5, 0.0)])
+def test_a_learned_lag_that_a_condition_leaves_undefined_has_no_gradient(conditions: tuple[float, ...]) -> None:
+    model = model_of(DEPOT.replace("state gut", "condition c in [0, 1]\nstate gut").replace("lag tlag", "lag tlag/c"))
+    values = np.linspace(0.1, 0.5, 9)[:, None]
+    items = tuple(
+        trajectory(str(i), 0.0, np.arange(1.0, 10.0), values, [c], doses=(DoseEvents(np.zeros(1), np.ones(1)),))
+        for i, c in enumerate(conditions)
+    )
+    problem, parameters, theta = problem_of(model, Trajectories(items, ("blood",)), 0.25, blend=0.0)
+    theta[parameters.n_weights + 1] = -0.2
+    assert np.isfinite(objective(problem, parameters, "torch")(theta)[1]).all()
+    if any(conditions):
+        same_by_the_kernel(problem, parameters, theta)
+    else:
+        assert np.abs(objective(problem, parameters, "native")(theta)[1]).max() == 0.0
 
 
 def test_a_trajectory_taken_twice_gets_its_doses_twice() -> None:

@@ -229,7 +229,15 @@ static int32_t cut_of(const Work *w, int64_t s, int t) {
 
 static const real *rate(const Work *w, size_t slot, int q) { return w->rates + (slot * STAGES + q) * (STATES * TILE); }
 
-/* What a sub-step's start and length get: `hb` of the length where it is held, `tb` of the times of stages, `ub` of inputs there. */
+/* Whether a jump moves the start or the end of a lane's step s. */
+static int at_cut(const Work *w, int64_t s) {
+    for (int t = 0; t < TILE; t++)
+        if (cut_of(w, s, t) >= 0 || cut_of(w, s + 1, t) >= 0) return 1;
+    return 0;
+}
+
+/* What the times of cuts get from a sub-step: cotangents `hb` of its length as it stands in the step's formulas, `tb` of
+   the times of its stages and `ub` of the inputs there. */
 static void time_reverse(Work *w, int64_t s, const real *hb, real tb[STAGES][TILE], real ub[STAGES][INPUTS * TILE + 1]) {
     for (int t = 0; t < TILE; t++) {
         const int32_t start = cut_of(w, s, t), end = cut_of(w, s + 1, t);
@@ -252,8 +260,9 @@ static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
     Step step;
     real sb[STAGES][STATES * TILE], ob[STATES * TILE];
     real tb[STAGES][TILE] = {{0}}, ub[STAGES][INPUTS * TILE + 1] = {{0}}, hb[TILE] = {0};
+    const int cut = TIMED && at_cut(w, s);
     read_step(w, s, &step);
-    for (int q = 0; TIMED && q < STAGES; q++)
+    for (int q = 0; cut && q < STAGES; q++)
         for (int i = 0; i < STATES * TILE; i++) hb[i % TILE] += xb[i] * R(TABLEAU_B[q]) * rate(w, slot, q)[i];
     for (int q = STAGES - 1; q >= 0; q--) {
         const real *place = w->states + (slot * STAGES + q) * (STATES * TILE);
@@ -265,12 +274,12 @@ static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
             }
         zero(sb[q], STATES * TILE);
         rhs_reverse(w, slot * STAGES + q, place, step.time[q], step.inputs[q], ob, sb[q], w->kb, tb[q], ub[q]);
-        for (int p = 0; TIMED && p < q; p++)
+        for (int p = 0; cut && p < q; p++)
             for (int i = 0; i < STATES * TILE; i++) hb[i % TILE] += sb[q][i] * R(TABLEAU_A[q][p]) * rate(w, slot, p)[i];
     }
     for (int q = 0; q < STAGES; q++)
         for (int i = 0; i < STATES * TILE; i++) xb[i] += sb[q][i];
-    if (TIMED) time_reverse(w, s, hb, tb, ub);
+    if (cut) time_reverse(w, s, hb, tb, ub);
     for (int t = 0; t < TILE; t++)
         for (int32_t j = jump_of(w, s, t); j >= 0; j = w->data->jump_next[j])
             w->d_jumps[j] = xb[w->data->jump_state[j] * TILE + t];
@@ -426,7 +435,7 @@ int64_t work_bytes(int64_t depth) {
    [rows][CHANNELS], states on arrival [rows][STATES] (unless NULL), and, if `gradient`, the product of `cotangent`
    [rows][CHANNELS] (NULL: the residuals themselves) with the residuals' Jacobian: of `weights` (layer by layer, network
    by network), of each trajectory's learnable constants, of its initial state, of jumps and, if TIMED, of the times of
-   those that cut sub-steps. `work` has `work_bytes` bytes. */
+   those that cut sub-steps (added to `d_times`, which is zero at first). `work` has `work_bytes` bytes. */
 void run(const Data *data, const int64_t *order, int64_t count, int64_t first, int64_t stride, const double *weights,
          const double *numbers, const double *constants, const double *initial, const double *jumps,
          const double *cotangent, double *residuals, double *arrivals, double *d_weights, double *d_constants,

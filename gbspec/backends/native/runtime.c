@@ -283,8 +283,8 @@ INLINE void block_product(const int use, const int rows, const int cols, size_t 
 }
 
 #define BLOCK(r, c) \
-    block_product(use, r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, use == SCALES ? NULL : init + i * ldi + j, \
-                  ldi, use == SILUS ? slope + i * ldc + j : NULL)
+    block_product(use, r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, \
+                  use == SCALES ? NULL : init + i * ldi + j, ldi, use == SILUS ? slope + i * ldc + j : NULL)
 
 /* C[rows][width] from A B, width a multiple of LANES. The three products of a layer (forward, back to its inputs, gradient
    of its weights) all have this form, none needs a transpose in its loops. */
