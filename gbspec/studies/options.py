@@ -31,6 +31,13 @@ class StudyOptions:
         default=False, metadata={"help": "Fit nothing: write the tables of what has been fitted so far."}
     )
 
+    def flags(self) -> list[str]:
+        """What the results depend on, as given on the command line."""
+        given: list[tuple[str, object]] = [("--case", case) for case in self.case]
+        given += [(f"--{name}", getattr(self, name)) for name in ("members", "effort", "noise")]
+        given.append(("--seed", self.seed or None))
+        return [str(part) for flag in given if flag[1] is not None for part in flag]
+
     def check(self) -> None:
         """Raises `UserError` (GB814) with every value that makes no sense."""
         wrong = [

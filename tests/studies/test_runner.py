@@ -35,6 +35,7 @@ def test_a_study_by_its_command_and_again(cases: Path) -> None:
     assert first.exit_code == 0, first.stderr
     document = json.loads(first.stdout)
     assert document["cases"]["ONE"]["members"] == 2 and document["cases"]["ONE"]["failed"] == []
+    assert document["command"] == f"gbspec study {cases}:ONE -o {out}", "what made it, however it was worked off"
     assert {"solution", "rhs", "functions", "constants"} <= set(document["cases"]["ONE"]["metrics"])
     assert not (out / "runs").exists() and (out / "table.md").is_file()
     before = {path: path.read_text() for path in (out / "members" / "ONE").iterdir()}

@@ -35,6 +35,12 @@ def test_cases_are_chosen_by_name(cases: Path) -> None:
     assert code_of([str(cases), f"{cases}:ONE"]) == "GB820"
 
 
+def test_the_flags_that_results_depend_on() -> None:
+    assert StudyOptions(workers=2, threads=3, table_only=True).flags() == []
+    chosen = StudyOptions(case=("A", "B"), members=3, seed=7, effort="high", noise=0.05)
+    assert " ".join(chosen.flags()) == "--case A --case B --members 3 --effort high --noise 0.05 --seed 7"
+
+
 def test_options_of_the_command_line_go_before_those_of_the_case(cases: Path) -> None:
     (plain,) = study_of([f"{cases}:TWO"], StudyOptions()).tasks()
     assert (plain.case.sampling.noise, plain.training.effort, plain.training.method) == (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,8 +45,8 @@ def run(
     def told(task: Task, record: dict[str, Any], done: int, total: int) -> None:
         output.say(f"[{done}/{total}] {task.name}: {line(record)}")
 
-    wanted = shlex.join(["gbspec", *sys.argv[1:]])
-    summary = run_study(study, root, options, wanted, told)
+    made_by = shlex.join(["gbspec", "study", *cases, "-o", to, *options.flags()])
+    summary = run_study(study, root, options, made_by, told)
     output.say(f"wrote {root / 'table.md'}")
     output.summary((root / "table.md").read_text(encoding="utf-8").rstrip("\n"))
     output.document(summary)
