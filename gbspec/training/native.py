@@ -121,20 +121,6 @@ class Tables:
         return np.where(lies, found, -1)
 
 
-class TablesAt:
-    """The tables of a problem; those of the arrivals last asked for are kept."""
-
-    def __init__(self, problem: Problem) -> None:
-        self._problem, self._time = problem, np.zeros(0)
-        self._tables: Tables | None = None
-
-    def __call__(self, time: Array) -> Tables:
-        """With doses that arrive at `time` [E], which counts where a lag is learned."""
-        if self._tables is None or not np.array_equal(time, self._time, equal_nan=True):
-            self._time, self._tables = time.copy(), Tables(self._problem, time)
-        return self._tables
-
-
 def _jumps(model: Model, places: Placed) -> dict[str, NDArray[Any]]:
     """Doses at the starts of sub-steps."""
     packed, step = places.packed, places.step

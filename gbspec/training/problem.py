@@ -29,7 +29,7 @@ from gbspec.ir.model import Model
 from gbspec.training.packing import Packed
 
 if TYPE_CHECKING:
-    from gbspec.training.native import Kernel, TablesAt
+    from gbspec.training.native import Kernel, Tables
     from gbspec.training.pieces import Schedule
 
 Mask = NDArray[np.bool_]
@@ -82,12 +82,19 @@ class Problem:
         """The arithmetic that the module's expressions are evaluated in (torch)."""
         return torch_arithmetic(self.module)
 
-    @cached_property
-    def tables(self) -> TablesAt:
-        """The data as the kernel reads them, for given arrivals of doses."""
-        from gbspec.training.native import TablesAt
+    def tables(self, time: Array) -> Tables:
+        """The data as the kernel reads them, with doses that arrive at `time` [E]; those last asked for are kept."""
+        from gbspec.training.native import Tables
 
-        return TablesAt(self)
+        key = time.tobytes()
+        if key not in self._tables:
+            self._tables.clear()
+            self._tables[key] = Tables(self, time)
+        return self._tables[key]
+
+    @cached_property
+    def _tables(self) -> dict[bytes, Tables]:
+        return {}
 
     @cached_property
     def schedule(self) -> Schedule:
