@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.data.trajectories import Array
-from gbspec.training.doses import arrival_steps
+from gbspec.training.doses import in_order
 from gbspec.training.packing import NODES, Integers, Packed
 
 
@@ -34,19 +34,15 @@ class Placed:
 
 def placed(packed: Packed, time: Array) -> Placed:
     """A packing with its doses where they arrive, at `time` [E]."""
-    doses = packed.doses
-    whole, following = arrival_steps(packed, time), np.full(len(time), -1, dtype=np.int64)
+    doses, (whole, order, cell) = packed.doses, in_order(packed, time)
     cuts = ~np.array(doses.known, dtype=np.bool_)[doses.kind] & (whole >= 0)
     parts = np.where(np.arange(packed.depth) < packed.steps[:, None], 1, 0)
     np.add.at(parts, (doses.owner[cuts], whole[cuts]), 1)
     first = np.concatenate([np.zeros((packed.trajectories, 1), dtype=np.int64), np.cumsum(parts, 1)], 1)
-    # In the order of time: a dose that cuts begins a part, others arrive in the one that has begun.
-    order = np.lexsort((time, whole, doses.owner))
-    order = order[whole[order] >= 0]
-    cell = doses.owner[order] * (packed.depth + 1) + whole[order]
+    # A dose that cuts begins a part, others arrive in the one that has begun.
     begun = np.concatenate([[0], np.cumsum(cuts[order])])
     part = begun[1:] - begun[np.searchsorted(cell, cell)]
-    step = np.full(len(time), -1, dtype=np.int64)
+    step, following = (np.full(len(time), -1, dtype=np.int64) for _ in range(2))
     step[order] = first[doses.owner[order], whole[order]] + part
     together = np.flatnonzero((cell[1:] == cell[:-1]) & (part[1:] == part[:-1]))
     following[order[together]] = order[together + 1]
@@ -65,9 +61,8 @@ def _cut(
     owner, old = (np.repeat(index.ravel(), parts.ravel()) for index in np.indices(parts.shape))
     new = np.arange(len(owner)) - np.repeat(np.cumsum(steps) - steps, steps)
     shape = (int(steps.max()), packed.trajectories)
-    begin, end = np.zeros(shape), np.zeros(shape)
-    start, end[new, owner] = np.zeros(shape), packed.h[old, owner]
-    start[new, owner] = packed.t[old, owner]
+    start, begin, end = (np.zeros(shape) for _ in range(3))  # of a whole sub-step; of a part, counted from there
+    start[new, owner], end[new, owner] = packed.t[old, owner], packed.h[old, owner]
     who = packed.doses.owner[cuts]
     moved = time[cuts] - start[step[cuts], who]
     begin[step[cuts], who] = end[step[cuts] - 1, who] = moved

@@ -86,6 +86,15 @@ def arrival_steps(packed: Packed, time: Array) -> Integers:
     return out
 
 
+def in_order(packed: Packed, time: Array) -> tuple[Integers, Integers, Integers]:
+    """The sub-step of each dose [E] (see `arrival_steps`); those that arrive [A], trajectory by trajectory in the order
+    of time; and for these a number that is the same in one sub-step of one trajectory."""
+    step, owner = arrival_steps(packed, time), packed.doses.owner
+    order = np.lexsort((time, step, owner))
+    order = order[step[order] >= 0]
+    return step, order, owner[order] * (packed.depth + 1) + step[order]
+
+
 def arrivals(problem: Problem, constants: Tensor) -> Integers:
     """Which doses arrive in which sub-step [L, T, N], in the order of time and -1 for none, at the constants
     [N, n_constants]."""
@@ -93,10 +102,7 @@ def arrivals(problem: Problem, constants: Tensor) -> Integers:
     if not len(owner):
         return np.zeros((0, packed.depth, packed.trajectories), dtype=np.int64)
     time = delivered(problem, constants.detach().cpu())[1].numpy()
-    step = arrival_steps(packed, time)
-    order = np.lexsort((time, step, owner))
-    order = order[step[order] >= 0]
-    cell = owner[order] * (packed.depth + 1) + step[order]
+    step, order, cell = in_order(packed, time)
     rank = np.arange(len(order)) - np.searchsorted(cell, cell)
     out = np.full((int(rank.max(initial=-1)) + 1, packed.depth, packed.trajectories), -1, dtype=np.int64)
     out[rank, step[order], owner[order]] = order

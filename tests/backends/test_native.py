@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +21,19 @@ from gbspec.backends.native import compiler as compiling
 from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.ir.model import Model
-from gbspec.training.jacobian import linearise
-from gbspec.training.native import Kernel, Natural, _shared_out, half_squares, kernel_of
+from gbspec.training.native import Kernel, Natural, _shared_out, half_squares
 from gbspec.training.objective import objective
 from gbspec.training.packing import pack
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Forcing, Problem, scaling_of
 from tests import strategies
+from tests.backends.same_kernel import compare, compare_jacobians
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, urp_data
 
 try:
     find_compiler()
 except CompilerError as error:
     pytest.skip(str(error), allow_module_level=True)
-
-DOUBLE, SINGLE = 1e-12, 1e-5
 
 
 @pytest.fixture(autouse=True)
@@ -45,30 +42,6 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
-
-
-def compare(problem: Problem, parameters: Parameters, theta: np.ndarray, precisions: tuple[str, ...]) -> None:
-    """Loss and gradient by the kernel against those by the graph, relative to the largest entry."""
-    loss, gradient = objective(problem, parameters, "torch")(theta)
-    assert np.isfinite(loss)
-    for precision in precisions:
-        found = objective(problem, parameters, "native", precision)(theta)  # type: ignore[arg-type]  # a literal
-        bound = DOUBLE if precision == "float64" else SINGLE
-        assert abs(found[0] - loss) <= bound * max(abs(loss), 1e-300)
-        assert np.abs(found[1] - gradient).max() <= bound * np.abs(gradient).max()
-    compare_jacobians(problem, parameters, theta)
-
-
-def compare_jacobians(problem: Problem, parameters: Parameters, theta: np.ndarray) -> None:
-    """The Jacobian of the residuals by the kernel against that by the graph, relative to the largest entry."""
-    kernel = kernel_of(problem.model, type(problem.module))
-    assert isinstance(kernel, Kernel)
-    graph, ours = (linearise(replace(problem, kernel=k), parameters, theta) for k in (None, kernel))
-    for of_graph, of_kernel in ((graph.shared, ours.shared), (graph.local, ours.local)):
-        assert of_graph.shape == of_kernel.shape
-        if of_graph.numel():
-            assert float((of_graph - of_kernel).abs().max()) <= 1e-11 * float(of_graph.abs().max())
-    assert torch.equal(graph.owner, ours.owner)
 
 
 def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem, Parameters, np.ndarray]:

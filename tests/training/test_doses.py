@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +24,7 @@ from gbspec.training.objective import objective
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem
 from gbspec.training.unroll import measured_residuals, solve, unroll
+from tests.backends.same_kernel import compare
 from tests.training.conftest import model_of, problem_of, trajectory
 
 DEPOT = """model depot
@@ -139,18 +139,7 @@ def same_by_the_kernel(problem: Problem, parameters: Parameters, theta: np.ndarr
         find_compiler()
     except CompilerError as error:
         pytest.skip(str(error))
-    graph, *kernel = (
-        objective(problem, parameters, backend, precision)(theta)  # type: ignore[arg-type]  # literals
-        for backend, precision in (("torch", "float64"), ("native", "float64"), ("native", "float32"))
-    )
-    for found, bound in zip(kernel, (1e-12, 1e-5), strict=True):
-        assert found[0] == pytest.approx(graph[0], rel=bound)
-        assert np.abs(found[1] - graph[1]).max() <= bound * np.abs(graph[1]).max()
-    compiled = kernel_of(problem.model, type(problem.module))
-    assert isinstance(compiled, Kernel)
-    by_graph, by_kernel = (linearise(replace(problem, kernel=k), parameters, theta) for k in (None, compiled))
-    difference = (by_graph.dense(parameters) - by_kernel.dense(parameters)).abs().max()
-    assert float(difference) <= 1e-11 * float(by_graph.dense(parameters).abs().max())
+    compare(problem, parameters, theta, ("float64", "float32"))
 
 
 def test_a_lag_that_conditions_set_by_the_kernel() -> None:

@@ -1,0 +1,40 @@
+"""The native kernel held against the torch graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from gbspec.training.jacobian import linearise
+from gbspec.training.native import Kernel, kernel_of
+from gbspec.training.objective import objective
+from gbspec.training.parameters import Parameters
+from gbspec.training.problem import Problem
+
+DOUBLE, SINGLE = 1e-12, 1e-5
+
+
+def compare(problem: Problem, parameters: Parameters, theta: np.ndarray, precisions: tuple[str, ...]) -> None:
+    """Loss and gradient by the kernel against those by the graph, relative to the largest entry."""
+    loss, gradient = objective(problem, parameters, "torch")(theta)
+    assert np.isfinite(loss)
+    for precision in precisions:
+        found = objective(problem, parameters, "native", precision)(theta)  # type: ignore[arg-type]  # a literal
+        bound = DOUBLE if precision == "float64" else SINGLE
+        assert abs(found[0] - loss) <= bound * max(abs(loss), 1e-300)
+        assert np.abs(found[1] - gradient).max() <= bound * np.abs(gradient).max()
+    compare_jacobians(problem, parameters, theta)
+
+
+def compare_jacobians(problem: Problem, parameters: Parameters, theta: np.ndarray) -> None:
+    """The Jacobian of the residuals by the kernel against that by the graph, relative to the largest entry."""
+    kernel = kernel_of(problem.model, type(problem.module))
+    assert isinstance(kernel, Kernel)
+    graph, ours = (linearise(replace(problem, kernel=k), parameters, theta) for k in (None, kernel))
+    for of_graph, of_kernel in ((graph.shared, ours.shared), (graph.local, ours.local)):
+        assert of_graph.shape == of_kernel.shape
+        if of_graph.numel():
+            assert float((of_graph - of_kernel).abs().max()) <= 1e-11 * float(of_graph.abs().max())
+    assert torch.equal(graph.owner, ours.owner)
