@@ -73,11 +73,12 @@ def arrival_steps(packed: Packed, time: Array) -> Integers:
     as given already; those at its end have no effect.
     """
     owner, out = packed.doses.owner, np.full(len(time), -1, dtype=np.int64)
-    for i in np.unique(owner):
+    given = np.flatnonzero(np.isfinite(time) & (packed.steps[owner] > 0))
+    given = given[np.argsort(owner[given], kind="stable")]
+    whose, first = np.unique(owner[given], return_index=True)
+    # Of no doses at all there is one part too, and no trajectory.
+    for i, mine in zip(whose, np.split(given, first[1:]), strict=False):
         n = packed.steps[i]
-        mine = np.flatnonzero((owner == i) & np.isfinite(time))
-        if not n or not len(mine):
-            continue
         begins, end = packed.t[:n, i], packed.t[n - 1, i] + packed.h[n - 1, i]
         tolerance = 1e-9 * (end - begins[0])
         step = np.searchsorted(begins, time[mine] + tolerance, side="right") - 1
