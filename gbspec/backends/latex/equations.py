@@ -1,4 +1,5 @@
 """Names and expressions of a model in LaTeX's mathematics."""
+# ruff: noqa: N802, N815 - sympy finds a printer's methods by these names
 
 from __future__ import annotations
 
@@ -51,22 +52,22 @@ class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
     """sympy's printer with this project's names, unknown functions, and floats in full."""
 
     # ruff's rule on names of functions does not hold here: sympy finds these methods by the names of its classes
-    def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:  # noqa: N802
+    def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
         return r"\mathcal{N}" if expr == NN else name(expr.name)
 
-    _print_Dummy = _print_Symbol  # noqa: N815
+    _print_Dummy = _print_Symbol
 
-    def _print_Element(self, expr: Any) -> str:  # noqa: N802
+    def _print_Element(self, expr: Any) -> str:
         return f"{name(expr.args[0].name)}_{{{self._print(expr.args[1])}}}"
 
-    def _print_Total(self, expr: Any) -> str:  # noqa: N802
+    def _print_Total(self, expr: Any) -> str:
         return f"\\sum_{{i}} {name(expr.args[0].name)}_{{i}}"
 
-    def _print_Float(self, expr: sympy.Float) -> str:  # noqa: N802
+    def _print_Float(self, expr: sympy.Float) -> str:
         digits, _, exponent = repr(float(expr)).partition("e")
         return f"{digits.removesuffix('.0')} \\cdot 10^{{{int(exponent)}}}" if exponent else digits.removesuffix(".0")
 
-    def _print_Function(self, expr: Any, exp: str | None = None) -> str:  # noqa: N802
+    def _print_Function(self, expr: Any, exp: str | None = None) -> str:
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             return str(super()._print_Function(expr, exp))
         arguments = ", ".join(map(self._print, expr.args))

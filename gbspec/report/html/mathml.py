@@ -1,4 +1,5 @@
 """A model's equations in presentation MathML, which browsers typeset without scripts or fonts of ours."""
+# ruff: noqa: N802 - sympy finds a printer's methods by these names
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
     """sympy's printer with unknown functions by their names, floats in full, and pieces under a brace."""
 
     # ruff's rule on names of functions does not hold here: sympy finds these methods by the names of its classes
-    def _print_Float(self, expr: sympy.Float) -> Any:  # noqa: N802
+    def _print_Float(self, expr: sympy.Float) -> Any:
         digits, _, exponent = repr(float(expr)).partition("e")
         number = self._leaf("mn", digits.removesuffix(".0"))
         if not exponent:
@@ -29,7 +30,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
         power.appendChild(self._leaf("mn", str(int(exponent))))
         return self._row(number, self._leaf("mo", "·"), power)
 
-    def _print_Piecewise(self, expr: sympy.Piecewise) -> Any:  # noqa: N802
+    def _print_Piecewise(self, expr: sympy.Piecewise) -> Any:
         table = self.dom.createElement("mtable")
         for value, condition in expr.args:
             line = self.dom.createElement("mtr")
@@ -41,7 +42,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
             table.appendChild(line)
         return self._row(self._leaf("mo", "{"), table)
 
-    def _print_Function(self, expr: Any) -> Any:  # noqa: N802
+    def _print_Function(self, expr: Any) -> Any:
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             return super()._print_Function(expr)
         inside: list[Any] = []
@@ -50,13 +51,13 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
         name = self._print(sympy.Symbol(expr.func.__name__))
         return self._row(name, self._leaf("mo", "("), *inside, self._leaf("mo", ")"))
 
-    def _print_Element(self, expr: Any) -> Any:  # noqa: N802
+    def _print_Element(self, expr: Any) -> Any:
         element = self.dom.createElement("msub")
         element.appendChild(self._print(expr.args[0]))
         element.appendChild(self._print(expr.args[1]))
         return element
 
-    def _print_Total(self, expr: Any) -> Any:  # noqa: N802
+    def _print_Total(self, expr: Any) -> Any:
         return self._row(self._leaf("mo", "∑"), self._print(expr.args[0]))
 
     def _leaf(self, tag: str, text: str) -> Any:
