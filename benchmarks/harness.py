@@ -27,7 +27,7 @@ from typing import Any
 
 RESULTS = Path(__file__).resolve().parent / "results"
 
-PACKAGES = ("gbspec", "torch", "numpy", "jax", "diffrax", "optax", "torchdiffeq", "casadi")
+PACKAGES = ("gbspec", "torch", "numpy", "numba", "jax", "diffrax", "optax", "torchdiffeq", "casadi")
 
 BUSY = 0.9
 """Below this ratio of processor time to wall time of one-core runs, others were using the machine."""

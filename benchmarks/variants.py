@@ -51,6 +51,7 @@ PEERS = "benchmarks.peers."
 VARIANTS: Mapping[str, Variant] = {
     "native": Variant("**gbspec, native kernel**", "benchmarks.own", "native"),
     "native-2": Variant("**gbspec, native kernel, two cores**", "benchmarks.own", "native_2", threads=2),
+    "numba": Variant("loops by hand, compiled by numba", PEERS + "numba_loops", "kernel"),
     "graph": Variant("gbspec, torch graph", "benchmarks.own", "graph"),
     "jax-checkpoint": Variant("JAX `lax.scan` with `jax.checkpoint`", PEERS + "jax_scan", "checkpointed"),
     "jax": Variant("JAX `lax.scan`", PEERS + "jax_scan", "plain"),

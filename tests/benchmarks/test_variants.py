@@ -12,7 +12,7 @@ from benchmarks import growth, step
 from benchmarks.variants import VARIANTS, Candidate, DisagreementError, agree, build, compare, reference
 from benchmarks.workload import Size, Workload, make
 
-LIBRARIES = {"jax": "jax", "torchdiffeq": "torchdiffeq"}
+LIBRARIES = {"jax": "jax", "numba": "numba", "torchdiffeq": "torchdiffeq"}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_a_variant_agrees_with_the_generated_module(name: str, work: Workload) -
     library = LIBRARIES.get(name.partition("-")[0])
     if library is not None:
         pytest.importorskip(library, reason=f"{library} is not installed (`pip install .[benchmarks]`)")
-    dtypes = ("float64",) if library == "jax" else VARIANTS[name].dtypes
+    dtypes = ("float64",) if library in ("jax", "numba") else VARIANTS[name].dtypes
     told: list[str] = []
     made = build(work, [name], dtypes, told.append)
     if name.startswith("native") and not made:
