@@ -126,6 +126,10 @@ class UserError(Exception):
         self.diagnostics = tuple(diagnostics)
         super().__init__("; ".join(f"{d.code}: {d.message}" for d in self.diagnostics))
 
+    def __reduce__(self) -> tuple[type[UserError], tuple[tuple[Diagnostic, ...]]]:
+        """So that workers can hand it on: an exception is made again from its text otherwise."""
+        return UserError, (self.diagnostics,)
+
 
 class ComputationError(Exception):
     """A computation failed (exit status 3): what, where, and what to try."""

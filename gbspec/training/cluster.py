@@ -100,7 +100,7 @@ class _Cluster:
     def outcome(self, pending: Any, job: Job) -> MemberResult | None:
         try:
             result, written = pending.result()
-        except ComputationError:
+        except (ComputationError, UserError):
             raise
         except Exception as error:  # whatever went wrong on the cluster or on the way to it
             what = f"{job.name} was lost on the cluster: {type(error).__name__}: {error}"

@@ -20,10 +20,12 @@ from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
+from gbspec.training.context import build_context
 from gbspec.training.device import device_of
 from gbspec.training.native import choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.parallel import Job, fit_jobs
+from gbspec.training.plan import plan
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.summary import MemberResult
 
@@ -74,6 +76,9 @@ class Fitting:
             device_of(options.device)
             if options.backend == "native":
                 choose(model, load_module(model), options, 0)
+        if options.named_stages:
+            context = build_context(model, load_module(model), trajectories, options, options.seed)
+            plan(context, context.parameters({}), {})
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
         self.record = _record(model, trajectories, options)

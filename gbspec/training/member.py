@@ -20,7 +20,7 @@ from gbspec.training.context import Context, build_context
 from gbspec.training.newton import Certainty, LevenbergMarquardt
 from gbspec.training.options import TrainOptions
 from gbspec.training.parameters import Parameters
-from gbspec.training.plan import HALF_STEP, Planned, plan
+from gbspec.training.plan import Planned, plan, step_fraction
 from gbspec.training.preparation import prepare
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recognition import recognition
@@ -159,7 +159,7 @@ class _Runner:
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
         if position.iteration == 0:
-            if not planned.wanted(position.theta):
+            if not planned.due(position.theta):
                 return
             position.entry = position.theta
         stage = planned.make(position.entry)
@@ -255,7 +255,7 @@ class _Runner:
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             # The largest step that the weights were fitted with last.
-            "max_step": self.context.max_step * (0.5 if HALF_STEP in position.marks else 1.0),
+            "max_step": self.context.max_step * step_fraction(position.marks),
             "seed": self.context.seed,
             "labels": result.labels,
             # The learned initial states are found again by content, whatever table a trajectory comes in.

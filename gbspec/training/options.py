@@ -13,6 +13,26 @@ Initial = Literal["learned", "bred", "recognition"]
 Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
 
+STAGES = (
+    "adam",
+    "imputed forcing",
+    "initial states",
+    "teacher forcing",
+    "initial states again",
+    "half step",
+    "blend",
+    "initial states of whole solutions",
+    "autoregressive",
+    "choice",
+    "forcing as asked",
+    "search",
+    "least squares",
+    "least squares, starts too",
+    "lbfgs",
+    "bred initial states",
+)
+"""The stages that `auto` chooses from, after the warm start; which of them a model and its data have, the plan says."""
+
 
 @dataclass(frozen=True)
 class TrainOptions:
@@ -34,6 +54,13 @@ class TrainOptions:
         metadata={
             "help": "`auto` runs all stages; `gradient-matching` the warm start alone; "
             "`adam`, `lbfgs` and `lm` one optimiser after the warm start."
+        },
+    )
+    stages: str | None = field(
+        default=None,
+        metadata={
+            "help": "Of the stages of `auto` these alone (separated by semicolons), whether or not the data ask for them.",
+            "metavar": "NAMES",
         },
     )
     effort: Effort = field(default="normal", metadata={"help": "How long to go on improving the fit."})
@@ -129,6 +156,12 @@ class TrainOptions:
         """Strength of teacher forcing: 1 for `teacher`, 0 for `autoregressive`."""
         return {"teacher": 1.0, "autoregressive": 0.0}.get(self.forcing) or _number(self.forcing) or 0.0
 
+    @property
+    def named_stages(self) -> tuple[str, ...]:
+        """The stages that were asked for by name; hyphens may stand for blanks."""
+        parts = (self.stages or "").replace("-", " ").split(";")
+        return tuple(name for part in parts if (name := " ".join(part.lower().split())))
+
     def check(self, findings: Findings) -> None:
         """Reports every option whose value makes no sense (GB850)."""
 
@@ -157,6 +190,11 @@ class TrainOptions:
             report("holdout", self.holdout, "at least 0 and below 1")
         if self.ridge is not None and not 0 <= self.ridge < float("inf"):
             report("ridge", self.ridge, "a number that is not negative")
+        for name in self.named_stages:
+            if name not in STAGES:
+                report("stages", name, "one of " + ", ".join(f"`{stage}`" for stage in STAGES))
+        if self.stages is not None and self.method != "auto":
+            report("method", self.method, "`auto` where stages are named")
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gbspec.data.trajectories import Array
+from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.breeding import Breeding
 from gbspec.training.context import Context, released_starts
 from gbspec.training.descent import Adam, LimitedMemory
@@ -77,17 +78,41 @@ At = Callable[[int], Problem]
 
 @dataclass(frozen=True)
 class Planned:
-    """A stage that may run: `wanted` looks at the vector at its turn, `make` builds it for that vector."""
+    """A stage that may run: `make` builds it for the vector at its turn.
+
+    Both others look at that vector too: `wanted`, whether the data ask for the stage, `possible`, whether there is
+    anything for it to do.
+    """
 
     name: str
     total: int
     make: Callable[[Array], Stage]
     wanted: Wanted
+    possible: Wanted = lambda theta: True
+
+    def due(self, theta: Array) -> bool:
+        """Whether it runs."""
+        return self.possible(theta) and self.wanted(theta)
 
 
 def plan(context: Context, parameters: Parameters, marks: Mapping[str, Array]) -> list[Planned]:
-    """The stages for these data and options, in order. `marks` will hold the vectors at the ends of earlier stages."""
-    return [stage for stage in _Planner(context, parameters, marks).stages() if stage.total > 0]
+    """The stages for these data and options, in order. `marks` will hold the vectors at the ends of earlier stages.
+
+    Raises UserError (GB850) where a stage is asked for that such a model, such data or such options do not have.
+    """
+    stages = [stage for stage in _Planner(context, parameters, marks).stages() if stage.total > 0]
+    named = context.options.named_stages
+    missing = [name for name in named if name not in [stage.name for stage in stages]]
+    if missing:
+        there = ", ".join(f"`{stage.name}`" for stage in stages)
+        message = f"`--stages`: there is no `{missing[0]}` for this model, these data and this effort, but {there}"
+        raise UserError([Diagnostic("GB850", message, None)])
+    return [replace(stage, wanted=lambda theta: True) for stage in stages if stage.name in named] if named else stages
+
+
+def step_fraction(marks: Mapping[str, Array]) -> float:
+    """The fraction of the largest step at which the last stage fitted; `marks` has the names of those that ran."""
+    return 0.5 if HALF_STEP in marks and not {"blend", "autoregressive"} & set(marks) else 1.0
 
 
 class _Planner:
@@ -118,7 +143,10 @@ class _Planner:
             blend = 0.0 if "autoregressive" in self.marks else self.blend
             return Breeding(self.context, self.released, blend)
 
-        return Planned(Breeding.name, 1, make, lambda theta: bool(self.parameters.start_free.any()))
+        def possible(theta: Array) -> bool:
+            return bool(self.parameters.start_free.any())
+
+        return Planned(Breeding.name, 1, make, lambda theta: True, possible)
 
     def _chosen(self) -> Planned:
         """The one optimiser that was asked for."""
@@ -177,7 +205,7 @@ class _Planner:
             self._newton(
                 "autoregressive", self._whole_limit(), self._at(0.0), self._noisy, self._regular, self.released
             ),
-            Planned("choice", 1, self._choice, lambda theta: "autoregressive" in self.marks),
+            Planned("choice", 1, self._choice, lambda theta: True, self._both_fits),
         ]
 
     # ---------------------------------------------------------------- problems
@@ -197,6 +225,10 @@ class _Planner:
     def _whole_limit(self) -> int:
         """With few data the ridge matters and comes to rest slowly; there an iteration costs little."""
         return self.limits["autoregressive, few data" if self.values < FEW else "autoregressive"]
+
+    def _both_fits(self, theta: Array) -> bool:
+        """Whether intervals and whole solutions were both fitted."""
+        return {"teacher forcing", "autoregressive"} <= set(self.marks)
 
     def _hidden(self, theta: Array) -> bool:
         """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
@@ -258,7 +290,7 @@ class _Planner:
         def make(theta: Array) -> Stage:
             return InitialStates(name, self.context.problem(blend), layout, self.context.seed)
 
-        return Planned(name, 1, make, lambda theta: bool(layout.start_free.any()) and wanted(theta))
+        return Planned(name, 1, make, wanted, lambda theta: bool(layout.start_free.any()))
 
     def _adam(self, epochs: int, wanted: Wanted) -> Planned:
         def make(theta: Array) -> Stage:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -18,6 +20,7 @@ from gbspec.ir.model import Model
 from gbspec.lower import lower
 from gbspec.semantics import check
 from gbspec.syntax.parser import parse
+from gbspec.training import Update
 from gbspec.training.packing import pack
 from gbspec.training.parameters import Parameters
 from gbspec.training.problem import Problem, scaling_of, teacher_forcing
@@ -58,6 +61,23 @@ observe a
 observe total = a + b*k2 + s(b)
 observe b noise lognormal(0.1)
 """
+
+
+class Recorder:
+    """Progress that remembers, and interrupts the process after a number of updates."""
+
+    def __init__(self, interrupt_after: int | None = None) -> None:
+        self.updates: list[Update] = []
+        self.messages: list[str] = []
+        self.interrupt_after = interrupt_after
+
+    def update(self, update: Update) -> None:
+        self.updates.append(update)
+        if len(self.updates) == self.interrupt_after:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def message(self, text: str) -> None:
+        self.messages.append(text)
 
 
 def model_of(text: str) -> Model:

@@ -16,8 +16,7 @@ import pytest
 from gbspec.diagnostics import UserError
 from gbspec.runs import Run, open_run
 from gbspec.training import TrainOptions, Update, train
-from tests.training.conftest import URP, model_of, urp_data
-from tests.training.test_training import Recorder
+from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from multiprocessing.spawn import get_preparation_data
+from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from gbspec.diagnostics import UserError
+from gbspec.training import TrainOptions, train
 from gbspec.training.parallel import _without_main, cores
+from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 
 def test_the_users_script_is_not_run_again_in_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,3 +35,15 @@ def test_cores_are_those_that_may_be_used() -> None:
     finally:
         os.sched_setaffinity(0, allowed)
     assert cores() == len(allowed)
+
+
+def test_what_a_worker_finds_wrong_comes_back_as_it_is(tmp_path: Path) -> None:
+    options = {"members": 2, "workers": 2, "method": "lm", "epochs": 2}
+    with pytest.raises(KeyboardInterrupt):
+        train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options), tmp_path / "run", Recorder(2))  # type: ignore[arg-type]
+    damaged = tmp_path / "run" / "members" / "0" / "checkpoint.safetensors"
+    damaged.write_bytes(damaged.read_bytes()[:-9])
+    with pytest.raises(UserError) as caught:
+        train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options, resume=True), tmp_path / "run")  # type: ignore[arg-type]
+    (finding,) = caught.value.diagnostics
+    assert finding.code == "GB852" and finding.help is not None and "fit the member anew" in finding.help

@@ -13,8 +13,7 @@ from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.sweep import sweep
 from gbspec.training.variations import points
-from tests.training.conftest import URP, model_of, urp_data
-from tests.training.test_training import Recorder
+from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 BASE = TrainOptions(method="lm", epochs=2, warm_start=False, workers=1, max_step=0.2)
 

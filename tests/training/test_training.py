@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -16,25 +14,8 @@ import gbspec
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
-from gbspec.training import TrainOptions, Update, plan, train
-from tests.training.conftest import URP, model_of, trajectory, urp_data, urp_rhs
-
-
-class Recorder:
-    """Progress that remembers, and interrupts the process after a number of updates."""
-
-    def __init__(self, interrupt_after: int | None = None) -> None:
-        self.updates: list[Update] = []
-        self.messages: list[str] = []
-        self.interrupt_after = interrupt_after
-
-    def update(self, update: Update) -> None:
-        self.updates.append(update)
-        if len(self.updates) == self.interrupt_after:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    def message(self, text: str) -> None:
-        self.messages.append(text)
+from gbspec.training import TrainOptions, plan, train
+from tests.training.conftest import URP, Recorder, model_of, trajectory, urp_data, urp_rhs
 
 
 def relative_rhs_error(module: object, data: Trajectories) -> float:

@@ -1,0 +1,68 @@
+"""Stages of the automatic recipe by name: each alone, several in order, and names that are none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gbspec.backends.module import load_module
+from gbspec.diagnostics import UserError
+from gbspec.training import TrainOptions, plan, train
+from gbspec.training.options import STAGES
+from gbspec.training.preparation import prepare
+from tests.training.conftest import URP, Recorder, model_of, urp_data
+
+KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 - x1)*exp(x2)")
+
+
+@pytest.mark.parametrize("stage", ["imputed forcing", "half step", "blend", "autoregressive"])
+def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_path: Path) -> None:
+    recorder = Recorder()
+    options = TrainOptions(stages=stage.replace(" ", "-"), max_step=0.1, workers=1)
+    run = train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "run", recorder)
+    losses = [update.loss for update in recorder.updates if update.stage == stage]
+    assert {update.stage for update in recorder.updates} == {"warm start", stage}
+    assert losses[-1] < losses[0]
+    assert run.member().info["max_step"] == (0.05 if stage == "half step" else 0.1)
+
+
+def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) -> None:
+    names = "Choice; autoregressive; teacher-forcing"
+    options = {"stages": names, "effort": "low", "workers": 1}
+    model, data, recorder = model_of(URP), urp_data(4, 2.0, 6), Recorder()
+    whole = train(model, data, TrainOptions(**options), tmp_path / "whole", recorder)  # type: ignore[arg-type]
+    order = list(dict.fromkeys(update.stage for update in recorder.updates))
+    assert order == ["warm start", "teacher forcing", "autoregressive", "choice"]
+    with pytest.raises(KeyboardInterrupt):
+        train(model, data, TrainOptions(**options), tmp_path / "cut", Recorder(interrupt_after=9))  # type: ignore[arg-type]
+    resumed = train(model, data, TrainOptions(**options, resume=True), tmp_path / "cut")  # type: ignore[arg-type]
+    assert [r["loss"] for r in resumed.history()] == [r["loss"] for r in whole.history()]
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"stages": "teacher forcing; teasing"}, "`--stages teasing` must be one of `adam`"),
+        ({"stages": "blend", "method": "lm"}, "`--method lm` must be `auto` where stages are named"),
+        ({"stages": "search"}, "there is no `search` for this model, these data and this effort, but `adam`, `imputed"),
+        ({"stages": "half step", "effort": "low"}, "there is no `half step`"),
+    ],
+)
+def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options, workers=1), tmp_path / "run")  # type: ignore[arg-type]
+    assert expected in str(caught.value)
+    assert [finding.code for finding in caught.value.diagnostics] == ["GB850"]
+
+
+def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def names(text: str, **options: str) -> set[str]:
+        model, data = model_of(text), urp_data(4, 2.0, 6)
+        ready = prepare(model, load_module(model), data, TrainOptions(**options), 0)  # type: ignore[arg-type]
+        return {stage.name for stage in plan.plan(ready.context, ready.parameters, {})}
+
+    found = names(URP, initial="bred") | names(URP, forcing="0.5") | names(KNOWN)
+    monkeypatch.setattr(plan, "PASSES", 1)
+    found |= names(URP)
+    assert found == set(STAGES)
