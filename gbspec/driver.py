@@ -186,10 +186,21 @@ def specified(model: Model, values: Mapping[str, float]) -> Model:
 def train(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
-    """Learns what the model leaves open from data, into a run directory."""
+    """Learns what the model leaves open from data, into a run directory; then every fit's step is checked."""
     from gbspec.training import train as run
 
-    return run(model, data, options, directory, progress)
+    return with_step_checks(run(model, data, options, directory, progress), data)
+
+
+def with_step_checks(run: Run, data: Trajectories) -> Run:
+    """The run just fitted to `data`, with the check of each member's step, and a warning of those that lean on it."""
+    from gbspec.analysis.step_check import check_fit
+
+    checks = check_fit(run, data)
+    leaning = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
+    return run.amended(
+        step_checks=[check.to_json() for check in checks], warnings=[*run.fit.get("warnings", []), *leaning]
+    )
 
 
 def sweep(
@@ -201,9 +212,17 @@ def sweep(
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Trains with each point's options into a run directory of its own; a row of results for each."""
+    from gbspec.runs.store import open_run
     from gbspec.training.sweep import sweep as run
 
-    return run(model, data, points, options, directory, progress)
+    rows = run(model, data, points, options, directory, progress)
+    for row in rows:
+        if row.get("loss") is not None:
+            made = open_run(directory / row["run"])
+            for warning in with_step_checks(made, data).fit["warnings"][len(made.fit["warnings"]) :]:
+                if progress is not None:
+                    progress.message(f"{row['run']}: {warning}")
+    return rows
 
 
 def eigen(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,18 @@ from gbspec.analysis.metrics import finite, truth_scale
 
 if TYPE_CHECKING:
     from gbspec.analysis.predict import Prediction
-    from gbspec.data.trajectories import Trajectory
+    from gbspec.data.trajectories import Trajectories, Trajectory
+    from gbspec.runs.store import Run
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 LEANS = 0.01
 """A difference above this part of the states' range means that the right-hand side leans on its step."""
 LOOKED_AT = 24
 """How many trajectories are solved again with fixed steps."""
+STATES_LOOKED_AT = 600
+"""The same after a fit, as states of all of them together: a model with many of them gets fewer trajectories."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,32 @@ class StepCheck:
         )
 
 
+def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
+    """The check of each member of a run that was just fitted to `trajectories`, from the starts that it learned."""
+    from gbspec.analysis.predict import learned_positions, learned_start, predict
+    from gbspec.backends.casadi.evaluator import Evaluator
+
+    checks = []
+    count = max(1, min(LOOKED_AT, STATES_LOOKED_AT // len(run.model.states)))
+    for member in run.members:
+        positions = learned_positions(member, trajectories, run.fit.get("data", {}))
+        fitted = [(i, position) for i, position in enumerate(positions) if position is not None]
+        chosen = _spread(fitted, count)
+        evaluator = Evaluator(member)
+        items = [trajectories.items[i] for i, _ in chosen]
+        starts = [learned_start(evaluator, position, trajectories.items[i]) for i, position in chosen]
+        predicted = [predict(evaluator, run.model, item, start) for item, start in zip(items, starts, strict=True)]
+        checks.append(step_check(evaluator, member.info.get("max_step"), items, predicted))
+    return tuple(checks)
+
+
+def _spread(items: Sequence[T], count: int) -> list[T]:
+    """At most `count` of the items, evenly from the first to the last."""
+    if not items:
+        return []
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).astype(int))]
+
+
 def step_check(
     evaluator: Any, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
 ) -> StepCheck:
@@ -77,7 +107,7 @@ def step_check(
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
     if step is None or not pairs:
         return StepCheck(None, None, step)
-    chosen = [pairs[i] for i in np.unique(np.linspace(0, len(pairs) - 1, min(LOOKED_AT, len(pairs))).astype(int))]
+    chosen = _spread(pairs, LOOKED_AT)
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])

@@ -68,6 +68,11 @@ class Validation:
         """The trajectories that could not be solved."""
         return tuple(item.trajectory for item in self.trajectories if item.failure)
 
+    def warnings_after(self, fit: Mapping[str, Any]) -> list[str]:
+        """The warnings of a fit (`fit.json`), then those of its validation that it does not say already."""
+        known = list(fit.get("warnings", []))
+        return known + [warning for warning in self.warnings if not any(warning in one for one in known)]
+
     def to_json(self) -> dict[str, object]:
         """The document of `validate --json`."""
         document: dict[str, object] = {

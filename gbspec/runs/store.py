@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -69,6 +69,12 @@ class Run:
             if name in self.values and f"per_trajectory.{name}" in weights:
                 weights[f"per_trajectory.{name}"] = np.full_like(weights[f"per_trajectory.{name}"], self.values[name])
         return type(member)(weights, member.info)
+
+    def amended(self, **entries: Any) -> Run:
+        """The same run with other entries in `fit.json`, which is written."""
+        fit = {**self.fit, **entries}
+        files.write_json(self.path / files.FIT, fit)
+        return replace(self, fit=fit)
 
     @property
     def members(self) -> tuple[Any, ...]:

@@ -147,7 +147,7 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
         "unsolved": list(found.failed),
         "step_check": found.step_check.to_json(),
         "step_warning": found.step_check.warning,
-        "warnings": [*run.fit["warnings"], *found.warnings],
+        "warnings": found.warnings_after(run.fit),
     }
 
 

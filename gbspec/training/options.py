@@ -59,7 +59,8 @@ class TrainOptions:
     stages: str | None = field(
         default=None,
         metadata={
-            "help": "Of the stages of `auto` these alone (separated by semicolons), whether or not the data ask for them.",
+            "help": "Of the stages of `auto` these alone (separated by semicolons), whether or not the data "
+            "ask for them.",
             "metavar": "NAMES",
         },
     )

@@ -88,7 +88,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, add: Add)
         "equations": _equations(model),
         "declared": gather.declared_table(model),
         "summary": _summary(run, found),
-        "warnings": [*run.fit.get("warnings", []), *found.validation.warnings],
+        "warnings": found.validation.warnings_after(run.fit),
         "total": len(fitted.data) if fitted else 0,
         "fits": panels(gather.fits(fitted, indices)) if fitted else [],
         "residuals": [add(charts.residuals(r, model.time.name)) for r in collect.residuals(fitted)] if fitted else [],
