@@ -191,7 +191,7 @@ class TrainOptions:
             report("holdout", self.holdout, "at least 0 and below 1")
         if self.ridge is not None and not 0 <= self.ridge < float("inf"):
             report("ridge", self.ridge, "a number that is not negative")
-        for name in self.named_stages:
+        for name in self.named_stages or ([self.stages] if self.stages is not None else []):
             if name not in STAGES:
                 report("stages", name, "one of " + ", ".join(f"`{stage}`" for stage in STAGES))
         if self.stages is not None and self.method != "auto":

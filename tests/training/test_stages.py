@@ -44,6 +44,7 @@ def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) 
     ("options", "expected"),
     [
         ({"stages": "teacher forcing; teasing"}, "`--stages teasing` must be one of `adam`"),
+        ({"stages": " ; "}, "`--stages  ; ` must be one of `adam`"),
         ({"stages": "blend", "method": "lm"}, "`--method lm` must be `auto` where stages are named"),
         ({"stages": "search"}, "there is no `search` for this model, these data and this effort, but `adam`, `imputed"),
         ({"stages": "half step", "effort": "low"}, "there is no `half step`"),
