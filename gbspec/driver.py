@@ -189,13 +189,16 @@ def train(
     """Learns what the model leaves open from data, into a run directory; then every fit's step is checked."""
     from gbspec.training import train as run
 
-    return with_step_checks(run(model, data, options, directory, progress), data)
+    return with_step_checks(run(model, data, options, directory, progress), data, options)
 
 
-def with_step_checks(run: Run, data: Trajectories) -> Run:
+def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
     """The run just fitted to `data`, with the check of each member's step, and a warning of those that lean on it."""
     from gbspec.analysis.step_check import check_fit
+    from gbspec.training.context import split
 
+    if len(data) == 1:  # of one trajectory the last rows are held out; it is known by the others
+        data, _ = split(data, options.holdout, options.seed)
     checks = check_fit(run, data)
     leaning = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
     return run.amended(
@@ -212,16 +215,17 @@ def sweep(
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Trains with each point's options into a run directory of its own; a row of results for each."""
-    from gbspec.runs.store import open_run
+    from gbspec.runs.store import member_numbers, open_run
     from gbspec.training.sweep import sweep as run
 
     rows = run(model, data, points, options, directory, progress)
-    for row in rows:
-        if row.get("loss") is not None:
-            made = open_run(directory / row["run"])
-            for warning in with_step_checks(made, data).fit["warnings"][len(made.fit["warnings"]) :]:
+    for point in points:
+        if member_numbers(directory / point.name):
+            made = open_run(directory / point.name)
+            checked = with_step_checks(made, data, point.options)
+            for warning in checked.fit["warnings"][len(made.fit["warnings"]) :]:
                 if progress is not None:
-                    progress.message(f"{row['run']}: {warning}")
+                    progress.message(f"{point.name}: {warning}")
     return rows
 
 

@@ -26,6 +26,8 @@ T = TypeVar("T")
 
 LEANS = 0.01
 """A difference above this part of the states' range means that the right-hand side leans on its step."""
+CONVERGED = 1e-4
+"""Where half the step changes less than this, it is not the step that the adaptive solution differs by."""
 LOOKED_AT = 24
 """How many trajectories are solved again with fixed steps."""
 STATES_LOOKED_AT = 600
@@ -37,27 +39,36 @@ class StepCheck:
     """Largest difference, over the states' ranges, to the solution with the training's step `step`.
 
     `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None where there is no step or
-    nothing to solve; infinite where the fixed step blows up.
+    nothing to solve; infinite where the fixed step blows up. `unsolved`: trajectories that the training's step can
+    follow and the adaptive solver cannot.
     """
 
     half_step: float | None
     adaptive: float | None
     step: float | None = None
     trajectories: int = 0
+    unsolved: int = 0
 
     def to_json(self) -> dict[str, object]:
-        """Keys half_step, adaptive, then the step and how many trajectories they rest on."""
+        """Keys half_step, adaptive, the step, how many trajectories they rest on, and unsolved."""
         return {
             "half_step": None if self.half_step is None else finite(self.half_step),
             "adaptive": None if self.adaptive is None else finite(self.adaptive),
             "step": self.step,
             "trajectories": self.trajectories,
+            "unsolved": self.unsolved,
         }
 
     @property
     def warning(self) -> str | None:
         """What to say where the right-hand side leans on its step."""
-        if self.half_step is None or self.adaptive is None:
+        if self.unsolved:
+            return (
+                f"the learned right-hand side leans on its training step of {self.step:.6g}: {self.unsolved} of "
+                f"{self.unsolved + self.trajectories} trajectories that were looked at can be followed with that step "
+                "alone, not by an adaptive solver. Train with a smaller `--max-step`"
+            )
+        if self.half_step is None or self.adaptive is None or self.half_step <= CONVERGED:
             return None
         worst = max(self.half_step, self.adaptive)
         if worst <= LEANS:
@@ -105,14 +116,18 @@ def step_check(
 ) -> StepCheck:
     """Solves up to 24 trajectories again with the training's step and with half of it, from the same starts."""
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
-    if step is None or not pairs:
+    if step is None:
         return StepCheck(None, None, step)
+    failed = _spread([(item, one) for item, one in zip(items, predictions, strict=True) if one.failure], LOOKED_AT)
+    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in failed)
+    if not pairs:
+        return StepCheck(None, None, step, 0, unsolved)
     chosen = _spread(pairs, LOOKED_AT)
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])
     fine = np.concatenate([_fixed(evaluator, step / 2.0, item, one) for item, one in chosen])
-    return StepCheck(_largest(fine - coarse, scale), _largest(adaptive - coarse, scale), step, len(chosen))
+    return StepCheck(_largest(fine - coarse, scale), _largest(adaptive - coarse, scale), step, len(chosen), unsolved)
 
 
 def _fixed(evaluator: Any, step: float, item: Trajectory, one: Prediction) -> Array:

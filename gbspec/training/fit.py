@@ -6,6 +6,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations
 from pathlib import Path
@@ -52,6 +53,7 @@ def train(
     """
     shown = progress or Silent()
     fitting = Fitting(model, trajectories, options, Path(directory), shown)
+    fitting.begin()
     try:
         fit_jobs(fitting.jobs(), options, shown, fitting.take)
     finally:
@@ -77,14 +79,18 @@ class Fitting:
             if options.backend == "native":
                 choose(model, load_module(model), options, 0)
         if options.named_stages:
-            context = build_context(model, load_module(model), trajectories, options, options.seed)
+            anywhere = replace(options, backend="torch", device="cpu")  # what a worker has is not asked for here
+            context = build_context(model, load_module(model), trajectories, anywhere, options.seed)
             plan(context, context.parameters({}), {})
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
         self.record = _record(model, trajectories, options)
         self.results: dict[int, MemberResult] = {}
         self.failures: dict[int, ComputationError] = {}
-        _prepare(path, model, self.record, options)
+
+    def begin(self) -> None:
+        """Makes the directory, or finds the run to resume. Raises UserError where that cannot be."""
+        _prepare(self.path, self.model, self.record, self.options)
 
     def jobs(self, first: int = 0) -> list[Job]:
         """One job a member, numbered from `first` on."""

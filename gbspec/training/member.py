@@ -160,6 +160,8 @@ class _Runner:
         position = self.position
         if position.iteration == 0:
             if not planned.due(position.theta):
+                if self.context.options.named_stages:
+                    position.notes.append(f"the stage `{planned.name}` was asked for and had nothing to do")
                 return
             position.entry = position.theta
         stage = planned.make(position.entry)

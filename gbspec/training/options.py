@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -159,9 +160,11 @@ class TrainOptions:
 
     @property
     def named_stages(self) -> tuple[str, ...]:
-        """The stages that were asked for by name; hyphens may stand for blanks."""
-        parts = (self.stages or "").replace("-", " ").split(";")
-        return tuple(name for part in parts if (name := " ".join(part.lower().split())))
+        """The stages that were asked for by name; hyphens may stand for blanks, and commas be left out."""
+        known = {stage.replace(",", ""): stage for stage in STAGES}
+        parts = re.sub("[-_,]", " ", self.stages or "").lower().split(";")
+        names = [" ".join(part.split()) for part in parts]
+        return tuple(known.get(name, name) for name in names if name)
 
     def check(self, findings: Findings) -> None:
         """Reports every option whose value makes no sense (GB850)."""
@@ -206,7 +209,8 @@ class TrainOptions:
 
     def to_json(self) -> dict[str, Any]:
         """All options by name, as `fit.json` keeps them, but for those that belong to a call and not to a run."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")}
+        named = {"stages": "; ".join(self.named_stages) or None}
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")} | named
 
 
 def _number(text: str) -> float | None:

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
-from gbspec.diagnostics import ComputationError
+from gbspec.diagnostics import ComputationError, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.training.levenberg import use_threads
@@ -137,9 +137,12 @@ class Engine(Protocol):
 
 
 def _collect(engine: Engine, jobs: Sequence[Job], progress: Progress, take: Take) -> None:
-    """Waits for all jobs. On SIGINT every worker is told to stop after its iteration, and is waited for."""
+    """Waits for all jobs. On SIGINT every worker is told to stop after its iteration, and is waited for.
+
+    So they are where one of them raises UserError, which is then raised here.
+    """
     waiting = [(engine.submit(job), job) for job in jobs]
-    stopped = False
+    stopped, wrong = False, None
     with uninterrupted() as interrupted:
         while waiting:
             _drain(engine.messages, progress)
@@ -149,11 +152,17 @@ def _collect(engine: Engine, jobs: Sequence[Job], progress: Progress, take: Take
             still: list[tuple[Pending, Job]] = []
             for pending, job in waiting:
                 if pending.done():
-                    _take(engine, pending, job, take)
+                    try:
+                        _take(engine, pending, job, take)
+                    except UserError as error:  # the others end after their iteration, and are kept
+                        wrong = error
+                        engine.stop()
                 else:
                     still.append((pending, job))
             waiting = still
         _drain(engine.messages, progress)
+        if wrong is not None:
+            raise wrong
         if interrupted():
             raise KeyboardInterrupt
 

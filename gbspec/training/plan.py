@@ -105,7 +105,7 @@ def plan(context: Context, parameters: Parameters, marks: Mapping[str, Array]) -
     missing = [name for name in named if name not in [stage.name for stage in stages]]
     if missing:
         there = ", ".join(f"`{stage.name}`" for stage in stages)
-        message = f"`--stages`: there is no `{missing[0]}` for this model, these data and this effort, but {there}"
+        message = f"`--stages`: there is no `{missing[0]}` for this model and data with these options, but {there}"
         raise UserError([Diagnostic("GB850", message, None)])
     return [replace(stage, wanted=lambda theta: True) for stage in stages if stage.name in named] if named else stages
 
@@ -252,8 +252,12 @@ class _Planner:
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Regularised where there are few data, else plain."""
-        enough = self._above_step_error if self.options.half_step and self.limits["half"] else self.enough
+        enough = self._above_step_error if self._half_step_follows() else self.enough
         return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02, enough=enough)
+
+    def _half_step_follows(self) -> bool:
+        named = self.options.named_stages
+        return self.options.half_step and self.limits["half"] > 0 and (not named or HALF_STEP in named)
 
     def _close(self, theta: Array) -> LevenbergOptions:
         """As before, from where an earlier stage came to."""

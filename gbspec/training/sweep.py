@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,9 @@ def sweep(
     on SIGINT, after writing what can be resumed.
     """
     shown = progress or Silent()
-    runs = [Fitting(model, trajectories, point.options, directory / point.name, shown) for point in points]
+    runs = [_fitting(model, trajectories, point, directory, shown) for point in points]
+    for run in runs:
+        run.begin()
     jobs: list[Job] = []
     of_job: dict[int, Fitting] = {}
     for run in runs:
@@ -63,6 +66,13 @@ def sweep(
         rows = [_row(point, run) for point, run in zip(points, runs, strict=True)]
         _write(directory / TABLE, rows)
     return rows
+
+
+def _fitting(model: Model, trajectories: Trajectories, point: Point, directory: Path, shown: Progress) -> Fitting:
+    """A point's run: resumed where it was begun, as a sweep that goes on may have new points."""
+    path = directory / point.name
+    resume = point.options.resume and (path / files.FIT).is_file()
+    return Fitting(model, trajectories, replace(point.options, resume=resume), path, shown)
 
 
 def _least(run: Fitting) -> float:

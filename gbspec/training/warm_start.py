@@ -245,7 +245,7 @@ def regress_slopes(parameters: Parameters, module: Any, points: Points, theta: A
     scale = torch.from_numpy(points.scale[equations])
     moments = Moments.zero(len(shared))
     of_a_point = len(_free_outputs(model, module, points.some(np.arange(1)), np.zeros(len(model.learnables))).neutral)
-    size = min(BATCH, len(points), EVALUATIONS // of_a_point + 1)
+    size = min(BATCH, len(points), EVALUATIONS // max(of_a_point, 1) + 1)
     for i in range(REGRESSION_STEPS):
         batch = points.some(rng.integers(0, len(points), size))
         leaf = torch.from_numpy(shared).requires_grad_()

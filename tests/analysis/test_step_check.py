@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gbspec import driver
+from gbspec.analysis.step_check import StepCheck
 from gbspec.analysis.validate import validate
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings
@@ -55,6 +57,36 @@ def test_a_fit_that_holds_at_any_step_has_its_check_and_no_warning(data: Traject
     assert not any("leans" in warning for warning in run.fit["warnings"])
 
 
+def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> None:
+    model = model_of("model blow\nstate x in [0, 1000] = 1\nlearn k = 0.5 in [0.01, 3]\nx' = k*x^2\nobserve x\n")
+    rows = []
+    for start in (1.0, 1.1):
+        rows += [(start, 0.0, start)]
+        for t in (1.0, 2.0):  # the classical step of length 1 with k = 0.75 goes through where the solution ends
+            x = rows[-1][2]
+            k1 = 0.75 * x**2
+            k2 = 0.75 * (x + k1 / 2) ** 2
+            k3 = 0.75 * (x + k2 / 2) ** 2
+            rows += [(start, t, x + (k1 + 2 * k2 + 2 * k3 + 0.75 * (x + k3) ** 2) / 6)]
+    (tmp_path / "blow.csv").write_text("trajectory,t,x\n" + "".join(f"{a},{t},{x!r}\n" for a, t, x in rows))
+    found = Findings()
+    data = driver.read_data(str(tmp_path / "blow.csv"), model, found)
+    run = driver.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
+    assert run.fit["step_checks"][0]["unsolved"] == 2
+    assert any("2 of 2 trajectories" in w and "alone, not by an adaptive solver" in w for w in run.fit["warnings"])
+
+
+def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:
+    assert StepCheck(2e-8, 0.054, 0.1, 8).warning is None
+    assert StepCheck(2e-3, 0.054, 0.1, 8).warning is not None
+
+
+def test_the_rest_of_a_single_trajectory_is_known_again(data: Trajectories, tmp_path: Path) -> None:
+    one = data.subset([3])
+    fit = driver.train(model_of(DECAY), one, tmp_path / "run", replace(options(1.0), holdout=0.3)).fit
+    assert [check["trajectories"] for check in fit["step_checks"]] == [1, 1]
+
+
 def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> None:
     said: list[str] = []
 
@@ -68,3 +100,10 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
     driver.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
     assert len(open_run(tmp_path / "short").fit["step_checks"]) == 2
     assert [text.partition(":")[0] for text in said if "leans" in text] == ["long", "long"]
+
+
+def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_path: Path) -> None:
+    model = model_of(DECAY.replace("-lost", "-run*lost").replace("unknown", "learn run = 1 in [0.1, 3]\nunknown"))
+    points = [Point("one", {}, replace(options(0.1), members=1))]
+    driver.sweep(model, data, points, tmp_path, TrainOptions(workers=1))
+    assert len(open_run(tmp_path / "one").fit["step_checks"]) == 1

@@ -260,7 +260,7 @@ def test_without_data_or_truth_there_is_only_the_member(write_run: Callable[...,
     assert found.to_json() == {
         "channels": {},
         "trajectories": [],
-        "step_check": {"half_step": None, "adaptive": None, "step": 0.1, "trajectories": 0},
+        "step_check": {"half_step": None, "adaptive": None, "step": 0.1, "trajectories": 0, "unsolved": 0},
         "member": 0,
         "warnings": [],
     }

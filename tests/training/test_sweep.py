@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Findings, UserError
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.sweep import sweep
@@ -82,3 +82,19 @@ def test_a_sweep_is_its_runs_and_goes_on_where_it_was_stopped(tmp_path: Path) ->
     assert [row["run"] for row in written] == [point.name for point in grid]
     assert float(written[2]["loss"]) == alone.fit["members"][0]["loss"] == rows[2]["loss"]
     assert float(written[2]["beta"]) == alone.fit["constants"]["beta"]["value"]
+
+
+def test_a_sweep_that_goes_on_may_have_new_values(tmp_path: Path) -> None:
+    model, data, findings = model_of(URP), urp_data(4, 2.0, 6), Findings()
+    sweep(model, data, points(["seed=3"], BASE, findings), BASE, tmp_path / "sweep")
+    more = points(["seed=3,4"], TrainOptions(**BASE.to_json(), resume=True), findings)
+    assert [row["members"] for row in sweep(model, data, more, BASE, tmp_path / "sweep")] == [1, 1]
+
+
+def test_a_sweep_that_is_refused_has_begun_nothing(tmp_path: Path) -> None:
+    findings = Findings()
+    base = TrainOptions(effort="low", workers=1)
+    wrong = points(["stages=teacher-forcing,half-step"], base, findings)
+    with pytest.raises(UserError, match="there is no `half step`"):
+        sweep(model_of(URP), urp_data(4, 2.0, 6), wrong, base, tmp_path / "sweep")
+    assert not (tmp_path / "sweep").exists()

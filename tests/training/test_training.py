@@ -203,3 +203,12 @@ def test_a_run_solves_with_the_step_that_it_was_fitted_with_last(tmp_path: Path)
         assert run.max_step == step
         stages = [stage["name"] for stage in run.fit["members"][0]["stages"]]
         assert ("half step" in stages) is half_step
+
+
+def test_an_unknown_that_cancels_out_leaves_the_rest_to_be_learned(tmp_path: Path) -> None:
+    declared = "state x in [0, 2] = 1\nlearn k = 2 in [0.1, 3]\nunknown f(x) by mlp(4)\n"
+    text = f"model gone\n{declared}x' = -k*x + 0*f\nobserve x\n"
+    items = [trajectory(str(a), 0.0, [0.0, 1.0, 2.0], [[a * math.exp(-t)] for t in range(3)], []) for a in (1.0, 1.5)]
+    data = Trajectories(tuple(items), ("x",), "made.csv", f"{0:064x}")
+    run = train(model_of(text), data, TrainOptions(effort="low", workers=1), tmp_path / "run")
+    assert run.fit["constants"]["k"]["value"] == pytest.approx(1.0, abs=0.02)
