@@ -257,7 +257,7 @@ class _Runner:
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             # The largest step that the weights were fitted with last.
-            "max_step": self.context.max_step * step_fraction(position.marks),
+            "max_step": self.context.max_step * step_fraction([str(stage["name"]) for stage in position.stages]),
             "seed": self.context.seed,
             "labels": result.labels,
             # The learned initial states are found again by content, whatever table a trajectory comes in.

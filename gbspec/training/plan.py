@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,9 +110,9 @@ def plan(context: Context, parameters: Parameters, marks: Mapping[str, Array]) -
     return [replace(stage, wanted=lambda theta: True) for stage in stages if stage.name in named] if named else stages
 
 
-def step_fraction(marks: Mapping[str, Array]) -> float:
-    """The fraction of the largest step at which the last stage fitted; `marks` has the names of those that ran."""
-    return 0.5 if HALF_STEP in marks and not {"blend", "autoregressive"} & set(marks) else 1.0
+def step_fraction(begun: Collection[str]) -> float:
+    """The fraction of the largest step at which the last of the stages that were begun fits."""
+    return 0.5 if HALF_STEP in begun and not {"blend", "autoregressive"} & set(begun) else 1.0
 
 
 class _Planner:

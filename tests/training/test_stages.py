@@ -8,7 +8,8 @@ import pytest
 
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import UserError
-from gbspec.training import TrainOptions, plan, train
+from gbspec.runs import open_run
+from gbspec.training import TrainOptions, Update, plan, train
 from gbspec.training.options import STAGES
 from gbspec.training.preparation import prepare
 from tests.training.conftest import URP, Recorder, model_of, urp_data
@@ -25,6 +26,22 @@ def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_pat
     assert {update.stage for update in recorder.updates} == {"warm start", stage}
     assert losses[-1] < losses[0]
     assert run.member().info["max_step"] == (0.05 if stage == "half step" else 0.1)
+
+
+def test_a_run_that_was_stopped_has_the_step_that_it_was_fitting_with(tmp_path: Path) -> None:
+    options = TrainOptions(stages="half step; autoregressive", max_step=0.1, workers=1)
+    with pytest.raises(KeyboardInterrupt):
+        train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "half", Recorder(interrupt_after=3))
+    assert open_run(tmp_path / "half").member().info["max_step"] == 0.05
+
+    class Later(Recorder):
+        def update(self, update: Update) -> None:
+            self.interrupt_after = len(self.updates) + 1 if update.stage == "autoregressive" else None
+            super().update(update)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "whole", Later())
+    assert open_run(tmp_path / "whole").member().info["max_step"] == 0.1
 
 
 def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) -> None:
