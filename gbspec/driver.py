@@ -187,9 +187,16 @@ def train(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
     """Learns what the model leaves open from data, into a run directory; then every fit's step is checked."""
+    return with_step_checks(fit(model, data, directory, options, progress), data, options)
+
+
+def fit(
+    model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
+) -> Run:
+    """The same without the check, for studies, which judge their fits themselves."""
     from gbspec.training import train as run
 
-    return with_step_checks(run(model, data, options, directory, progress), data, options)
+    return run(model, data, options, directory, progress)
 
 
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:

@@ -168,7 +168,7 @@ def _fitted(
     resumed = replace(training, resume=(place / files.FIT).is_file())
     record: dict[str, Any] = {"fold": fold.number, "points": []}
     try:
-        run = driver.train(model, fold.kept, place, resumed, progress)
+        run = driver.fit(model, fold.kept, place, resumed, progress)
         points = held_out(run, fold, options.window)
         record["points"] = [{k: v for k, v in asdict(p).items() if k in _KNOWN or math.isfinite(v)} for p in points]
     except ComputationError as error:

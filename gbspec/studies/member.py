@@ -101,7 +101,7 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
     data = measured(task, model, place)
     prepared = time.process_time(), time.monotonic()
     options = replace(task.training, seed=task.seed, resume=resumed, threads=threads)
-    run = driver.train(model, data, place.run(task), options)
+    run = driver.fit(model, data, place.run(task), options)
     fitted = time.process_time(), time.monotonic()
     found = check(run, data, task)
     return {
@@ -147,7 +147,7 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
         "unsolved": list(found.failed),
         "step_check": found.step_check.to_json(),
         "step_warning": found.step_check.warning,
-        "warnings": found.warnings_after(run.fit),
+        "warnings": [*run.fit["warnings"], *found.warnings],
     }
 
 

@@ -143,10 +143,8 @@ class _Planner:
             blend = 0.0 if "autoregressive" in self.marks else self.blend
             return Breeding(self.context, self.released, blend)
 
-        def possible(theta: Array) -> bool:
-            return bool(self.parameters.start_free.any())
-
-        return Planned(Breeding.name, 1, make, lambda theta: True, possible)
+        free = bool(self.parameters.start_free.any())
+        return Planned(Breeding.name, 1, make, lambda theta: True, lambda theta: free)
 
     def _chosen(self) -> Planned:
         """The one optimiser that was asked for."""

@@ -1,5 +1,5 @@
 """Names and expressions of a model in LaTeX's mathematics."""
-# ruff: noqa: N802, N815 - sympy finds a printer's methods by these names
+# ruff: noqa: N802, N815 - sympy finds a printer's methods by the names of its classes
 
 from __future__ import annotations
 
@@ -51,7 +51,6 @@ def _word(part: str) -> str:
 class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
     """sympy's printer with this project's names, unknown functions, and floats in full."""
 
-    # ruff's rule on names of functions does not hold here: sympy finds these methods by the names of its classes
     def _print_Symbol(self, expr: sympy.Symbol, style: str = "plain") -> str:
         return r"\mathcal{N}" if expr == NN else name(expr.name)
 

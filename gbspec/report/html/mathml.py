@@ -1,5 +1,5 @@
 """A model's equations in presentation MathML, which browsers typeset without scripts or fonts of ours."""
-# ruff: noqa: N802 - sympy finds a printer's methods by these names
+# ruff: noqa: N802 - sympy finds a printer's methods by the names of its classes
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ _ENTITIES = {"&InvisibleTimes;": "&#x2062;", "&ExponentialE;": "e", "&ApplyFunct
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is untyped
     """sympy's printer with unknown functions by their names, floats in full, and pieces under a brace."""
 
-    # ruff's rule on names of functions does not hold here: sympy finds these methods by the names of its classes
     def _print_Float(self, expr: sympy.Float) -> Any:
         digits, _, exponent = repr(float(expr)).partition("e")
         number = self._leaf("mn", digits.removesuffix(".0"))
