@@ -31,10 +31,10 @@ import gbspec
 from benchmarks.harness import markdown, parser, pinned, processor_seconds, say, write
 from benchmarks.variants import prepare_jax
 from benchmarks.workload import MAX_STEP, REGION, Array, Size, Workload, of_data
-from gbspec.analysis.metrics import norms
+from gbspec.analysis.prediction.metrics import norms
 from gbspec.data.trajectories import Trajectories
-from gbspec.training.packing import pack
-from gbspec.training.problem import measured_states
+from gbspec.training.problem.packing import pack
+from gbspec.training.problem.problem import measured_states
 
 FITS = {
     "gbspec": ("**gbspec train**", "", ""),
@@ -111,8 +111,8 @@ class Record:
 def fit_gbspec(table: Trajectories, **options: Any) -> Record:
     """`gbspec train`; snapshots are its own checkpoints, which are written more often than usual."""
     from gbspec.runs import files
-    from gbspec.training import member
-    from gbspec.training.parameters import Parameters
+    from gbspec.training.problem.parameters import Parameters
+    from gbspec.training.runs import member
 
     model = gbspec.load("urp_gb2")
     member.SAVE_EVERY = 0.5

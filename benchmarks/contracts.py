@@ -28,10 +28,10 @@ from gbspec.lower import lower
 from gbspec.passes.contracts import with_contracts
 from gbspec.semantics import check
 from gbspec.syntax.parser import parse
-from gbspec.training.context import build_context
-from gbspec.training.jacobian import linearise
-from gbspec.training.objective import objective
+from gbspec.training.engines.objective import objective
+from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.options import TrainOptions
+from gbspec.training.recipe.context import build_context
 
 TEXT = """model urp
 state x1 in [0, 1]

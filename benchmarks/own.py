@@ -8,8 +8,8 @@ from functools import partial
 import torch
 
 from benchmarks.workload import Array, Workload
-from gbspec.training.native import _spaces, half_squares, kernel_of
-from gbspec.training.unroll import measured_residuals, unroll
+from gbspec.training.engines.native.kernel import _spaces, half_squares, kernel_of
+from gbspec.training.engines.torch.unroll import measured_residuals, unroll
 
 Step = Callable[[], tuple[float, Array]]
 

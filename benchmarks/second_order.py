@@ -17,11 +17,11 @@ import torch
 
 from benchmarks.harness import busyness, interleaved, markdown, parser, say, write
 from benchmarks.workload import Size, Workload, make
-from gbspec.training.jacobian import linearise
-from gbspec.training.levenberg import NormalEquations
-from gbspec.training.native import kernel_of
-from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions
-from gbspec.training.stages import State
+from gbspec.training.engines.native.kernel import kernel_of
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
+from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.recipe.stages import State
 
 ITERATIONS = 4
 

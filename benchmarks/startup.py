@@ -28,7 +28,7 @@ COMPILED: Mapping[str, Sequence[Dtype]] = {"jax-checkpoint": ("float32",), "diff
 KERNEL = """
 import time, gbspec, torch
 from gbspec.backends.module import load_module
-from gbspec.training.native import kernel_of
+from gbspec.training.engines.native.kernel import kernel_of
 model = gbspec.load("{model}").model
 module = load_module(model)
 began = time.perf_counter()

@@ -12,7 +12,7 @@ import torch
 
 from benchmarks.harness import pinned
 from benchmarks.workload import Array, Workload
-from gbspec.training.unroll import measured_residuals, unroll
+from gbspec.training.engines.torch.unroll import measured_residuals, unroll
 
 Dtype = Literal["float32", "float64"]
 

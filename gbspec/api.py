@@ -27,16 +27,16 @@ register()
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.diagram import Diagram
-    from gbspec.analysis.eigen import Eigen
-    from gbspec.analysis.forecast import Forecast
-    from gbspec.analysis.initial_states import InitialStates
-    from gbspec.analysis.plane_diagram import PlaneDiagram
-    from gbspec.analysis.validate import Validation
+    from gbspec.analysis.bifurcation.diagram import Diagram
+    from gbspec.analysis.bifurcation.eigen import Eigen
+    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
+    from gbspec.analysis.prediction.forecast import Forecast
+    from gbspec.analysis.prediction.initial_states import InitialStates
+    from gbspec.analysis.validation.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
     from gbspec.studies.crossvalidation import CrossValidation
-    from gbspec.training.profile import Profile
+    from gbspec.training.profile.likelihood import Profile
     from gbspec.training.progress import Progress
 
 

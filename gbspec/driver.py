@@ -15,14 +15,14 @@ from gbspec.diagnostics import Findings, Source, UserError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.diagram import Diagram
-    from gbspec.analysis.eigen import Eigen
-    from gbspec.analysis.forecast import Forecast
-    from gbspec.analysis.initial_states import InitialStates
-    from gbspec.analysis.plane_diagram import PlaneDiagram
-    from gbspec.analysis.predict import Prediction
-    from gbspec.analysis.system import Box, System
-    from gbspec.analysis.validate import Validation
+    from gbspec.analysis.bifurcation.diagram import Diagram
+    from gbspec.analysis.bifurcation.eigen import Eigen
+    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
+    from gbspec.analysis.prediction.forecast import Forecast
+    from gbspec.analysis.prediction.initial_states import InitialStates
+    from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.analysis.systems.system import Box, System
+    from gbspec.analysis.validation.validate import Validation
     from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.sampling import SimulateOptions
     from gbspec.data.trajectories import Trajectories
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from gbspec.runs.store import Run
     from gbspec.training import Progress
     from gbspec.training.options import TrainOptions
-    from gbspec.training.profile import Profile
-    from gbspec.training.variations import Point
+    from gbspec.training.profile.likelihood import Profile
+    from gbspec.training.runs.variations import Point
 
 
 # ---------------------------------------------------------------------------------------------- text to Model
@@ -154,7 +154,7 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectories:
     """Simulated measurements of a subject; conditions that were set are held there."""
-    from gbspec.analysis.simulate import simulate as run
+    from gbspec.analysis.simulation.simulate import simulate as run
     from gbspec.data.sampling import fixed
 
     return run(source.evaluator, source.model, fixed(options, source.values, source.model), like, progress)
@@ -201,8 +201,8 @@ def fit(
 
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
     """The run just fitted to `data`, with the check of each member's step, and a warning of those that lean on it."""
-    from gbspec.analysis.step_check import check_fit
-    from gbspec.training.context import split
+    from gbspec.analysis.validation.step_check import check_fit
+    from gbspec.training.recipe.context import split
 
     if len(data) == 1:  # of one trajectory the last rows are held out; it is known by the others
         data, _ = split(data, options.holdout, options.seed)
@@ -223,7 +223,7 @@ def sweep(
 ) -> list[dict[str, Any]]:
     """Trains with each point's options into a run directory of its own; a row of results for each."""
     from gbspec.runs.store import member_numbers, open_run
-    from gbspec.training.sweep import sweep as run
+    from gbspec.training.runs.sweep import sweep as run
 
     rows = run(model, data, points, options, directory, progress)
     for point in points:
@@ -240,13 +240,13 @@ def eigen(
     source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
 ) -> Eigen:
     """Eigenvalues of a subject; of a run beside those of its model's truth, where it has one."""
-    from gbspec.analysis.eigen import eigen as run
+    from gbspec.analysis.bifurcation.eigen import eigen as run
 
     true = truth_of(source)
     truth = None if true is None else system(true)
     predicted: list[Prediction] = []
     if along is not None:
-        from gbspec.analysis.estimate import predictions
+        from gbspec.analysis.prediction.estimate import predictions
 
         data = {} if source.run is None else source.run.fit.get("data", {})
         predicted = predictions(source.evaluator, source.model, along, data)
@@ -255,7 +255,7 @@ def eigen(
 
 def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] | None = None) -> InitialStates:
     """Learned, bred and true initial states of a run's trajectories beside each other."""
-    from gbspec.analysis.initial_states import initial_states as run
+    from gbspec.analysis.prediction.initial_states import initial_states as run
 
     true = truth_of(source)
     known = {} if source.run is None else source.run.fit.get("data", {})
@@ -265,7 +265,7 @@ def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] |
 
 def truth_of(source: Subject) -> Subject | None:
     """The truth of a run's model with the same values set, None where there is none."""
-    from gbspec.analysis.truth_errors import has_reference
+    from gbspec.analysis.validation.truth_errors import has_reference
 
     if source.run is None or not has_reference(source.run.model):
         return None
@@ -276,9 +276,9 @@ def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
     """The bifurcation diagram of a subject over one of its parameters; cycles double at most `doublings` times."""
-    from gbspec.analysis.bifurcate import BifurcationOptions
-    from gbspec.analysis.bifurcate import bifurcate as run
-    from gbspec.analysis.cycles import CycleOptions
+    from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions
+    from gbspec.analysis.bifurcation.bifurcate import bifurcate as run
+    from gbspec.analysis.bifurcation.cycles import CycleOptions
 
     return run(
         system(source), over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings))
@@ -295,7 +295,7 @@ def true_diagram(
 
 def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram:
     """The Hopf and fold curves of a subject in a box of the plane of two of its parameters."""
-    from gbspec.analysis.plane_diagram import bifurcation_plane as run
+    from gbspec.analysis.bifurcation.plane_diagram import bifurcation_plane as run
 
     return run(system(source), names, boxes)
 
@@ -315,7 +315,7 @@ def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = 
 
 def joined(diagrams: Sequence[Diagram]) -> Diagram:
     """The diagram of the first of several members, its special points with intervals over all of them."""
-    from gbspec.analysis.members import with_intervals
+    from gbspec.analysis.bifurcation.members import with_intervals
 
     return with_intervals(diagrams) if len(diagrams) > 1 else diagrams[0]
 
@@ -335,14 +335,14 @@ def training_data(run: Run, findings: Findings) -> Trajectories | None:
 
 def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] = "mean") -> Validation:
     """Errors of a run on data, at half its step, by an adaptive solver, and against the truth."""
-    from gbspec.analysis.validate import validate as check
+    from gbspec.analysis.validation.validate import validate as check
 
     return check(run, data, member=member)
 
 
 def predict(run: Run, data: Trajectories, *, window: int | None = None, path: str | Path | None = None) -> Forecast:
     """Predictions of a run for a table, from the first `window` measured rows; also written to `path`, if given."""
-    from gbspec.analysis.forecast import forecast
+    from gbspec.analysis.prediction.forecast import forecast
     from gbspec.report.predictions import write
 
     found = forecast(run, data, window=window)
@@ -378,7 +378,7 @@ def profile(
     progress: Callable[[float, float], None] | None = None,
 ) -> Profile:
     """The profile likelihood of a learned constant."""
-    from gbspec.training.profile import profile as follow
+    from gbspec.training.profile.likelihood import profile as follow
 
     return follow(run, name, data, member=member, points=points, iterations=iterations, progress=progress)
 
@@ -423,6 +423,6 @@ def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] =
 
 def system(source: Subject) -> System:
     """A subject as a dynamical system to analyse."""
-    from gbspec.analysis.system import system_of
+    from gbspec.analysis.systems.system import system_of
 
     return system_of(source.evaluator, source.model)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from gbspec.analysis.estimate import Estimator
-from gbspec.analysis.initial_states import InitialStates
-from gbspec.analysis.initial_states import initial_states as compare_starts
-from gbspec.analysis.metrics import spread
-from gbspec.analysis.predict import Start, input_values, learned_positions, learned_start, predict
-from gbspec.analysis.system import system_of
+from gbspec.analysis.prediction.estimate import Estimator
+from gbspec.analysis.prediction.initial_states import InitialStates
+from gbspec.analysis.prediction.initial_states import initial_states as compare_starts
+from gbspec.analysis.prediction.metrics import spread
+from gbspec.analysis.prediction.predict import Start, input_values, learned_positions, learned_start, predict
+from gbspec.analysis.systems.system import system_of
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Array, Trajectories, Trajectory

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.diagram import Diagram
+from gbspec.analysis.bifurcation.diagram import Diagram
 from gbspec.data.trajectories import Array
 from gbspec.report import style
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from gbspec.analysis.metrics import spread
+from gbspec.analysis.prediction.metrics import spread
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report import collect, plots, unknowns

@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 TEXTS = (
     ("gbspec.api", "Specification"),
     ("gbspec.api", "FittedRun"),
-    ("gbspec.analysis.diagram", "Diagram"),
-    ("gbspec.analysis.plane_diagram", "PlaneDiagram"),
-    ("gbspec.analysis.eigen", "Eigen"),
-    ("gbspec.analysis.initial_states", "InitialStates"),
-    ("gbspec.analysis.validate", "Validation"),
-    ("gbspec.training.profile", "Profile"),
+    ("gbspec.analysis.bifurcation.diagram", "Diagram"),
+    ("gbspec.analysis.bifurcation.plane_diagram", "PlaneDiagram"),
+    ("gbspec.analysis.bifurcation.eigen", "Eigen"),
+    ("gbspec.analysis.prediction.initial_states", "InitialStates"),
+    ("gbspec.analysis.validation.validate", "Validation"),
+    ("gbspec.training.profile.likelihood", "Profile"),
 )
 """What is shown as the text that `print` gives: module and name of the type."""
 FIGURES = (
-    ("gbspec.analysis.diagram", "Diagram"),
-    ("gbspec.analysis.plane_diagram", "PlaneDiagram"),
-    ("gbspec.analysis.initial_states", "InitialStates"),
-    ("gbspec.training.profile", "Profile"),
+    ("gbspec.analysis.bifurcation.diagram", "Diagram"),
+    ("gbspec.analysis.bifurcation.plane_diagram", "PlaneDiagram"),
+    ("gbspec.analysis.prediction.initial_states", "InitialStates"),
+    ("gbspec.training.profile.likelihood", "Profile"),
     ("matplotlib.figure", "Figure"),
 )
 """What is drawn too."""
@@ -52,11 +52,11 @@ def figure(shown: Any) -> Figure:
     """The figure of a diagram, curves in a plane, initial states or a profile. Raises `TypeError` for others."""
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.diagram import Diagram
-    from gbspec.analysis.initial_states import InitialStates
-    from gbspec.analysis.plane_diagram import PlaneDiagram
+    from gbspec.analysis.bifurcation.diagram import Diagram
+    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
+    from gbspec.analysis.prediction.initial_states import InitialStates
     from gbspec.report import diagram, initial_states, plane, profile
-    from gbspec.training.profile import Profile
+    from gbspec.training.profile.likelihood import Profile
 
     match shown:
         case Figure():

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.plane import PlaneCurve
-from gbspec.analysis.plane_diagram import KINDS, PlaneDiagram
+from gbspec.analysis.bifurcation.plane import PlaneCurve
+from gbspec.analysis.bifurcation.plane_diagram import KINDS, PlaneDiagram
 from gbspec.report import style
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from gbspec.analysis.forecast import Forecast
+from gbspec.analysis.prediction.forecast import Forecast
 from gbspec.data.columns import TRAJECTORY
 from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
 from gbspec.diagnostics import Cell, Diagnostic, UserError

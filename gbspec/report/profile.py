@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from gbspec.report import style
-from gbspec.training.profile import Profile
+from gbspec.training.profile.likelihood import Profile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

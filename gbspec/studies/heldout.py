@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.metrics import finite
-from gbspec.analysis.noise import Flags, interval, logarithmic, noise_at
+from gbspec.analysis.prediction.metrics import finite
+from gbspec.analysis.prediction.noise import Flags, interval, logarithmic, noise_at
 from gbspec.data.trajectories import Array
 from gbspec.studies.folds import Fold
 
@@ -67,7 +67,7 @@ def held_out(run: Run, fold: Fold, window: int | None) -> list[Point]:
 
 
 def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
-    from gbspec.analysis.forecast import forecast
+    from gbspec.analysis.prediction.forecast import forecast
 
     found = forecast(run, fold.whole, window=window)
     points = []
@@ -79,7 +79,7 @@ def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
 
 
 def _stretches(run: Run, fold: Fold) -> list[Point]:
-    from gbspec.analysis.predict import learned_start, predict
+    from gbspec.analysis.prediction.predict import learned_start, predict
     from gbspec.backends.casadi.evaluator import Evaluator
 
     evaluators = [Evaluator(member) for member in run.members]

@@ -19,7 +19,7 @@ from gbspec.runs import files
 from gbspec.studies.tasks import Task
 
 if TYPE_CHECKING:
-    from gbspec.analysis.validate import Validation
+    from gbspec.analysis.validation.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
@@ -138,7 +138,7 @@ def measured(task: Task, model: Model, place: Place) -> Trajectories:
 
 def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
     """The errors of a fitted member on its data and against the truth, and what was warned of."""
-    from gbspec.analysis.validate import validate
+    from gbspec.analysis.validation.validate import validate
 
     found = validate(run, data, member=0, sampling=task.case.sampling, metrics=task.case.metrics)
     return {

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.predict import input_values, learned_start, needed
-from gbspec.analysis.simulate import true_starts
-from gbspec.analysis.steady import ordered_eigenvalues
-from gbspec.analysis.truth_errors import truth_evaluator, truth_model
+from gbspec.analysis.prediction.predict import input_values, learned_start, needed
+from gbspec.analysis.simulation.simulate import true_starts
+from gbspec.analysis.systems.steady import ordered_eigenvalues
+from gbspec.analysis.validation.truth_errors import truth_evaluator, truth_model
 from gbspec.data.trajectories import Array
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from itertools import pairwise
 
 from gbspec.diagnostics import Defect, Findings, Source
 from gbspec.syntax import ast
-from gbspec.syntax.build import Clause
 from gbspec.syntax.characters import clean
 from gbspec.syntax.parser import Parsed, parse, parse_statements
 from gbspec.syntax.spacing import Piece, pieces
 from gbspec.syntax.statements import split
+from gbspec.syntax.transformer import Clause
 from gbspec.syntax.walk import same
 
 WIDTH = 100

@@ -14,13 +14,13 @@ from lark.exceptions import UnexpectedInput, UnexpectedToken
 
 from gbspec.diagnostics import Diagnostic, Findings, Label, Source, Span
 from gbspec.syntax import ast
-from gbspec.syntax.build import Clause
 from gbspec.syntax.characters import clean
 from gbspec.syntax.grammar import engine
 from gbspec.syntax.mistakes import Slip, explain_slip, where
 from gbspec.syntax.names import STATEMENTS, normalise
 from gbspec.syntax.reading import read_source
 from gbspec.syntax.statements import Chunk, Comment, split
+from gbspec.syntax.transformer import Clause
 
 __all__ = ["Parsed", "parse", "parse_expression", "parse_statements", "read_source"]
 

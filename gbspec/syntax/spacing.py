@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from gbspec.syntax.build import Clause
 from gbspec.syntax.names import normalise
 from gbspec.syntax.statements import Comment
+from gbspec.syntax.transformer import Clause
 
 _TOKEN = re.compile(
     r'(?P<string>"[^"\n]*")'

@@ -23,7 +23,7 @@ def train(
     directory: Path | str,
     progress: Progress | None = None,
 ) -> Run:
-    """Fits a model to data and writes a run directory; see `gbspec.training.fit.train`, which this loads with torch."""
-    from gbspec.training.fit import train as fit
+    """Fits a model to data and writes a run directory; see `runs.fit.train`, which this loads with torch."""
+    from gbspec.training.runs.fit import train as fit
 
     return fit(model, trajectories, options, directory, progress)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
-from gbspec.analysis.diagram import Diagram
-from gbspec.analysis.members import with_intervals
-from gbspec.analysis.system import system_of
+from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate
+from gbspec.analysis.bifurcation.diagram import Diagram
+from gbspec.analysis.bifurcation.members import with_intervals
+from gbspec.analysis.systems.system import system_of
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.diagnostics import UserError
 from gbspec.driver import reference
@@ -152,7 +152,7 @@ def test_a_range_that_is_none() -> None:
 def test_a_model_that_depends_on_time_has_no_diagram() -> None:
     import casadi as ca
 
-    from gbspec.analysis.system import System
+    from gbspec.analysis.systems.system import System
 
     t, x, c, u, k = (ca.SX.sym(name, size) for name, size in zip("txcuk", (1, 1, 1, 0, 0), strict=True))
     system = System("forced", ("x",), ca.Function("rhs", [t, x, c, u, k], [-x + ca.sin(t) + c]), ("a",))

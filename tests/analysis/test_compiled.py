@@ -3,7 +3,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from gbspec.analysis.compiled import Compiled
+from gbspec.analysis.systems.compiled import Compiled
 
 
 def function() -> ca.Function:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.analysis.continuation import SteadyCurve
-from gbspec.analysis.curve import Steps
-from gbspec.analysis.family import Family
-from gbspec.analysis.hopf import analyse_hopf
-from gbspec.analysis.steady import steady_states
-from gbspec.analysis.system import System
+from gbspec.analysis.bifurcation.continuation import SteadyCurve
+from gbspec.analysis.bifurcation.curve import Steps
+from gbspec.analysis.bifurcation.hopf import analyse_hopf
+from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems.steady import steady_states
+from gbspec.analysis.systems.system import System
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import brusselator, cusp, lorenz, morris_lecar, pitchfork, textbook, urp
 

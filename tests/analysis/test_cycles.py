@@ -7,15 +7,15 @@ import itertools
 import numpy as np
 import pytest
 
-from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
-from gbspec.analysis.collocation import product_eigenvalues
-from gbspec.analysis.cycles import CycleBranch, CycleCurve, CycleOptions
-from gbspec.analysis.family import Family
-from gbspec.analysis.hopf import analyse_hopf
-from gbspec.analysis.limit_cycle import Cycle, others
-from gbspec.analysis.settle import settle
-from gbspec.analysis.steady import steady_states
-from gbspec.analysis.system import System
+from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate
+from gbspec.analysis.bifurcation.collocation import product_eigenvalues
+from gbspec.analysis.bifurcation.cycles import CycleBranch, CycleCurve, CycleOptions
+from gbspec.analysis.bifurcation.hopf import analyse_hopf
+from gbspec.analysis.bifurcation.limit_cycle import Cycle, others
+from gbspec.analysis.bifurcation.settle import settle
+from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems.steady import steady_states
+from gbspec.analysis.systems.system import System
 from tests.analysis.textbook import baltzis_fredrickson, brusselator, lorenz, morris_lecar, roessler, urp, van_der_pol
 
 

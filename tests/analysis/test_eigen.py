@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gbspec.analysis.eigen import eigen, format_eigenvalue
-from gbspec.analysis.predict import Prediction, Start
+from gbspec.analysis.bifurcation.eigen import eigen, format_eigenvalue
+from gbspec.analysis.prediction.predict import Prediction, Start
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import brusselator, textbook, urp

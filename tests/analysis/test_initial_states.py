@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from gbspec import driver
-from gbspec.analysis.initial_states import InitialStates, _modes, initial_states
-from gbspec.analysis.simulate import simulate
+from gbspec.analysis.prediction.initial_states import InitialStates, _modes, initial_states
+from gbspec.analysis.simulation.simulate import simulate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from gbspec.analysis.metrics import channel_errors, norms, relative_errors, spread
+from gbspec.analysis.prediction.metrics import channel_errors, norms, relative_errors, spread
 
 
 def test_norms_are_those_of_the_appendix() -> None:

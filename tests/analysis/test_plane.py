@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
-from gbspec.analysis.family import Family
-from gbspec.analysis.plane import PlaneCurve, fold_curve, hopf_curve
-from gbspec.analysis.system import System
+from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate
+from gbspec.analysis.bifurcation.plane import PlaneCurve, fold_curve, hopf_curve
+from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems.system import System
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import brusselator, cusp, textbook, urp
 

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from gbspec.analysis.plane_diagram import PlaneDiagram, bifurcation_plane
+from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram, bifurcation_plane
 from gbspec.diagnostics import UserError
 from gbspec.report.plane import plane
 from tests.analysis.textbook import brusselator, cusp, urp

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec.analysis.design import measurement_times
-from gbspec.analysis.simulate import SimulateOptions, simulate
+from gbspec.analysis.simulation.design import measurement_times
+from gbspec.analysis.simulation.simulate import SimulateOptions, simulate
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.sampling import fixed
 from gbspec.data.signals import evaluate

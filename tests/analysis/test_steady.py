@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.analysis.points import spread_points
-from gbspec.analysis.steady import ordered_eigenvalues, steady_states
+from gbspec.analysis.systems.points import spread_points
+from gbspec.analysis.systems.steady import ordered_eigenvalues, steady_states
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import baltzis_fredrickson, brusselator, cusp, lorenz, urp
 

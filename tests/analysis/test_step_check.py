@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from gbspec import driver
-from gbspec.analysis.step_check import StepCheck
-from gbspec.analysis.validate import validate
+from gbspec.analysis.validation.step_check import StepCheck
+from gbspec.analysis.validation.validate import validate
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions
-from gbspec.training.variations import Point
+from gbspec.training.runs.variations import Point
 from tests.training.conftest import model_of
 
 DECAY = """model decay

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import sympy
 
-from gbspec.analysis.comparison_points import sampling_for
-from gbspec.analysis.estimate import Estimator
-from gbspec.analysis.predict import learned_positions, learned_start, predict
-from gbspec.analysis.simulate import simulate
-from gbspec.analysis.step_check import StepCheck, step_check
-from gbspec.analysis.truth_errors import has_reference, truth_errors, truth_model, without_truth
-from gbspec.analysis.validate import shipped_case, validate
+from gbspec.analysis.prediction.estimate import Estimator
+from gbspec.analysis.prediction.predict import learned_positions, learned_start, predict
+from gbspec.analysis.simulation.simulate import simulate
+from gbspec.analysis.validation.comparison_points import sampling_for
+from gbspec.analysis.validation.step_check import StepCheck, step_check
+from gbspec.analysis.validation.truth_errors import has_reference, truth_errors, truth_model, without_truth
+from gbspec.analysis.validation.validate import shipped_case, validate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions

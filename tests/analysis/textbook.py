@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from gbspec.analysis.system import System
+from gbspec.analysis.systems.system import System
 
 
 def textbook(

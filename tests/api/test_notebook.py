@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import gbspec
-from gbspec.analysis.bifurcate import BifurcationOptions, bifurcate
+from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate
 from gbspec.report.notebook import png, register
 from tests.analysis.textbook import brusselator
 

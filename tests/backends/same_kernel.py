@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gbspec.training.jacobian import linearise
-from gbspec.training.native import Kernel, kernel_of
-from gbspec.training.objective import objective
-from gbspec.training.parameters import Parameters
-from gbspec.training.problem import Problem
+from gbspec.training.engines.native.kernel import Kernel, kernel_of
+from gbspec.training.engines.objective import objective
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
 
 DOUBLE, SINGLE = 1e-12, 1e-5
 

@@ -21,11 +21,11 @@ from gbspec.backends.native import compiler as compiling
 from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.ir.model import Model
-from gbspec.training.native import Kernel, Natural, _shared_out, half_squares
-from gbspec.training.objective import objective
-from gbspec.training.packing import pack
-from gbspec.training.parameters import Parameters
-from gbspec.training.problem import Forcing, Problem, scaling_of
+from gbspec.training.engines.native.kernel import Kernel, Natural, _shared_out, half_squares
+from gbspec.training.engines.objective import objective
+from gbspec.training.problem.packing import pack
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Forcing, Problem, scaling_of
 from tests import strategies
 from tests.backends.same_kernel import compare, compare_jacobians
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, urp_data
@@ -87,7 +87,7 @@ def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiler does not optimise, which takes most of its time."""
     monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
     monkeypatch.setattr(compiling, "_flag_sets", lambda: [["-std=gnu11", "-O0", "-shared", "-fPIC"]])
-    monkeypatch.setattr("gbspec.training.native._kernels", {})
+    monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
 
 
 SHIPPED = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*/*.gb"))
@@ -242,7 +242,7 @@ def test_jacobians_of_stretches_longer_than_what_is_kept(monkeypatch: pytest.Mon
     problem, parameters, theta = random_problem(model_of(STILL), 3, step=0.02)
     compare_jacobians(problem, parameters, theta)
     monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 20_000)
-    monkeypatch.setattr("gbspec.training.native._kernels", {})
+    monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
     compare_jacobians(problem, parameters, theta)
 
 
@@ -278,7 +278,9 @@ def test_no_instruction_set_is_assumed(
 ) -> None:
     """Standard C, a vector being one number."""
     problem, parameters, theta, kernel = small
-    monkeypatch.setattr("gbspec.training.native.source", lambda *given: "#define PLAIN_C\n" + source(*given))
+    monkeypatch.setattr(
+        "gbspec.training.engines.native.kernel.source", lambda *given: "#define PLAIN_C\n" + source(*given)
+    )
     expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, Kernel(problem.model)))
     assert found[0] == pytest.approx(expected[0], rel=1e-13)
     assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())

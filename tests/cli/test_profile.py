@@ -147,7 +147,7 @@ def test_fits_are_kept_and_used_again(place: Path, here: Path, monkeypatch: pyte
         raise AssertionError("a fit was made again")
 
     with monkeypatch.context() as patched:
-        patched.setattr("gbspec.training.profile.minimise", refuse)
+        patched.setattr("gbspec.training.profile.likelihood.minimise", refuse)
         assert json.loads(call("profile", "run", "b", *data).stdout) == whole
     # A kept file that is damaged is not trusted
     Path("run/members/0/profile.b.safetensors").write_bytes(b"nothing")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from gbspec.analysis import design, simulate
+from gbspec.analysis.simulation import design, simulate
 from gbspec.data.cases import load_cases
 from gbspec.data.cells import MISSING
 from gbspec.data.sheet import SHOWN

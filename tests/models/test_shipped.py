@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from gbspec.analysis.simulate import simulate
+from gbspec.analysis.simulation.simulate import simulate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module.loader import load_module
 from gbspec.data.cases import find_cases

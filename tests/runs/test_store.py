@@ -20,7 +20,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("runs") / "run"
     options = TrainOptions(members=2, workers=1, method="gradient-matching")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbspec.training.warm_start.REGRESSION_STEPS", 50)
+        patch.setattr("gbspec.training.starts.warm_start.REGRESSION_STEPS", 50)
         train(model_of(URP), urp_data(4, 2.0, 6), options, path)
     return path
 

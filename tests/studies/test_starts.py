@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gbspec import driver
-from gbspec.analysis.simulate import simulate, true_starts
+from gbspec.analysis.simulation.simulate import simulate, true_starts
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module.loader import load_module
 from gbspec.data.sampling import SimulateOptions

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import gbspec
-from gbspec.analysis.metrics import ChannelErrors
-from gbspec.analysis.step_check import StepCheck
-from gbspec.analysis.validate import TrajectoryError, Validation
+from gbspec.analysis.prediction.metrics import ChannelErrors
+from gbspec.analysis.validation.step_check import StepCheck
+from gbspec.analysis.validation.validate import TrajectoryError, Validation
 from gbspec.runs import files
 from gbspec.studies.member import Place, errors_of
 from gbspec.studies.options import StudyOptions

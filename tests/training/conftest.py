@@ -21,9 +21,9 @@ from gbspec.lower import lower
 from gbspec.semantics import check
 from gbspec.syntax.parser import parse
 from gbspec.training import Update
-from gbspec.training.packing import pack
-from gbspec.training.parameters import Parameters
-from gbspec.training.problem import Problem, scaling_of, teacher_forcing
+from gbspec.training.problem.packing import pack
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem, scaling_of, teacher_forcing
 
 URP = """model small_urp
 state x1 in [0, 1]
@@ -187,7 +187,7 @@ def _quick() -> Iterator[None]:
     """One thread, and a warm start cut short: what follows it makes up for that on these small problems."""
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbspec.training.warm_start.REGRESSION_STEPS", 250)
+        patch.setattr("gbspec.training.starts.warm_start.REGRESSION_STEPS", 250)
         yield
 
 

@@ -15,10 +15,10 @@ from gbspec.backends.module import load_module
 from gbspec.diagnostics import Findings
 from gbspec.ir.model import Model
 from gbspec.passes.contracts import with_contracts
-from gbspec.training.affine import Form, NotAffineError, affine
-from gbspec.training.objective import objective
-from gbspec.training.problem import torch_arithmetic
-from gbspec.training.unroll import unroll
+from gbspec.training.engines.objective import objective
+from gbspec.training.engines.torch.affine import Form, NotAffineError, affine
+from gbspec.training.engines.torch.unroll import unroll
+from gbspec.training.problem.problem import torch_arithmetic
 from tests.training.conftest import URP, model_of, problem_of, urp_data
 
 HEAD = """model tank

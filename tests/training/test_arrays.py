@@ -17,10 +17,11 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings
 from gbspec.driver import load_model, reference, simulate
 from gbspec.ir.model import Model
-from gbspec.training import TrainOptions, plan, train
-from gbspec.training.collocation import FreeOutputs, Points, evaluate_rhs
-from gbspec.training.jacobian import linearise
-from gbspec.training.unroll import measured_residuals, unroll
+from gbspec.training import TrainOptions, train
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import measured_residuals, unroll
+from gbspec.training.recipe import plan
+from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 from tests.training.conftest import model_of, problem_of, trajectory
 
 COLUMN = """model column
@@ -124,9 +125,9 @@ def test_a_pointwise_rate_is_learned_from_an_array(tmp_path: Path) -> None:
 
 
 def test_many_states_are_fitted_without_a_jacobian(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.plan.PASSES", 10)
-    monkeypatch.setattr("gbspec.training.warm_start.ELIMINATION_WORK", 3e4)
-    monkeypatch.setattr("gbspec.training.warm_start.EVALUATIONS", 100)
+    monkeypatch.setattr("gbspec.training.recipe.plan.PASSES", 10)
+    monkeypatch.setattr("gbspec.training.starts.warm_start.ELIMINATION_WORK", 3e4)
+    monkeypatch.setattr("gbspec.training.starts.warm_start.EVALUATIONS", 100)
     monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 15)  # type: ignore[arg-type]
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")

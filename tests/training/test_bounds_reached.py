@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gbspec
-from gbspec.training.fit import at_bounds
+from gbspec.training.runs.fit import at_bounds
 
 TEXT = """\
 model m

@@ -101,7 +101,7 @@ def test_a_worker_that_does_not_see_the_directory_sends_its_files(
     scheduler: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What is written under this name, no worker looks for.
-    monkeypatch.setattr("gbspec.training.cluster.TOKEN", ".elsewhere")
+    monkeypatch.setattr("gbspec.training.runs.cluster.TOKEN", ".elsewhere")
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     few = OPTIONS | {"members": 1, "epochs": 1}
     alone = train(model, data, TrainOptions(**few), tmp_path / "alone")  # type: ignore[arg-type]
@@ -113,7 +113,7 @@ def test_a_worker_that_does_not_see_the_directory_sends_its_files(
 
 
 def test_no_scheduler_is_the_users_mistake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.cluster.PATIENCE", 0.2)
+    monkeypatch.setattr("gbspec.training.runs.cluster.PATIENCE", 0.2)
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     with pytest.raises(UserError, match=r"GB860.*no scheduler answers at `tcp://127.0.0.1:1`"):
         train(model, data, TrainOptions(scheduler="tcp://127.0.0.1:1"), tmp_path / "run")

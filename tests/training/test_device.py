@@ -12,8 +12,8 @@ import torch
 
 from gbspec.diagnostics import UserError
 from gbspec.training import TrainOptions, train
-from gbspec.training.jacobian import _Sweep, linearise
-from gbspec.training.unroll import unroll
+from gbspec.training.engines.torch.jacobian import _Sweep, linearise
+from gbspec.training.engines.torch.unroll import unroll
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU here")

@@ -16,14 +16,14 @@ from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
-from gbspec.training.cut_steps import placed
-from gbspec.training.doses import delivered
-from gbspec.training.jacobian import linearise
-from gbspec.training.native import Kernel, half_squares, kernel_of
-from gbspec.training.objective import objective
-from gbspec.training.parameters import Parameters
-from gbspec.training.problem import Problem
-from gbspec.training.unroll import measured_residuals, solve, unroll
+from gbspec.training.engines.native.cut_steps import placed
+from gbspec.training.engines.native.kernel import Kernel, half_squares, kernel_of
+from gbspec.training.engines.objective import objective
+from gbspec.training.engines.torch.doses import delivered
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import measured_residuals, solve, unroll
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
 from tests.backends.same_kernel import compare
 from tests.training.conftest import model_of, problem_of, trajectory
 
@@ -183,7 +183,7 @@ def test_learned_lags_in_parts_of_solutions_and_of_data(monkeypatch: pytest.Monk
     same_by_the_kernel(problem, parameters, theta)
     whole = kernel_of(problem.model, type(problem.module))
     monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 12_000)
-    monkeypatch.setattr("gbspec.training.native._kernels", {})
+    monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
     same_by_the_kernel(problem, parameters, theta)
     kernel, index = kernel_of(problem.model, type(problem.module)), np.array([2, 0])
     assert isinstance(kernel, Kernel)

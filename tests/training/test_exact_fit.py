@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gbspec
-from gbspec.training.levenberg import Cholesky, NormalEquations
+from gbspec.training.optimise.normal_equations import Cholesky, NormalEquations
 
 TEXT = """\
 model m

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import gbspec
-from gbspec.training.context import split
+from gbspec.training.recipe.context import split
 
 TEXT = """\
 model m

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from gbspec.training.jacobian import linearise
-from gbspec.training.problem import Forcing
-from gbspec.training.unroll import measured_residuals, solve, unroll
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import measured_residuals, solve, unroll
+from gbspec.training.problem.problem import Forcing
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
 
 
@@ -44,7 +44,7 @@ def test_equals_finite_differences() -> None:
 
 def test_imputed_forcing_and_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Resets of every state at every row, with the segments in many chunks."""
-    monkeypatch.setattr("gbspec.training.jacobian.CHUNK_BYTES", 20_000)
+    monkeypatch.setattr("gbspec.training.engines.torch.jacobian.CHUNK_BYTES", 20_000)
     problem, parameters, theta = problem_of(model_of(URP), urp_data(4, 2.0, 1), 0.1)
     rng = np.random.default_rng(0)
     shape = problem.forcing.value.shape

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from gbspec.data.trajectories import Array
-from gbspec.training.jacobian import linearise
-from gbspec.training.levenberg import NormalEquations
-from gbspec.training.newton import LevenbergMarquardt, LevenbergOptions, _bend, _Fit, _followed, _searched
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.optimise.levenberg_marquardt import (
+    LevenbergMarquardt,
+    LevenbergOptions,
+    _bend,
+    _Fit,
+    _followed,
+    _searched,
+)
+from gbspec.training.optimise.normal_equations import NormalEquations
 
 from .conftest import URP, model_of, problem_of, urp_data
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Signal, Trajectories
-from gbspec.training.packing import default_max_step, pack
+from gbspec.training.problem.packing import default_max_step, pack
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, trajectory, urp_data
 
 MODEL = model_of(URP)

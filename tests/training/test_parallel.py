@@ -13,7 +13,7 @@ import pytest
 
 from gbspec.diagnostics import UserError
 from gbspec.training import TrainOptions, train
-from gbspec.training.parallel import _without_main, cores
+from gbspec.training.runs.parallel import _without_main, cores
 from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 

@@ -13,18 +13,18 @@ from hypothesis import strategies as st
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Learnable, Range
-from gbspec.training.bounds import Bijections
-from gbspec.training.context import build_context
-from gbspec.training.initial_states import refit_starts
-from gbspec.training.jacobian import linearise
-from gbspec.training.levenberg import NormalEquations, huber, huber_each, huber_weights
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_each, huber_weights
 from gbspec.training.options import TrainOptions
-from gbspec.training.packing import pack
-from gbspec.training.preparation import prepare
-from gbspec.training.problem import scaling_of
-from gbspec.training.splines import fit_curves
-from gbspec.training.unroll import solve
-from gbspec.training.warm_start import eliminate
+from gbspec.training.problem.bounds import Bijections
+from gbspec.training.problem.packing import pack
+from gbspec.training.problem.problem import scaling_of
+from gbspec.training.recipe.context import build_context
+from gbspec.training.recipe.preparation import prepare
+from gbspec.training.starts.initial_states import refit_starts
+from gbspec.training.starts.splines import fit_curves
+from gbspec.training.starts.warm_start import eliminate
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
 
 RANGES = [Range(0, 50), Range(low=0.0), Range(high=3.0), Range(), Range(-2, -1)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.training.initial_states import damped_steps
+from gbspec.training.starts.initial_states import damped_steps
 
 
 def test_a_flat_direction_is_left_alone() -> None:

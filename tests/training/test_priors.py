@@ -9,9 +9,9 @@ import pytest
 
 from gbspec.data.trajectories import Trajectories
 from gbspec.training import TrainOptions, train
-from gbspec.training.jacobian import linearise
-from gbspec.training.priors import Priors, priors_at
-from gbspec.training.unroll import solve
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.optimise.priors import Priors, priors_at
 from tests.training.conftest import model_of, problem_of, trajectory
 
 SD, TIMES = 0.5, np.linspace(0.5, 4, 8)

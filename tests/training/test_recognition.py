@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gbspec.analysis.estimate import Estimator
+from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.data.window import recognised

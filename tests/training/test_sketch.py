@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.training import levenberg, sketch
-from gbspec.training.jacobian import linearise
-from gbspec.training.levenberg import NormalEquations
-from gbspec.training.sketch import Blocks, Sketch, TooSlowError
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.optimise import normal_equations, nystrom
+from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.optimise.nystrom import Blocks, Sketch, TooSlowError
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
 
 
@@ -26,9 +26,9 @@ def test_steps_equal_those_of_factored_matrices(text: str, ridge: float, monkeyp
 
     factored = equations()
     assert factored.sketch is None
-    monkeypatch.setattr(levenberg, "LEAST", 1)
-    monkeypatch.setattr(sketch, "SHARE", 1.0)
-    monkeypatch.setattr(sketch, "FIRST_RANK", 8)
+    monkeypatch.setattr(normal_equations, "LEAST", 1)
+    monkeypatch.setattr(nystrom, "SHARE", 1.0)
+    monkeypatch.setattr(nystrom, "FIRST_RANK", 8)
     sketched = equations()
     for damping in (1.0, 1e-2, 1e-4):
         one, other = sketched.step(damping), factored.step(damping)
@@ -47,8 +47,8 @@ def test_factored_matrices_serve_where_the_sketch_does_not_pay(monkeypatch: pyte
     system = linearise(problem, parameters, theta)
     ones = np.ones(len(system.residuals))
     expected = NormalEquations(system, parameters, ones, 0.0, theta).step(1e-2)
-    monkeypatch.setattr(levenberg, "LEAST", 1)
-    monkeypatch.setattr(sketch, "SHARE", 0.0)
+    monkeypatch.setattr(normal_equations, "LEAST", 1)
+    monkeypatch.setattr(nystrom, "SHARE", 0.0)
     equations = NormalEquations(system, parameters, ones, 0.0, theta)
     assert np.array_equal(equations.step(1e-2), expected)
     assert equations.sketch is None
@@ -57,7 +57,7 @@ def test_factored_matrices_serve_where_the_sketch_does_not_pay(monkeypatch: pyte
 @pytest.mark.parametrize("damping", [1e-12, 3e-12, 1e-2])
 def test_what_is_returned_is_a_solution(damping: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """At dampings near rounding the recurrence of conjugate gradients drifts away from the true residual."""
-    monkeypatch.setattr(sketch, "FIRST_RANK", 70)
+    monkeypatch.setattr(nystrom, "FIRST_RANK", 70)
     rng = np.random.default_rng(4)
     q, _ = np.linalg.qr(rng.standard_normal((300, 300)))
     shared = np.sqrt(1e4 * 0.64 ** np.arange(300))[:, None] * q

@@ -9,9 +9,10 @@ import pytest
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import UserError
 from gbspec.runs import open_run
-from gbspec.training import TrainOptions, Update, plan, train
+from gbspec.training import TrainOptions, Update, train
 from gbspec.training.options import STAGES
-from gbspec.training.preparation import prepare
+from gbspec.training.recipe import plan
+from gbspec.training.recipe.preparation import prepare
 from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 - x1)*exp(x2)")

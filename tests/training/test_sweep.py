@@ -11,8 +11,8 @@ import pytest
 from gbspec.diagnostics import Findings, UserError
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
-from gbspec.training.sweep import sweep
-from gbspec.training.variations import points
+from gbspec.training.runs.sweep import sweep
+from gbspec.training.runs.variations import points
 from tests.training.conftest import URP, Recorder, model_of, urp_data
 
 BASE = TrainOptions(method="lm", epochs=2, warm_start=False, workers=1, max_step=0.2)

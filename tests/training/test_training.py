@@ -14,7 +14,8 @@ import gbspec
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
-from gbspec.training import TrainOptions, plan, train
+from gbspec.training import TrainOptions, train
+from gbspec.training.recipe import plan
 from tests.training.conftest import URP, Recorder, model_of, trajectory, urp_data, urp_rhs
 
 
@@ -115,7 +116,7 @@ def test_options_give_a_finite_fit(more: dict[str, object], tmp_path: Path) -> N
 
 
 def test_too_much_for_a_jacobian_goes_by_minibatches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.plan.LARGEST", 1000)
+    monkeypatch.setattr("gbspec.training.recipe.plan.LARGEST", 1000)
     monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 3)  # type: ignore[arg-type]
     recorder = Recorder()
     train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(effort="low", batch_size=2), tmp_path / "run", recorder)

@@ -13,11 +13,11 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from gbspec.training import graph_memory
-from gbspec.training.parameters import Parameters
-from gbspec.training.pieces import cut
-from gbspec.training.problem import Forcing, Problem
-from gbspec.training.unroll import row_residuals, unroll
+from gbspec.training.engines.torch import memory
+from gbspec.training.engines.torch.segments import cut
+from gbspec.training.engines.torch.unroll import row_residuals, unroll
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Forcing, Problem
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
 
 
@@ -135,9 +135,9 @@ def test_a_graph_in_parts_has_the_same_gradient(text: str, monkeypatch: pytest.M
     data = urp_data(4, 2.0, 6) if text is URP else everything_data()
     problem, parameters, theta = problem_of(model_of(text), data, 0.1)
     whole = gradient(problem, parameters, theta)
-    monkeypatch.setattr(graph_memory, "FEW", 0)
-    monkeypatch.setattr(graph_memory, "GRAPH_BYTES", 100_000)
-    begun = len(graph_memory.parts([len(step.t) for step in problem.schedule.steps], lambda: 10_000))
+    monkeypatch.setattr(memory, "FEW", 0)
+    monkeypatch.setattr(memory, "GRAPH_BYTES", 100_000)
+    begun = len(memory.parts([len(step.t) for step in problem.schedule.steps], lambda: 10_000))
     assert begun > 3
     found = gradient(problem, parameters, theta)
     assert np.array_equal(found, whole)
@@ -150,21 +150,21 @@ def test_the_peak_does_not_grow_with_the_length(monkeypatch: pytest.MonkeyPatch)
     coarse_peak, fine_peak = (peak_of_gradient(each, parameters, theta) for each in (problem, finer))
     assert fine_peak > 2 * coarse_peak, "one graph grows"
     limit = coarse_peak // 4
-    monkeypatch.setattr(graph_memory, "FEW", 0)
-    monkeypatch.setattr(graph_memory, "GRAPH_BYTES", limit)
+    monkeypatch.setattr(memory, "FEW", 0)
+    monkeypatch.setattr(memory, "GRAPH_BYTES", limit)
     for each in (problem, finer):
         assert peak_of_gradient(each, parameters, theta) < 2.5 * limit
 
 
 def test_parts_are_as_long_as_the_limit_allows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_memory, "FEW", 10)
-    monkeypatch.setattr(graph_memory, "GRAPH_BYTES", 100)
-    assert graph_memory.parts([5, 5], lambda: 1 // 0) == [(0, 2)], "few sub-steps are not measured"
-    assert graph_memory.parts([10, 9, 1], lambda: 5) == [(0, 3)]
-    assert graph_memory.parts([10, 10, 9, 6, 5, 1], lambda: 5) == [(0, 2), (2, 5), (5, 6)]
-    assert graph_memory.parts([50, 3, 2], lambda: 10) == [(0, 1), (1, 3)], "a sub-step is never cut"
+    monkeypatch.setattr(memory, "FEW", 10)
+    monkeypatch.setattr(memory, "GRAPH_BYTES", 100)
+    assert memory.parts([5, 5], lambda: 1 // 0) == [(0, 2)], "few sub-steps are not measured"
+    assert memory.parts([10, 9, 1], lambda: 5) == [(0, 3)]
+    assert memory.parts([10, 10, 9, 6, 5, 1], lambda: 5) == [(0, 2), (2, 5), (5, 6)]
+    assert memory.parts([50, 3, 2], lambda: 10) == [(0, 1), (1, 3)], "a sub-step is never cut"
 
 
 def test_what_a_row_keeps_is_measured() -> None:
     weight = torch.randn(30, 30, requires_grad=True)
-    assert graph_memory.kept_bytes(lambda n: torch.tanh(torch.zeros(n, 30) @ weight)) == 2 * 30 * 4
+    assert memory.kept_bytes(lambda n: torch.tanh(torch.zeros(n, 30) @ weight)) == 2 * 30 * 4

@@ -15,7 +15,7 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report.text import number, run_summary, table
 
 if TYPE_CHECKING:
-    from gbspec.analysis.validate import Validation
+    from gbspec.analysis.validation.validate import Validation
 
 MODEL = "urp_gb2"
 ROWS = (

@@ -14,7 +14,7 @@ from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Findings
 from gbspec.report.text import number, table
 from gbspec.training.options import TrainOptions
-from gbspec.training.variations import points
+from gbspec.training.runs.variations import points
 
 
 @command(

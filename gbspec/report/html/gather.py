@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from gbspec.analysis.predict import input_values
+from gbspec.analysis.prediction.predict import input_values
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import UserError
 from gbspec.ir.model import NN, Model, Unknown

@@ -16,9 +16,9 @@ from gbspec.report.html import charts, gather, mathml
 from gbspec.runs.store import Run
 
 if TYPE_CHECKING:
-    from gbspec.analysis.diagram import Diagram
-    from gbspec.analysis.eigen import Eigen
-    from gbspec.analysis.validate import Validation
+    from gbspec.analysis.bifurcation.diagram import Diagram
+    from gbspec.analysis.bifurcation.eigen import Eigen
+    from gbspec.analysis.validation.validate import Validation
 
 IN_PLANE = 8
 """Trajectories in the phase portrait: more would hide each other."""

@@ -1,0 +1,1 @@
+"""Branches of steady states and cycles, their special points and spectra."""

@@ -1,0 +1,274 @@
+"""Bifurcation diagrams over one parameter: all branches of steady states found, and the limit cycles that they lead to.
+
+Steady states are sought from many starts at several values of the parameter; each that lies on no branch found so far
+starts another, and every branch point sends its other branches out. Cycles start at Hopf points and, where nothing
+found so far is stable, from what the flow settles to; where their period doubles, those of twice the period follow.
+Truth and fitted runs go through the same functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.bifurcation.continuation import Branch, Followed, SpecialPoint, SteadyCurve
+from gbspec.analysis.bifurcation.curve import CurvePoint, Steps
+from gbspec.analysis.bifurcation.cycles import CycleBranch, CycleCurve, CycleOptions
+from gbspec.analysis.bifurcation.diagram import Diagram
+from gbspec.analysis.bifurcation.hopf import analyse_hopf
+from gbspec.analysis.bifurcation.limit_cycle import Cycle
+from gbspec.analysis.bifurcation.settle import settle
+from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems.steady import steady_states
+from gbspec.analysis.systems.system import System
+from gbspec.diagnostics import Findings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BifurcationOptions:
+    """How a diagram is made: where steady states are sought, and how branches and cycles are followed."""
+
+    values: int = 9
+    """At how many values of the parameter, ends included, steady states are sought."""
+    starts: int = 64
+    cycles: bool = True
+    most_branches: int = 40
+    steps: Steps = field(default_factory=Steps)
+    cycle: CycleOptions = field(default_factory=CycleOptions)
+    seed: int = 0
+
+
+def bifurcate(
+    system: System,
+    over: str,
+    low: float,
+    high: float,
+    options: BifurcationOptions | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Diagram:
+    """The bifurcation diagram over `low` <= `over` <= `high`, everything else at the system's values.
+
+    Raises UserError where there is no such parameter (GB872), where the system depends on time (GB873) or lacks a
+    number (GB871), and where the range is none (GB875).
+    """
+    options = options or BifurcationOptions()
+    require_range(over, low, high)
+    family = Family(system, over)
+    explorer = _Explorer(SteadyCurve(family, low, high, options.steps), options, progress or (lambda text: None))
+    explorer.steady()
+    if options.cycles:
+        explorer.cycles_from_hopf()
+        explorer.cycles_from_flow()
+    bounds = system.trained.get(over, system.range(over))
+    return Diagram(
+        name=system.name,
+        parameter=over,
+        low=low,
+        high=high,
+        states=system.states,
+        branches=tuple(explorer.branches),
+        special=tuple(sorted(explorer.special, key=lambda point: (point.value, point.kind))),
+        cycles=tuple(explorer.cycles),
+        trained=bounds if np.isfinite(bounds).all() else None,
+    )
+
+
+def require_range(name: str, low: float, high: float) -> None:
+    """Raises UserError (GB875) unless `low` and `high` are the ends of a range."""
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        findings = Findings()
+        findings.error(
+            "GB875",
+            f"`{name}` cannot be varied from {low:.6g} to {high:.6g}",
+            None,
+            help="give two numbers, the lower one first: `--range 0.2 0.5`",
+        )
+        findings.raise_if_failed()
+
+
+class _Explorer:
+    """Finds branch after branch."""
+
+    def __init__(self, curve: SteadyCurve, options: BifurcationOptions, progress: Callable[[str], None]) -> None:
+        self.curve, self.options, self.progress = curve, options, progress
+        self.followed: list[list[CurvePoint]] = []
+        self.branches: list[Branch] = []
+        self.special: list[SpecialPoint] = []
+        self.cycles: list[CycleBranch] = []
+        self.values = np.linspace(curve.low, curve.high, options.values)
+
+    # ------------------------------------------------------------------ steady states
+    def steady(self) -> None:
+        """All branches of steady states that the starts lead to."""
+        family = self.curve.family
+        # Inner values first: a branch that crosses the range is then followed once, in both directions.
+        order = sorted(self.values, key=lambda value: abs(value - (self.curve.low + self.curve.high) / 2.0))
+        for value in order:
+            seeds = np.array([points[len(points) // 2].y[:-1] * self.curve.scale[:-1] for points in self.followed])
+            found = steady_states(
+                family.at(float(value)), starts=self.options.starts, seed=self.options.seed, extra=seeds
+            )
+            for one in found:
+                self._explore(one.state, float(value))
+            self.progress(f"steady states at {family.name} = {value:.6g}: {len(found)}")
+
+    def _explore(self, state: Array, value: float) -> None:
+        """Follows the branch through a steady state in both directions, unless it is known."""
+        start = self.curve.start(state, value, forward=True)
+        if start is None or self.curve.on_branch(start.y, self.followed):
+            return
+        forward = self.curve.follow(start)
+        if forward.end == "closed":
+            self._add(Followed([start]), forward)
+            return
+        back = CurvePoint(start.y, -start.tangent, start.derivative)
+        self._add(self.curve.follow(back), forward)
+
+    def _add(self, backward: Followed, forward: Followed) -> None:
+        """Keeps a branch, its special points, and what leaves its branch points."""
+        if len(self.branches) >= self.options.most_branches:
+            return
+        points = backward.points[:0:-1] + forward.points
+        self.followed.append(points)
+        number = len(self.branches)
+        ends = backward.end or forward.end, forward.end
+        self.branches.append(Branch(tuple(self.curve.steady_point(point.y) for point in points), ends))
+        found = backward.special + forward.special
+        crossings = [point for kind, point in found if kind == "branch"]
+        for kind, point in found:
+            # The side branch of a pitchfork turns where it crosses: that is its branch point, not a fold.
+            if kind == "fold" and any(np.max(np.abs(point.y - other.y)) < 1e-5 for other in crossings):
+                continue
+            self._mark(kind, point, number)
+        for point in crossings:
+            for tangent in self.curve.crossing_tangents(point):
+                for direction in (tangent, -tangent):
+                    self._leave(point, direction)
+
+    def _leave(self, at: CurvePoint, tangent: Array) -> None:
+        """Follows a branch out of a branch point, unless it is known or leaves what is admissible at once."""
+        point = self.curve.switch(at, tangent)
+        if point is None or self.curve.on_branch(point.y, self.followed):
+            return
+        state, value = self.curve.unscaled(point.y)
+        if self.curve.low <= value <= self.curve.high and self.curve.family.system.admissible(state):
+            followed = self.curve.follow(point)
+            self._add(Followed([point], end="branch point"), followed)
+
+    def _mark(self, kind: str, point: CurvePoint, branch: int) -> None:
+        """Keeps a special point once; of a Hopf point with its criticality."""
+        state, value = self.curve.unscaled(point.y)
+        if not self.curve.family.system.admissible(state):
+            return
+        scaled = [(other.kind, self.curve.scaled(other.state, other.value)) for other in self.special]
+        if any(other == kind and np.max(np.abs(y - point.y)) < 1e-5 for other, y in scaled):
+            return
+        if kind == "hopf":
+            hopf = analyse_hopf(self.curve.family, state, value)
+            special = SpecialPoint("hopf", value, state, branch, hopf.frequency, hopf.l1, hopf.criticality, hopf.period)
+        else:
+            special = SpecialPoint("fold" if kind == "fold" else "branch", value, state, branch)
+        self.special.append(special)
+
+    # ------------------------------------------------------------------ cycles
+    def cycles_from_hopf(self) -> None:
+        """The cycles born at each Hopf point, unless another's branch of cycles ends there."""
+        curve = CycleCurve(self.curve.family, self.curve.low, self.curve.high, self.options.cycle)
+        for point in [one for one in self.special if one.kind == "hopf"]:
+            if self._ends_at(point):
+                continue
+            hopf = analyse_hopf(self.curve.family, point.state, point.value)
+            branch = curve.from_hopf(point.state, point.value, hopf)
+            self._keep(curve, branch)
+            self.progress(f"cycles from the Hopf point at {point.value:.6g}: {len(branch.cycles)} ({branch.end})")
+
+    def _ends_at(self, point: SpecialPoint) -> bool:
+        """Whether a branch of cycles found so far ends at this Hopf point."""
+        scale = self.curve.scale
+        for branch in self.cycles:
+            if branch.end != "hopf":
+                continue
+            last = branch.cycles[-1]
+            apart = np.abs((last.maximum + last.minimum) / 2.0 - point.state) / scale[:-1]
+            size = float(np.max((last.maximum - last.minimum) / scale[:-1]))
+            if abs(last.value - point.value) / scale[-1] < 0.02 and np.max(apart) < max(0.01, size):
+                return True
+        return False
+
+    def cycles_from_flow(self) -> None:
+        """Cycles at values of the parameter where nothing found is stable, from what the flow settles to."""
+        curve = CycleCurve(self.curve.family, self.curve.low, self.curve.high, self.options.cycle)
+        for value in self.values[1:-1]:
+            if self._something_stable(float(value)):
+                continue
+            orbit = settle(self.curve.family, float(value), self._start(float(value)))
+            place = None if orbit is None else curve.at(orbit.period, orbit.states, float(value))
+            if place is None:
+                continue
+            ahead, behind = curve.from_cycle(place)
+            whole = replace(
+                ahead,
+                cycles=behind.cycles[:0:-1] + ahead.cycles,
+                found=behind.found + ahead.found,
+                end=f"{behind.end}; {ahead.end}",
+                doublings=behind.doublings + ahead.doublings,
+            )
+            self._keep(curve, whole)
+            self.progress(f"cycles from the flow at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
+
+    def _something_stable(self, value: float) -> bool:
+        """Whether a stable steady state or cycle is known on both sides of a value, close to it."""
+        near = 0.6 * (self.values[1] - self.values[0])
+        for branch in self.branches:
+            for a, b in zip(branch.points[:-1], branch.points[1:], strict=True):
+                if min(a.value, b.value) <= value <= max(a.value, b.value) and (a.stable or b.stable):
+                    return True
+        for cycles in self.cycles:
+            stable = np.array([cycle.value for cycle in cycles.cycles if cycle.stable])
+            if stable.size and np.min(np.abs(stable - value)) < near:
+                below, above = stable[stable <= value], stable[stable >= value]
+                if below.size and above.size:
+                    return True
+        return False
+
+    def _start(self, value: float) -> Array:
+        """A point from which to follow the flow: off an unstable steady state, else the middle of the box."""
+        low, high = self.curve.family.system.start_box
+        for branch in self.branches:
+            values = branch.values
+            i = int(np.argmin(np.abs(values - value)))
+            if abs(values[i] - value) < 0.05 * self.curve.scale[-1]:
+                return np.asarray(np.clip(branch.states[i] + 0.02 * (high - low), low, high))
+        return np.asarray((low + high) / 2.0)
+
+    def _keep(self, curve: CycleCurve, branch: CycleBranch, doubled: int = 0) -> None:
+        """Keeps a branch of cycles and what was passed on it, then what doubles from it; it was `doubled` so often."""
+        number = len(self.cycles)
+        self.cycles.append(branch)
+        for kind, cycle in branch.found:
+            self.special.append(SpecialPoint(kind, cycle.value, cycle.states[0], number, period=cycle.period))
+        if doubled == self.options.cycle.doublings:
+            return
+        for place in branch.doublings:
+            at = curve.cycle(place)
+            if len(self.cycles) >= self.options.most_branches or self._doubled_before(at):
+                continue
+            followed = curve.from_doubling(place)
+            self.progress(f"cycles of twice the period from {at.value:.6g}: {len(followed.cycles)} ({followed.end})")
+            self._keep(curve, followed, doubled + 1)
+
+    def _doubled_before(self, at: Cycle) -> bool:
+        """Whether a branch of cycles of twice the period, followed before, ends at this period doubling."""
+        for branch in self.cycles:
+            if branch.end != "period doubling":
+                continue
+            last = branch.cycles[-1]
+            near = abs(last.value - at.value) / self.curve.scale[-1] < 0.02
+            if near and abs(last.period / (2.0 * at.period) - 1.0) < 0.02:
+                return True
+        return False

@@ -1,0 +1,291 @@
+"""Branches of steady states over one parameter: through folds, with stability, folds, Hopf points and branch points.
+
+The curve f(x, p) = 0 is followed by pseudo-arclength continuation with exact Jacobians. Test functions (Kuznetsov,
+Elements of Applied Bifurcation Theory, 3rd ed., section 10.2): the parameter's component of the tangent for folds, the
+k-th largest real part of the eigenvalues for Hopf points, and the determinant of the Jacobian bordered by the tangent
+for branch points; each sign change is located by Brent's method along the curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps
+from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems.steady import ordered_eigenvalues
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
+
+
+@dataclass(frozen=True)
+class SteadyPoint:
+    """A steady state [n] at one value of the parameter, with the Jacobian's eigenvalues by falling real part.
+
+    `outside` names what lies outside of its trained (else plausible) range there.
+    """
+
+    value: float
+    state: Array
+    eigenvalues: ComplexArray
+    outside: tuple[str, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether every eigenvalue lies in the left half plane."""
+        return bool(np.all(self.eigenvalues.real < 0.0))
+
+
+@dataclass(frozen=True)
+class SpecialPoint:
+    """A point at which the picture changes, located on its branch; `state` is [n] (of a cycle: a point on it).
+
+    Of a Hopf point: `frequency` (the critical eigenvalue's imaginary part), `period` of the cycles born there, the
+    first Lyapunov coefficient `l1` and with it the criticality. `branch` counts the branch it lies on.
+    """
+
+    kind: Kind
+    value: float
+    state: Array
+    branch: int = 0
+    frequency: float | None = None
+    l1: float | None = None
+    criticality: Literal["super", "sub"] | None = None
+    period: float | None = None
+    interval: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A branch of steady states in the order in which it was followed, and why it ends at either side."""
+
+    points: tuple[SteadyPoint, ...]
+    ends: tuple[str, str] = ("", "")
+
+    @property
+    def values(self) -> Array:
+        """The parameter [N] along the branch."""
+        return np.array([point.value for point in self.points])
+
+    @property
+    def states(self) -> Array:
+        """The states [N, n] along the branch."""
+        return np.array([point.state for point in self.points])
+
+
+@dataclass
+class Followed:
+    """One direction of a branch, as it is followed: points, special points and the reason for its end."""
+
+    points: list[CurvePoint] = field(default_factory=list)
+    special: list[tuple[Kind, CurvePoint]] = field(default_factory=list)
+    end: str = ""
+
+
+class SteadyCurve:
+    """The curve of steady states of a family over `low` <= p <= `high`, in scaled variables y = (x/scale, p/width)."""
+
+    def __init__(self, family: Family, low: float, high: float, steps: Steps | None = None) -> None:
+        self.family = family
+        self.low, self.high = low, high
+        self.scale = np.append(family.system.scale, high - low)
+        self.steps = steps or Steps()
+        self.curve = Curve(self._evaluate)
+        box_low, box_high = family.system.start_box
+        width = box_high - box_low
+        self._far = box_low - 10.0 * width, box_high + 10.0 * width
+
+    def _evaluate(self, y: Array) -> tuple[Array, Array]:
+        n = self.family.size
+        f, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
+        derivative = np.column_stack([jacobian.reshape(n, n), slope]) * self.scale
+        # Rows are balanced, so that one fast state does not decide what Newton calls small.
+        rows = np.maximum(np.abs(derivative).max(axis=1), 1e-300)
+        return f / rows, derivative / rows[:, None]
+
+    def unscaled(self, y: Array) -> tuple[Array, float]:
+        """State [n] and parameter of a scaled point."""
+        z = y * self.scale
+        return z[:-1], float(z[-1])
+
+    def scaled(self, state: Array, value: float) -> Array:
+        """The scaled point of a state [n] and a parameter."""
+        return np.asarray(np.append(state, value) / self.scale)
+
+    def eigenvalues(self, y: Array) -> ComplexArray:
+        """Eigenvalues of the Jacobian, by falling real part."""
+        state, value = self.unscaled(y)
+        n = self.family.size
+        return ordered_eigenvalues(self.family.linear(state, value)[1].reshape(n, n))
+
+    def steady_point(self, y: Array) -> SteadyPoint:
+        """The point in the user's units."""
+        state, value = self.unscaled(y)
+        return SteadyPoint(value, state, self.eigenvalues(y), self.family.at(value).outside(state))
+
+    def solve(self, state: Array, value: float) -> Array | None:
+        """The scaled steady state near `state` at exactly this value of the parameter."""
+        normal = np.zeros(len(self.scale))
+        normal[-1] = 1.0
+        corrected = self.curve.correct(self.scaled(state, value), normal, iterations=15)
+        return None if corrected is None else corrected[0]
+
+    def start(self, state: Array, value: float, forward: bool) -> CurvePoint | None:
+        """A point to follow the curve from, its tangent to larger (or smaller) values of the parameter."""
+        y = self.solve(state, value)
+        if y is None:
+            return None
+        derivative = self._evaluate(y)[1]
+        tangent = np.linalg.svd(derivative)[2][-1]
+        sign = 1.0 if (tangent[-1] >= 0.0) == forward else -1.0
+        return CurvePoint(y, sign * tangent, derivative)
+
+    # ------------------------------------------------------------------ following
+    def follow(self, start: CurvePoint, most: int = 4000) -> Followed:
+        """Follows the curve from a point along its tangent to a stated end."""
+        result = Followed([start])
+        before = start
+        unstable = self._unstable(start)
+        for point, length in self.curve.walk(start, self.steps):
+            value = self.unscaled(point.y)[1]
+            outside = value < self.low or value > self.high
+            if outside:
+                last = self._at_end(before, self.low if value < self.low else self.high)
+                if last is None:
+                    result.end = "range"
+                    return result
+                length, point = float((last.y - before.y) @ before.tangent), last
+            now = self._unstable(point)
+            result.special.extend(self._changes(before, point, length, unstable, now))
+            result.points.append(point)
+            reason = "range" if outside else self._reason_to_stop(point, start, len(result.points), most)
+            if reason:
+                result.end = reason
+                return result
+            before, unstable = point, now
+        result.end = "no step converged"
+        return result
+
+    def _at_end(self, before: CurvePoint, value: float) -> CurvePoint | None:
+        """The curve's point at an end of the range."""
+        drop = (value / self.scale[-1] - before.y[-1]) / before.tangent[-1] if before.tangent[-1] else 0.0
+        y = self.solve((before.y + drop * before.tangent)[:-1] * self.scale[:-1], value)
+        if y is None or np.max(np.abs(y - before.y)) > 3.0 * self.steps.most:
+            return None
+        derivative = self._evaluate(y)[1]
+        tangent = self.curve.tangent(derivative, before.tangent)
+        return None if tangent is None else CurvePoint(y, tangent, derivative)
+
+    def _reason_to_stop(self, point: CurvePoint, start: CurvePoint, count: int, most: int) -> str:
+        state, _ = self.unscaled(point.y)
+        if not self.family.system.admissible(state):
+            return "a state falls below its range"
+        if np.any(state < self._far[0]) or np.any(state > self._far[1]):
+            return "a state leaves its range far behind"
+        if count > 10 and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
+            near = (point.y - start.y) @ start.tangent
+            if np.linalg.norm(point.y - start.y - near * start.tangent) < 0.1 * self.steps.most:
+                return "closed"
+        return "number of points" if count >= most else ""
+
+    # ------------------------------------------------------------------ special points
+    def _unstable(self, point: CurvePoint) -> int:
+        return int(np.sum(self.eigenvalues(point.y).real > 0.0))
+
+    def _changes(
+        self, a: CurvePoint, b: CurvePoint, length: float, before: int, after: int
+    ) -> list[tuple[Kind, CurvePoint]]:
+        """The special points within one step."""
+        found: list[tuple[Kind, CurvePoint]] = []
+        if a.tangent[-1] * b.tangent[-1] < 0.0:
+            self._add(found, "fold", self.curve.locate(a, length, lambda point: float(point.tangent[-1])))
+        sign_a, size_a = np.linalg.slogdet(np.vstack([a.derivative, a.tangent]))
+        sign_b, _ = np.linalg.slogdet(np.vstack([b.derivative, b.tangent]))
+        if sign_a * sign_b < 0:
+
+            def bordered(point: CurvePoint) -> float:
+                sign, size = np.linalg.slogdet(np.vstack([point.derivative, point.tangent]))
+                return float(sign * np.exp(min(size - size_a, 700.0)))
+
+            self._add(found, "branch", self.curve.locate(a, length, bordered))
+        if abs(after - before) >= 2:
+            rank = min(before, after)
+            located = self.curve.locate(a, length, lambda point: float(self.eigenvalues(point.y)[rank].real))
+            if located is not None and abs(self.eigenvalues(located.y)[rank].imag) > 1e-7:
+                self._add(found, "hopf", located)
+        return found
+
+    @staticmethod
+    def _add(found: list[tuple[Kind, CurvePoint]], kind: Kind, point: CurvePoint | None) -> None:
+        if point is not None:
+            found.append((kind, point))
+
+    # ------------------------------------------------------------------ other branches
+    def crossing_tangents(self, at: CurvePoint) -> list[Array]:
+        """Unit tangents of the branches through a branch point other than the one it was found on.
+
+        They solve the algebraic branching equation a r^2 + 2 b r s + c s^2 = 0 on the two-dimensional null space of
+        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF.
+        """
+        left, _, right = np.linalg.svd(at.derivative)
+        psi, null = left[:, -1], right[-2:]
+        step = 1e-5
+
+        def second(direction: Array) -> Array:
+            ahead, behind = (self._raw(at.y + sign * step * direction) for sign in (1.0, -1.0))
+            return np.asarray((ahead - behind) / (2.0 * step))
+
+        psi = psi / np.maximum(np.abs(self._raw(at.y)).max(axis=1), 1e-300)
+        form = np.array([[psi @ second(u) @ v for v in null] for u in null])
+        a, b, c = form[0, 0], (form[0, 1] + form[1, 0]) / 2.0, form[1, 1]
+        discriminant = b * b - a * c
+        if discriminant <= 0.0:
+            return []
+        root = np.sqrt(discriminant)
+        size = max(abs(a), abs(b), abs(c))
+        if abs(a) > 1e-9 * size:
+            ratios = [((-b + root) / a, 1.0), ((-b - root) / a, 1.0)]
+        else:
+            ratios = [(1.0, 0.0), (-c / (2.0 * b), 1.0)]
+        tangents = [r * null[0] + s * null[1] for r, s in ratios]
+        tangents = [tangent / np.linalg.norm(tangent) for tangent in tangents]
+        return [tangent for tangent in tangents if abs(tangent @ at.tangent) < 0.999]
+
+    def _raw(self, y: Array) -> Array:
+        """DF without the balancing of rows."""
+        n = self.family.size
+        _, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
+        return np.asarray(np.column_stack([jacobian.reshape(n, n), slope]) * self.scale)
+
+    def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
+        """A point on the branch that leaves a branch point along `tangent`."""
+        length = 5e-3
+        while length > 1e-5:
+            point = self.curve.point(at.y + length * tangent, tangent)
+            if point is not None and abs(point.tangent @ tangent) > 0.9:
+                return point
+            length /= 3.0
+        return None
+
+    def on_branch(self, y: Array, branches: list[list[CurvePoint]]) -> bool:
+        """Whether a scaled point lies on one of the branches followed so far."""
+        for points in branches:
+            values = np.array([point.y for point in points])
+            side = values[:, -1] - y[-1]
+            for i in np.flatnonzero(side[:-1] * side[1:] <= 0.0):
+                width = side[i] - side[i + 1]
+                part = side[i] / width if width else 0.0
+                guess = values[i] + part * (values[i + 1] - values[i])
+                if np.max(np.abs(guess - y)) < 1e-7:
+                    return True
+                if np.max(np.abs(guess - y)) < 3.0 * self.steps.most:
+                    solved = self.solve(guess[:-1] * self.scale[:-1], y[-1] * self.scale[-1])
+                    if solved is not None and np.max(np.abs(solved - y)) < 1e-6:
+                        return True
+        return False

@@ -1,0 +1,145 @@
+"""A bifurcation diagram: branches of steady states and of cycles over one parameter, as text and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.bifurcation.continuation import Branch, SpecialPoint
+from gbspec.analysis.bifurcation.cycles import CycleBranch
+from gbspec.analysis.bifurcation.limit_cycle import Cycle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """A bifurcation diagram of `states` over `parameter` in `low`..`high`.
+
+    `trained` is the parameter's trained (else plausible) range, None where nothing is known of it.
+    """
+
+    name: str
+    parameter: str
+    low: float
+    high: float
+    states: tuple[str, ...]
+    branches: tuple[Branch, ...]
+    special: tuple[SpecialPoint, ...]
+    cycles: tuple[CycleBranch, ...]
+    trained: tuple[float, float] | None = None
+
+    def of_kind(self, *kinds: str) -> tuple[SpecialPoint, ...]:
+        """The special points of some kinds, by the parameter."""
+        return tuple(point for point in self.special if point.kind in kinds)
+
+    def drawn_at(self, point: SpecialPoint) -> Array:
+        """Where a special point is drawn [n]: at its state, or on the largest values of the cycle it belongs to."""
+        if point.kind in ("cycle_fold", "period_doubling", "torus"):
+            for kind, cycle in self.cycles[point.branch].found:
+                if (kind, cycle.value) == (point.kind, point.value):
+                    return cycle.maximum
+        return point.state
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `bifurcate --json`."""
+        return {
+            "parameter": self.parameter,
+            "range": [self.low, self.high],
+            "branches": [self._branch(branch) for branch in self.branches],
+            "special": [self._special(point) for point in self.special],
+            "cycles": [self._cycle(cycle, i) for i, branch in enumerate(self.cycles) for cycle in branch.cycles],
+            "states": list(self.states),
+            "trained": list(self.trained) if self.trained else None,
+            "cycle_branches": [
+                {"start": branch.start, "end": branch.end, "cycles": len(branch.cycles)} for branch in self.cycles
+            ],
+        }
+
+    def _named(self, state: Array) -> dict[str, float]:
+        return dict(zip(self.states, map(float, state), strict=True))
+
+    def _branch(self, branch: Branch) -> dict[str, object]:
+        points = [
+            {
+                "value": point.value,
+                "state": self._named(point.state),
+                "stable": point.stable,
+                "eigenvalues": [[float(one.real), float(one.imag)] for one in point.eigenvalues],
+                "outside": list(point.outside),
+            }
+            for point in branch.points
+        ]
+        return {"points": points, "ends": list(branch.ends)}
+
+    def _special(self, point: SpecialPoint) -> dict[str, object]:
+        return {
+            "type": point.kind,
+            "value": point.value,
+            "state": self._named(point.state),
+            "criticality": point.criticality,
+            "period": point.period,
+            "interval": None if point.interval is None else list(point.interval),
+            "frequency": point.frequency,
+            "l1": point.l1,
+            "branch": point.branch,
+        }
+
+    def _cycle(self, cycle: Cycle, branch: int) -> dict[str, object]:
+        return {
+            "value": cycle.value,
+            "period": cycle.period,
+            "max": self._named(cycle.maximum),
+            "min": self._named(cycle.minimum),
+            "stable": cycle.stable,
+            "multipliers": [[float(one.real), float(one.imag)] for one in cycle.multipliers],
+            "branch": branch,
+            "outside": list(cycle.outside),
+        }
+
+    def __str__(self) -> str:
+        lines = [f"{self.name} over {self.parameter} from {self.low:.6g} to {self.high:.6g}"]
+        for i, branch in enumerate(self.branches):
+            stable = sum(point.stable for point in branch.points)
+            beyond = sum(bool(point.outside) for point in branch.points)
+            lines.append(
+                f"  branch {i}: {len(branch.points)} steady states, {stable} stable"
+                + (f", {beyond} outside of the ranges" if beyond else "")
+                + f"; ends: {', '.join(branch.ends)}"
+            )
+        lines += [f"  {_describe(point, self.parameter, self.states)}" for point in self.special]
+        for family in self.cycles:
+            if family.cycles:
+                values = [cycle.value for cycle in family.cycles]
+                periods = [cycle.period for cycle in family.cycles]
+                stable = sum(cycle.stable for cycle in family.cycles)
+                lines.append(
+                    f"  cycles from {family.start}: {len(values)}, {stable} stable, {self.parameter} "
+                    f"{min(values):.6g} to {max(values):.6g}, period {min(periods):.6g} to {max(periods):.6g}; "
+                    f"end: {family.end}"
+                )
+        return "\n".join(lines)
+
+
+NAMES = {
+    "fold": "fold",
+    "hopf": "Hopf point",
+    "branch": "branch point",
+    "cycle_fold": "fold of cycles",
+    "period_doubling": "period doubling",
+    "torus": "torus bifurcation",
+}
+
+
+def _describe(point: SpecialPoint, parameter: str, states: Sequence[str]) -> str:
+    text = f"{NAMES[point.kind]} at {parameter} = {point.value:.10g}"
+    if point.interval is not None:
+        text += f" [{point.interval[0]:.6g}, {point.interval[1]:.6g}]"
+    if point.criticality is not None:
+        text += f", {point.criticality}critical (l1 = {point.l1:.4g})"
+    if point.period is not None:
+        text += f", period {point.period:.8g}"
+    return text + ": " + ", ".join(f"{name} = {value:.6g}" for name, value in zip(states, point.state, strict=True))

@@ -1,0 +1,266 @@
+"""Eigenvalues of the Jacobian: at given points, along trajectories, at steady states; beside the truth's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.systems.steady import ordered_eigenvalues, ordered_modes, steady_states
+from gbspec.analysis.systems.system import System, state_at
+from gbspec.diagnostics import Findings
+
+if TYPE_CHECKING:
+    from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.data.trajectories import Trajectories
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def _pairs(values: ComplexArray) -> list[list[float]]:
+    return [[float(value.real), float(value.imag)] for value in values]
+
+
+def format_eigenvalue(value: complex) -> str:
+    """An eigenvalue as people write it: `-0.5`, `0.12 + 2.3i`."""
+    if value.imag == 0.0:
+        return f"{value.real:.5g}"
+    return f"{value.real:.5g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.5g}i"
+
+
+@dataclass(frozen=True)
+class EigenPoint:
+    """The Jacobian's eigenvalues at one point, by falling real part, and the truth's at the same point.
+
+    `kind` says what the point is: `given`; `data` (measured) or `predicted`, on a trajectory that `trajectory` and
+    `time` name; or a `steady` state of the model. `outside` names what lies outside of its trained (else plausible)
+    range there. `shares` [n, n] is how much of each mode (row) each state is, all measured by their ranges.
+    """
+
+    state: Mapping[str, float]
+    condition: Mapping[str, float]
+    rhs_norm: float
+    eigenvalues: ComplexArray
+    truth: ComplexArray | None = None
+    kind: str = "given"
+    trajectory: str | None = None
+    time: float | None = None
+    outside: tuple[str, ...] = ()
+    shares: Array | None = field(default=None, repr=False)
+
+    def to_json(self) -> dict[str, object]:
+        """Keys state, condition, rhs_norm, eigenvalues, truth, then where the point comes from."""
+        document: dict[str, object] = {
+            "state": dict(self.state),
+            "condition": dict(self.condition),
+            "rhs_norm": self.rhs_norm,
+            "eigenvalues": _pairs(self.eigenvalues),
+            "truth": None if self.truth is None else _pairs(self.truth),
+            "kind": self.kind,
+        }
+        if self.trajectory is not None:
+            document |= {"trajectory": self.trajectory, "time": self.time}
+        return document | {"outside": list(self.outside)}
+
+    def __str__(self) -> str:
+        where = ", ".join(f"{name} = {value:.6g}" for name, value in {**self.state, **self.condition}.items())
+        head = self.kind if self.trajectory is None else f"{self.trajectory}, t = {self.time:.6g}"
+        lines = [f"{head}: {where}   |rhs| = {self.rhs_norm:.3g}"]
+        lines.append("  eigenvalues  " + "   ".join(map(format_eigenvalue, self.eigenvalues)))
+        if self.truth is not None:
+            lines.append("  truth        " + "   ".join(map(format_eigenvalue, self.truth)))
+        if self.outside:
+            lines.append("  outside of its range: " + ", ".join(self.outside))
+        return "\n".join(lines)
+
+
+FAST = 3.0
+"""A mode that falls to exp(-3), a twentieth, between two measurements leaves nothing for the second one to see."""
+PART = 0.5
+"""A state belongs to a mode if its part in the eigenvector is at least so much of the largest one."""
+
+
+@dataclass(frozen=True)
+class FastMode:
+    """A mode that dies out between two measurements, so that the data could not determine it.
+
+    `fastest` and `slowest` are the ends of its real part over the points; `decayed` is the time by which even the
+    slowest of them has fallen to a twentieth. `states` are those that dominate its eigenvector, largest first.
+    """
+
+    rank: int
+    fastest: float
+    slowest: float
+    states: tuple[str, ...] = ()
+
+    @property
+    def decayed(self) -> float:
+        """The time by which it has fallen to a twentieth everywhere."""
+        return -FAST / self.slowest
+
+    def to_json(self) -> dict[str, object]:
+        """Rank (from 0, by falling real part), real parts, the time of decay and the states that dominate it."""
+        return {
+            "rank": self.rank,
+            "fastest": self.fastest,
+            "slowest": self.slowest,
+            "decayed": self.decayed,
+            "states": list(self.states),
+        }
+
+    def __str__(self) -> str:
+        return f"mode {self.rank + 1}" + (f", of {', '.join(self.states)}" if self.states else "")
+
+
+@dataclass(frozen=True)
+class Eigen:
+    """Eigenvalues at several points; `interval` is the usual time between measurements, where there are data."""
+
+    points: tuple[EigenPoint, ...] = field(default=())
+    interval: float | None = None
+
+    @property
+    def fast_modes(self) -> tuple[FastMode, ...]:
+        """The modes that die out between two measurements at every point; none without data."""
+        if self.interval is None or not self.points:
+            return ()
+        rates = np.array([point.eigenvalues.real for point in self.points])
+        return tuple(
+            FastMode(rank, float(column.min()), float(column.max()), self._states_of(rank))
+            for rank, column in enumerate(rates.T)
+            if column.max() * self.interval < -FAST
+        )
+
+    def _states_of(self, rank: int) -> tuple[str, ...]:
+        """The states that dominate a mode in the mean over the points, largest part first."""
+        parts = np.mean([point.shares[rank] for point in self.points if point.shares is not None], axis=0)
+        names = list(self.points[0].state)
+        return tuple(names[i] for i in np.argsort(-parts, kind="stable") if parts[i] >= PART * parts.max())
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `eigen --json`: points, the interval between measurements, and the modes it cannot show."""
+        return {
+            "points": [point.to_json() for point in self.points],
+            "interval": self.interval,
+            "fast_modes": [mode.to_json() for mode in self.fast_modes],
+        }
+
+    def __str__(self) -> str:
+        lines = [str(point) for point in self.points] or ["no points"]
+        lines += [
+            f"{mode} (real part {mode.fastest:.4g} to {mode.slowest:.4g}), dies out within "
+            f"{mode.decayed:.3g}, between two measurements ({self.interval:.3g} apart): the data could not determine it"
+            for mode in self.fast_modes
+        ]
+        return "\n".join(lines)
+
+
+def eigen_at(system: System, x: Array, truth: System | None = None, time: float | None = None) -> EigenPoint:
+    """The eigenvalues at state `x` [n], conditions and inputs at the system's values; the truth's at the same ones."""
+    f, jacobian = system.linearise(x, time)
+    shared = {name: system.values[name] for name in (*system.conditions, *system.inputs)}
+    values, vectors = ordered_modes(jacobian * system.scale / system.scale[:, None])
+    true = None
+    if truth is not None:
+        _, true_jacobian = truth.with_values(shared).linearise(x, time)
+        true = ordered_eigenvalues(true_jacobian)
+    return EigenPoint(
+        state=dict(zip(system.states, map(float, x), strict=True)),
+        condition=shared,
+        rhs_norm=float(np.linalg.norm(f)),
+        eigenvalues=values,
+        truth=true,
+        outside=system.outside(x),
+        shares=np.abs(vectors.T),
+    )
+
+
+def eigen(
+    system: System,
+    *,
+    truth: System | None = None,
+    at: Sequence[Mapping[str, float]] = (),
+    along: Trajectories | None = None,
+    predicted: Sequence[Prediction] = (),
+    steady: bool = False,
+    starts: int = 64,
+) -> Eigen:
+    """Eigenvalues at the points `at`, along measured trajectories, and at steady states.
+
+    With `steady`, steady states are sought at every entry of `at` (which then need name no states), else at the
+    default of every condition, or at five values across the range of the one condition without a default. Along data,
+    the points are the rows at which every state is measured as a channel of its own, or with `predicted` (one for each
+    trajectory) all rows, at the predicted states where some state is not measured. Raises UserError for points that
+    name what the model does not have or leave out what it needs (GB870, GB871), GB874 for data that measure too little.
+    """
+    findings = Findings()
+    points: list[EigenPoint] = []
+    if steady:
+        for moved in _settings(system, at, findings):
+            for found in steady_states(moved, starts=starts):
+                points.append(replace(eigen_at(moved, found.state, truth), kind="steady"))
+    else:
+        for given in at:
+            place = state_at(system, given, findings)
+            if place is not None:
+                points.append(eigen_at(*place, truth))
+    findings.raise_if_failed()
+    if along is not None:
+        points.extend(_along(system, along, predicted, truth))
+    return Eigen(tuple(points), None if along is None else usual_interval(along))
+
+
+def _settings(system: System, at: Sequence[Mapping[str, float]], findings: Findings) -> Iterable[System]:
+    """The systems whose steady states are asked for."""
+    if at:
+        settings = []
+        for point in at:
+            # The states of the point do not matter here, but a misspelt name does.
+            states = {name: point.get(name, 0.0) for name in system.states}
+            place = state_at(system, {**states, **point}, findings)
+            if place is not None:
+                settings.append(place[0])
+        return settings
+    if len(system.missing) == 1:
+        low, high = system.range(system.missing[0])
+        if np.isfinite(low) and np.isfinite(high):
+            return [system.with_values({system.missing[0]: value}) for value in np.linspace(low, high, 5)]
+    return [system]
+
+
+def usual_interval(data: Trajectories) -> float | None:
+    """The median time between two rows of a trajectory; None where no trajectory has two."""
+    intervals = np.concatenate([np.diff(item.times) for item in data.items])
+    return float(np.median(intervals)) if len(intervals) else None
+
+
+def _along(
+    system: System, data: Trajectories, predicted: Sequence[Prediction], truth: System | None
+) -> Iterable[EigenPoint]:
+    """The rows of a table: measured states where all of them are, else predicted ones."""
+    missing = [name for name in system.states if name not in data.channels]
+    if missing and not predicted:
+        findings = Findings()
+        names = ", ".join(f"`{name}`" for name in missing)
+        findings.error(
+            "GB874", f"the table does not measure {names}, so it gives no points to take eigenvalues at", None,
+            help="measure every state as a channel of its own, or give points with `--at`",
+        )  # fmt: skip
+        findings.raise_if_failed()
+    for i, item in enumerate(data.items):
+        moved = system.with_values(dict(zip(system.conditions, map(float, item.condition), strict=True)))
+        measured = np.full((len(item.times), system.size), np.nan)
+        if not missing:
+            measured = item.values[:, [data.channels.index(name) for name in system.states]]
+        solved = predicted[i].states if predicted else measured
+        for row, time in enumerate(map(float, item.times)):
+            seen = bool(np.isfinite(measured[row]).all())
+            state = measured[row] if seen else solved[row]
+            if np.isfinite(state).all():
+                held = system.inputs_at(item.inputs, time)
+                point = eigen_at(moved.with_values(held), state, truth, time)
+                yield replace(point, kind="data" if seen else "predicted", trajectory=item.label, time=time)

@@ -1,0 +1,84 @@
+"""A limit cycle at one value of a parameter, in the user's units: period, extremes and Floquet multipliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.bifurcation.collocation import Orbit
+
+if TYPE_CHECKING:
+    from gbspec.analysis.systems.family import Family
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """A limit cycle at one value of the parameter: period, extremes [n] and Floquet multipliers by falling modulus.
+
+    `times` [P] of one period and `states` [P, n] draw it; `stable` leaves the multiplier 1 along the cycle out;
+    `outside` names what leaves its trained (else plausible) range on it.
+    """
+
+    value: float
+    period: float
+    maximum: Array
+    minimum: Array
+    multipliers: ComplexArray
+    times: Array = field(repr=False)
+    states: Array = field(repr=False)
+    outside: tuple[str, ...] = ()
+
+    @property
+    def stable(self) -> bool:
+        """Whether every multiplier but the trivial one lies within the unit circle."""
+        return bool(np.all(np.abs(others(self.multipliers)) < 1.0))
+
+
+def others(multipliers: ComplexArray) -> ComplexArray:
+    """The multipliers without the trivial one (the one closest to 1)."""
+    return np.delete(multipliers, int(np.argmin(np.abs(multipliers - 1.0))))
+
+
+def limit_cycle(family: Family, scale: Array, width: float, orbit: Orbit, multipliers: ComplexArray) -> Cycle:
+    """An orbit in the user's units: its states are in units of `scale` [n], its parameter in units of `width`."""
+    nodes = np.interp(np.arange(8 * orbit.intervals) / 8.0, np.arange(orbit.intervals + 1), orbit.mesh)
+    s = np.unique(np.concatenate([orbit.mesh, nodes]))
+    period = float(np.exp(orbit.log_period))
+    maximum, minimum = extremes(orbit)
+    value = orbit.parameter * width
+    system = family.at(value)
+    left = {*system.outside(maximum * scale), *system.outside(minimum * scale)}
+    return Cycle(
+        value=value,
+        period=period,
+        maximum=maximum * scale,
+        minimum=minimum * scale,
+        multipliers=multipliers,
+        times=s * period,
+        states=orbit.at(s) * scale,
+        outside=tuple(name for name in (*system.states, *system.parameters) if name in left),
+    )
+
+
+def extremes(orbit: Orbit, parts: int = 16) -> tuple[Array, Array]:
+    """Largest and smallest value [n] of the collocation polynomials, from a fine sample refined by parabolas."""
+    fine = np.interp(np.arange(parts * orbit.intervals) / parts, np.arange(orbit.intervals + 1), orbit.mesh)
+    values = orbit.at(fine)
+    before, after = np.roll(values, 1, axis=0), np.roll(values, -1, axis=0)
+    back = np.diff(np.concatenate([[fine[-1] - 1.0], fine]))[:, None]
+    ahead = np.diff(np.concatenate([fine, [1.0 + fine[0]]]))[:, None]
+    # Newton's form of the parabola through three neighbours, at its vertex where that lies between them.
+    slope = ((values - before) / back * ahead + (after - values) / ahead * back) / (back + ahead)
+    bend = ((after - values) / ahead - (values - before) / back) / (back + ahead)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        vertex = np.where(bend != 0.0, -slope / (2.0 * bend), 0.0)
+    vertex = np.clip(np.nan_to_num(vertex), -back, ahead)
+    refined = values + vertex * (slope + vertex * bend)
+    columns = np.arange(values.shape[1])
+    return refined[values.argmax(axis=0), columns], refined[values.argmin(axis=0), columns]

@@ -1,0 +1,1 @@
+"""Predictions of fitted models, and the initial states that they start from."""

@@ -1,0 +1,352 @@
+"""Predictions on new trajectories: what is per trajectory is estimated from their first rows, the rest is foretold.
+
+The weights, and the constants that all trajectories share, stay as they were learned. Of each trajectory only the rows
+of its window are looked at; what was measured later is compared with what was predicted, never used.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.prediction.estimate import Estimator
+from gbspec.analysis.prediction.metrics import finite, spread
+from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
+from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
+from gbspec.analysis.systems.system import trained_ranges
+from gbspec.diagnostics import ComputationError
+
+if TYPE_CHECKING:
+    from gbspec.data.trajectories import Trajectories, Trajectory
+    from gbspec.ir.model import Model
+    from gbspec.runs.store import Run
+
+Array = NDArray[np.float64]
+Use = Literal["training", "window", "predicted"]
+"""What a row was to the prediction: seen in training, used to estimate the start, or neither."""
+
+SHARE, LEAST = 3, 3
+"""Without `--window`, the first third of the measured rows is the window, and at least three of them."""
+NUDGE = 1e-4
+"""The step of the differences by which an estimated start's uncertainty is carried on, in units of its spread."""
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """One trajectory: at its R rows the mean, and the standard deviation of a new measurement, of V variables.
+
+    `used` says of each row what it was to the prediction; `outside` names what lies beyond the trained range there;
+    `in_logarithms` [V] says whose intervals reach by factors.
+    """
+
+    label: str
+    times: Array
+    mean: Array
+    sd: Array
+    measured: Array
+    used: tuple[Use, ...]
+    outside: tuple[tuple[str, ...], ...]
+    start: Start
+    estimated: tuple[str, ...]
+    in_logarithms: NDArray[np.bool_]
+    failure: str = ""
+
+    @property
+    def low(self) -> Array:
+        """Lower end of the 90 % interval [R, V]."""
+        return interval(self.mean, self.sd, self.in_logarithms)[0]
+
+    @property
+    def high(self) -> Array:
+        """Upper end of the 90 % interval [R, V]."""
+        return interval(self.mean, self.sd, self.in_logarithms)[1]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of `n` measurements that were not used; `covered` is the share of them inside of the intervals."""
+
+    n: int
+    rmse: float
+    nrmse: float
+    covered: float
+
+    def to_json(self) -> dict[str, object]:
+        """Numbers that do not exist are null."""
+        return {"n": self.n, **{name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}}
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The predictions of a run for a table. `variables` are the channels, then the states that are no channel."""
+
+    variables: tuple[str, ...]
+    channels: tuple[str, ...]
+    states: tuple[str, ...]
+    items: tuple[Foretold, ...]
+    members: int
+    warnings: tuple[str, ...] = ()
+
+    def errors(self) -> dict[str, Errors]:
+        """Of each channel that was measured in rows which were not used."""
+        found = {}
+        for j, name in enumerate(self.channels):
+            parts = [(item, [use == "predicted" for use in item.used]) for item in self.items if not item.failure]
+            measured = np.concatenate([np.zeros(0), *(item.measured[rows, j] for item, rows in parts)])
+            mean, low, high = (
+                np.concatenate([np.zeros(0), *(getattr(item, which)[rows, j] for item, rows in parts)])
+                for which in ("mean", "low", "high")
+            )
+            seen = np.isfinite(measured) & np.isfinite(mean)
+            if seen.any():
+                rmse = float(np.sqrt(np.mean((measured - mean)[seen] ** 2)))
+                width = float(np.std(measured[seen]))
+                inside = (measured >= low) & (measured <= high)
+                relative = rmse / width if width > 0 else math.nan
+                found[name] = Errors(int(seen.sum()), rmse, relative, float(np.mean(inside[seen])))
+        return found
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `predict --json`."""
+        return {
+            "members": self.members,
+            "trajectories": [
+                {
+                    "trajectory": item.label,
+                    "start": item.start.origin,
+                    "estimated": list(item.estimated),
+                    "initial": dict(zip(self.states, map(finite, item.start.state), strict=True)),
+                    "rows": {use: item.used.count(use) for use in ("training", "window", "predicted")},
+                    "failure": item.failure or None,
+                }
+                for item in self.items
+            ],
+            "channels": {name: one.to_json() for name, one in self.errors().items()},
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        lines = []
+        for name, one in self.errors().items():
+            lines.append(
+                f"{name}: {one.n} measurements that were not used; rmse {one.rmse:.4g}, {one.nrmse:.3g} of their "
+                f"spread, {100 * one.covered:.0f} % inside of the 90 % intervals"
+            )
+        for origin, words in ORIGINS.items():
+            of_it = [item for item in self.items if item.start.origin == origin]
+            if of_it:
+                what = ", ".join(dict.fromkeys(name for item in of_it for name in item.estimated))
+                lines.append(f"{_count(len(of_it))}: {words}" + (f" ({what})" if what else ""))
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+
+ORIGINS = {
+    "learned": "seen in training, starts from its learned initial state",
+    "known": "starts where its first row and the model say",
+    "estimated": "the start was estimated from the first rows, with everything that is shared frozen",
+    "failed": "no start was found from which it could be solved",
+}
+
+
+def _count(number: int) -> str:
+    return f"{number} {'trajectory' if number == 1 else 'trajectories'}"
+
+
+def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None) -> Forecast:
+    """Predictions of all members for every row of a table.
+
+    `window` is the number of measured rows, from the first, that the start of a new trajectory is estimated from
+    (None: a third of them, at least three). A trajectory of the training data, recognised by content, starts as it was
+    learned. The interval is of a new measurement: it holds the spread of the members, the uncertainty of what
+    was estimated (linearised), and the noise that the fit found.
+
+    Raises ComputationError where no trajectory can be solved.
+    """
+    from gbspec.backends.casadi.evaluator import Evaluator
+
+    spreads = _spreads(trajectories)
+    seers = [_Seer(Evaluator(member), run, trajectories, spreads) for member in run.members]
+    ranges = trained_ranges(run.model, run.members[0])
+    items = tuple(_foretell(seers, index, window, ranges) for index in range(len(trajectories)))
+    if items and all(item.failure for item in items):
+        first = items[0]
+        raise ComputationError(
+            f"no trajectory can be predicted: {first.failure}", where=f"trajectory {first.label}",
+            remedy="give a longer `--window`, or look at `gbspec validate` on the training data",
+        )  # fmt: skip
+    hidden = hidden_states(run.model)
+    return Forecast(
+        variables=(*trajectories.channels, *(run.model.states[i].name for i in hidden)),
+        channels=trajectories.channels,
+        states=tuple(state.name for state in run.model.states),
+        items=items,
+        members=len(seers),
+        warnings=tuple(_warnings(items, len(seers))),
+    )
+
+
+def hidden_states(model: Model) -> tuple[int, ...]:
+    """The states that no channel is called after."""
+    named = {channel.name for channel in model.channels}
+    return tuple(i for i, state in enumerate(model.states) if state.name not in named)
+
+
+def _spreads(trajectories: Trajectories) -> Array:
+    """The standard deviation [C] of each channel over the table; 1 where it does not vary or is not measured."""
+    columns = np.concatenate([item.values for item in trajectories.items]).T
+    found = [spread(column[np.isfinite(column)]) for column in columns]
+    return np.array([s if math.isfinite(s) and s > 0 else 1.0 for s in found])
+
+
+def _sizes(trajectories: Trajectories) -> Array:
+    """The typical size [C] of each channel's values over the table; 1 where it is not measured."""
+    columns = np.abs(np.concatenate([item.values for item in trajectories.items]).T)
+    return np.array([np.nanmedian(column) if np.isfinite(column).any() else 1.0 for column in columns])
+
+
+def _warnings(items: Sequence[Foretold], members: int) -> list[str]:
+    found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
+    if members == 1:
+        found.append(
+            "the run has one member, so the intervals hold the noise and the start's uncertainty, not that of what was "
+            "learned: they are too narrow (`gbspec train --members 5`)"
+        )
+    beyond = [item.label for item in items if any(item.outside)]
+    if beyond:
+        listed = ", ".join(f"`{label}`" for label in beyond[:5]) + (", ..." if len(beyond) > 5 else "")
+        found.append(f"predictions of {_count(len(beyond))} ({listed}) leave the trained range: see `outside`")
+    return found
+
+
+@dataclass(frozen=True)
+class _View:
+    """One member's prediction of one trajectory: mean [R, V] and the variance [R, V] that its start brings."""
+
+    prediction: Prediction
+    variables: Array
+    variance: Array
+
+
+class _Seer:
+    """One member over a table."""
+
+    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, spreads: Array) -> None:
+        self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
+        self.estimator = Estimator(evaluator, run.model, spreads, noise_at(run, _sizes(trajectories)))
+        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
+        self.spreads = spreads
+
+    def view(self, index: int, rows: int) -> _View:
+        """The prediction of a trajectory from its first `rows` rows."""
+        item, position = self.trajectories.items[index], self.positions[index]
+        seen = first_rows(item, rows)
+        start = self.estimator.start(seen) if position is None else learned_start(self.evaluator, position, item)
+        found, variables = self._solve(item, start)
+        variance = np.zeros_like(variables)
+        if start.origin == "estimated" and not found.failure:
+            variance = self._uncertainty(item, seen, start, variables)
+        return _View(found, variables, variance)
+
+    def _solve(self, item: Trajectory, start: Start) -> tuple[Prediction, Array]:
+        found = predict(self.evaluator, self.model, item, start)
+        return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
+
+    def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> Array:
+        """The variance [R, V] that the estimate's own covariance brings: J (J'WJ + P)^-1 J' by differences.
+
+        W is the precision of the window's measurements (the fit's noise, or their misfit where that is larger), P that
+        of what was known of starts before.
+        """
+        free = [*needed(self.model, seen)]
+        own = list(self.estimator.own)
+        scale = np.concatenate([self.estimator.spread(seen)[free], self.estimator.own_spread])
+        columns = []
+        for k in range(len(scale)):
+            state, constants = start.state.copy(), start.constants.copy()
+            if k < len(free):
+                state[free[k]] += NUDGE * scale[k]
+            else:
+                constants[own[k - len(free)]] += NUDGE * scale[k]
+            moved = self.evaluator.initial(state, item.condition, constants)
+            columns.append((self._solve(item, Start(moved, constants, "estimated"))[1] - variables) / NUDGE)
+        slopes = np.stack(columns, axis=-1)
+        rows, channels = len(seen.times), seen.values.shape[1]
+        misfit = seen.values - variables[:rows, :channels]
+        measured = np.isfinite(misfit)
+        typical = float(np.sqrt(np.mean((misfit / self.spreads)[measured] ** 2))) if measured.any() else 0.0
+        noise = noise_at(self.run, variables[:rows, :channels])
+        deviation = np.maximum(np.maximum(noise, typical * self.spreads), 1e-9 * self.spreads)
+        weighted = (slopes[:rows, :channels] / deviation[:, :, None])[measured]
+        precision = weighted.T @ weighted + np.eye(len(scale))
+        return np.asarray(np.einsum("rvi,ij,rvj->rv", slopes, np.linalg.inv(precision), slopes), dtype=np.float64)
+
+
+def first_rows(item: Trajectory, rows: int) -> Trajectory:
+    """The trajectory as it was known after its first `rows` rows."""
+    kept = {name: getattr(item, name)[:rows] for name in ("times", "values", "counts", "sd")}
+    return replace(item, **kept)
+
+
+def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -> int:
+    """How many rows [of all] the start of a new trajectory is estimated from; the first alone where it says it all."""
+    measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
+    if not len(measured):
+        return 0
+    wanted = window if window is not None else max(LEAST, len(measured) // SHARE)
+    if not needed(model, item) and not own:
+        wanted = 1
+    return int(measured[min(wanted, len(measured)) - 1]) + 1
+
+
+def _foretell(
+    seers: Sequence[_Seer], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
+) -> Foretold:
+    """The members' predictions of a trajectory joined."""
+    model, item = seers[0].model, seers[0].trajectories.items[index]
+    own = bool(seers[0].estimator.own)
+    trained = seers[0].positions[index] is not None
+    rows = len(item.times) if trained else window_rows(model, item, own, window)
+    views = [one.view(index, rows) for one in seers]
+    failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
+    values = np.stack([v.variables for v in views])
+    mean = values.mean(axis=0)
+    between = values.var(axis=0, ddof=1) if len(views) > 1 else np.zeros_like(mean)
+    channels = len(model.channels)
+    added = np.pad(noise_at(seers[0].run, mean[:, :channels]) ** 2, ((0, 0), (0, mean.shape[1] - channels)))
+    sd = np.sqrt(between + np.mean([v.variance for v in views], axis=0) + added)
+    states = np.mean([v.prediction.states for v in views], axis=0)
+    first = views[0].prediction.start
+    start = replace(first, state=np.mean([v.prediction.start.state for v in views], axis=0))
+    estimated: tuple[str, ...] = ()
+    if start.origin == "estimated":
+        free = needed(model, first_rows(item, rows))
+        estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
+                     *(model.constant_names[i] for i in seers[0].estimator.own))  # fmt: skip
+    used: tuple[Use, ...] = tuple(
+        "training" if trained else "window" if i < rows else "predicted" for i in range(len(item.times))
+    )
+    in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
+    return Foretold(item.label, item.times, mean, sd, item.values, used, _outside(model, item, states, ranges), start,
+                    estimated, in_logarithms, failure)  # fmt: skip
+
+
+def _outside(
+    model: Model, item: Trajectory, states: Array, ranges: Mapping[str, tuple[float, float]]
+) -> tuple[tuple[str, ...], ...]:
+    """At each row the states and conditions beyond what the unknowns were trained on, a hundredth of the width off."""
+    values: dict[str, Array] = {
+        **{state.name: states[:, i] for i, state in enumerate(model.states)},
+        **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},
+    }
+    beyond = {}
+    for name, (low, high) in ranges.items():
+        if name in values:
+            slack = 0.01 * (high - low)
+            beyond[name] = (values[name] < low - slack) | (values[name] > high + slack)
+    return tuple(tuple(name for name, flags in beyond.items() if flags[row]) for row in range(len(states)))

@@ -1,0 +1,191 @@
+"""Initial states beside each other: as training learned them, bred, and of the truth; along fast and slow directions.
+
+What training learns under teacher forcing has to serve the first rows alone. Bred are the starts from which the learned
+dynamics, held as they are, follow the whole trajectory best; true are those from which the truth does. Differences are
+split into the modes of the Jacobian at the start: an error along a fast direction dies out before it is seen, so the
+data say little of it, while one along a slow direction stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.prediction.estimate import Estimator
+from gbspec.analysis.prediction.metrics import spread
+from gbspec.analysis.prediction.predict import learned_positions, learned_start, needed
+from gbspec.analysis.systems.steady import ordered_modes
+from gbspec.analysis.systems.system import System
+from gbspec.diagnostics import Findings
+
+if TYPE_CHECKING:
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.ir.model import Model
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """The starts [n] of one trajectory, at `time`, and the learned Jacobian's eigenvalues [n] there, slowest first.
+
+    `learned_off` and `bred_off` [n] are the parts of their differences from the true start (of `learned_off`, from the
+    bred one where there is no truth) that lie in each mode, as norms in units of the states' ranges; both modes of a
+    complex pair carry the norm of their common part.
+    """
+
+    trajectory: str
+    time: float
+    learned: Array
+    bred: Array
+    true: Array | None
+    eigenvalues: ComplexArray
+    learned_off: Array
+    bred_off: Array | None
+
+    def to_json(self, states: Sequence[str]) -> dict[str, object]:
+        """Keys trajectory, time, learned, bred, true, eigenvalues, learned_off, bred_off."""
+
+        def named(values: Array | None) -> dict[str, float] | None:
+            return None if values is None else dict(zip(states, map(float, values), strict=True))
+
+        return {
+            "trajectory": self.trajectory,
+            "time": self.time,
+            "learned": named(self.learned),
+            "bred": named(self.bred),
+            "true": named(self.true),
+            "eigenvalues": [[float(value.real), float(value.imag)] for value in self.eigenvalues],
+            "learned_off": self.learned_off.tolist(),
+            "bred_off": None if self.bred_off is None else self.bred_off.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class InitialStates:
+    """The starts of several trajectories in the `states` of a model."""
+
+    states: tuple[str, ...]
+    items: tuple[InitialState, ...]
+
+    @property
+    def reference(self) -> str:
+        """What the differences are from."""
+        return "the bred start" if self.items[0].true is None else "the true start"
+
+    @property
+    def rates(self) -> Array:
+        """The median real part [n] of each mode's eigenvalue, slowest first."""
+        return np.asarray(np.median([item.eigenvalues.real for item in self.items], axis=0))
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `eigen --initial-states --json`."""
+        return {
+            "states": list(self.states),
+            "reference": self.reference,
+            "initial_states": [item.to_json(self.states) for item in self.items],
+        }
+
+    def __str__(self) -> str:
+        lines = []
+        for item in self.items:
+            lines.append(f"{item.trajectory}, at {item.time:.6g}")
+            for word, values in (("learned", item.learned), ("bred", item.bred), ("true", item.true)):
+                if values is not None:
+                    places = (f"{name} = {value:.6g}" for name, value in zip(self.states, values, strict=True))
+                    lines.append(f"  {word:<8} " + ", ".join(places))
+        count = len(self.items)
+        lines.append(f"off {self.reference}, in parts of the states' ranges (median over {count} trajectories)")
+        for rank, rate in enumerate(self.rates):
+            shown = [f"learned {_median([item.learned_off[rank] for item in self.items]):.2e}"]
+            bred = [item.bred_off[rank] for item in self.items if item.bred_off is not None]
+            shown += [f"bred {_median(bred):.2e}"] if bred else []
+            lines.append(f"  mode {rank + 1} (real part {rate:.4g}): " + ", ".join(shown))
+        return "\n".join(lines)
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values))
+
+
+def initial_states(
+    evaluator: Any,
+    model: Model,
+    data: Trajectories,
+    trained_on: Mapping[str, Any],
+    system: System,
+    truth: Any | None = None,
+    indices: Sequence[int] | None = None,
+) -> InitialStates:
+    """Compares the starts of the trajectories `indices` (all) of a table that a run was trained on.
+
+    `evaluator` and `truth` are those of a member and of the model's truth, `system` that of the member, `trained_on`
+    what `fit.json` says of the data. Raises UserError (GB876) where there is nothing to compare.
+    """
+    chosen = range(len(data)) if indices is None else indices
+    positions = learned_positions(evaluator.instance, data, trained_on)
+    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in data.items]).T])
+    spreads = np.where((spreads > 0) & np.isfinite(spreads), spreads, 1.0)
+    breeder = Estimator(evaluator, model, spreads)
+    judge = None if truth is None else Estimator(truth, model, spreads)
+    found = []
+    for index in chosen:
+        item, position = data.items[index], positions[index]
+        if position is None or not needed(model, item):
+            continue
+        learned = learned_start(evaluator, position, item)
+        bred, true = breeder.start(item), None if judge is None else judge.start(item)
+        if bred.origin == "failed" or (true is not None and true.origin == "failed"):
+            continue
+        moved = system.with_values({
+            **dict(zip(system.conditions, map(float, item.condition), strict=True)),
+            **dict(zip(system.constants, map(float, learned.constants), strict=True)),
+            **system.inputs_at(item.inputs, item.start),
+        })  # fmt: skip
+        reference = bred.state if true is None else true.state
+        eigenvalues, split = _modes(moved.linearise(reference, item.start)[1], system.scale)
+        found.append(
+            InitialState(
+                item.label,
+                float(item.start),
+                learned.state,
+                bred.state,
+                None if true is None else true.state,
+                eigenvalues,
+                split(learned.state - reference),
+                None if true is None else split(bred.state - reference),
+            )
+        )
+    if not found:
+        _refuse(any(position is not None for position in positions))
+    return InitialStates(system.states, tuple(found))
+
+
+def _modes(jacobian: Array, scale: Array) -> tuple[ComplexArray, Callable[[Array], Array]]:
+    """The eigenvalues [n], slowest first, and a function: the norm [n] of a difference's part in each mode."""
+    ordered, right = ordered_modes(jacobian * scale / scale[:, None])
+
+    def split(difference: Array) -> Array:
+        parts = right * np.linalg.lstsq(right, (difference / scale).astype(complex), rcond=None)[0]
+        # The two of a complex pair add up to one real part.
+        whole = np.where(ordered.imag != 0.0, 2.0 * parts.real, parts.real)
+        return np.asarray(np.linalg.norm(whole, axis=0))
+
+    return ordered, split
+
+
+def _refuse(trained: bool) -> None:
+    findings = Findings()
+    if trained:
+        message = "no initial state of these trajectories was learned: the model gives them, or the table measures them"
+        help = "leave the first measurement out, or let a state be learned: `initial x learn`"
+    else:
+        message = "none of these trajectories is one that the run was trained on"
+        help = "give the table of the training"
+    findings.error("GB876", message, None, help=help)
+    findings.raise_if_failed()

@@ -1,0 +1,258 @@
+"""Simulated measurements from a model's truth or from a fitted run: what `gbspec simulate` writes.
+
+Solutions come from the evaluator's adaptive solver at a relative tolerance of 1e-10, never from the Runge-Kutta step
+that training uses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan, plan_like
+from gbspec.analysis.simulation.region import Region, regions
+from gbspec.data.sampling import SimulateOptions
+from gbspec.data.signals import clipped, evaluate
+from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.diagnostics import ComputationError, Findings
+from gbspec.ir.model import Model
+
+__all__ = ["SimulateOptions", "Solver", "simulate", "solve"]
+
+TOLERANCE = 1e-10
+DENSE = 400
+"""In how many points over its span a trajectory is looked at for regions to reject."""
+ATTEMPTS = 200
+"""How often one trajectory is drawn at most."""
+
+
+class Solver(Protocol):
+    """What simulation needs of an evaluator: numbers of constants, starts, solutions and channels."""
+
+    @property
+    def constants(self) -> Array:
+        """The constants' values, in the model's order."""
+
+    def initial(self, x0: Array, condition: Array) -> Array:
+        """The starts [n], with those that the model expresses put in."""
+
+    def integrate(
+        self,
+        x0: Array,
+        times: Array,
+        condition: Array,
+        inputs: tuple[Signal, ...],
+        start: float,
+        *,
+        doses: tuple[DoseEvents, ...],
+        rtol: float,
+    ) -> Array:
+        """States [T, n] at `times` from `x0` at `start`; raises ComputationError."""
+
+    def observe_many(self, t: Array, x: Array, condition: Array, inputs: Array) -> Array:
+        """Channels [T, C] at times [T], states [T, n] and inputs [T, m]."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A plan with its noise-free measurements [T, C] (all channels, measured or not)."""
+
+    plan: Plan
+    values: Array
+
+
+@dataclass
+class Tally:
+    """What was drawn and not used."""
+
+    rejected: int = 0
+    failed: int = 0
+    reason: str = ""
+
+    def reject(self, reason: str) -> None:
+        """Counts a plan that may not be used."""
+        self.rejected, self.reason = self.rejected + 1, reason
+
+    def fail(self, reason: str) -> None:
+        """Counts a plan that could not be solved."""
+        self.failed, self.reason = self.failed + 1, reason
+
+
+def simulate(
+    evaluator: Solver,
+    model: Model,
+    options: SimulateOptions,
+    like: Trajectories | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trajectories:
+    """Simulated measurements for `model`, whose right-hand side `evaluator` has.
+
+    With `like`, a table's times, conditions, inputs and doses are taken, one trajectory for each of its own. A
+    trajectory that enters a rejected region or cannot be solved is drawn again; `meta` says how many were. `progress`
+    is called with how many of how many are done.
+
+    Raises UserError where the options do not fit the model (GB751 to GB756), ComputationError where a trajectory was
+    drawn 200 times in vain.
+    """
+    findings = Findings()
+    options.check(findings)
+    if not model.channels:
+        findings.error("GB756", f"the model `{model.name}` observes nothing", None, help="add `observe …` to it")
+    box = boxes(model, options, findings, given=like is not None)
+    reject = regions(options.reject, model, findings)
+    findings.raise_if_failed()
+    draws, tally, solved = _Draws(evaluator, model, options, box, reject, like), Tally(), []
+    count = options.trajectories if like is None else len(like)
+    for i in range(count):
+        solved.append(draws.solved(i, tally))
+        if progress is not None:
+            progress(i + 1, count)
+    items = _noisy(solved, model, options)
+    channels = tuple(channel.name for channel in model.channels)
+    meta = {"rejected": str(tally.rejected), "failed": str(tally.failed)}
+    rows = sum(len(item.times) for item in items)
+    return Trajectories(items, channels, rows=rows, meta=meta)
+
+
+@dataclass(frozen=True)
+class _Draws:
+    """Everything that trajectories are drawn from."""
+
+    evaluator: Solver
+    model: Model
+    options: SimulateOptions
+    box: Boxes
+    reject: tuple[Region, ...]
+    like: Trajectories | None
+
+    def plan(self, index: int, random: np.random.Generator) -> Plan | None:
+        """One plan for trajectory `index`; None where fewer than two measurements fell into the span."""
+        if self.like is None:
+            return plan(self.model, self.options, self.box, str(index + 1), random)
+        return plan_like(self.like.items[index], self.model, self.options, self.box, random)
+
+    def solved(self, index: int, tally: Tally) -> Solved:
+        """Trajectory `index`, drawn until it can be solved and is not rejected; ComputationError after 200 times."""
+        random = np.random.default_rng([self.options.seed, index, 0])
+        own = Tally()
+        for _ in range(ATTEMPTS):
+            drawn = self.plan(index, random)
+            if drawn is None:
+                own.reject("fewer than two measurements fell into the span")
+                continue
+            try:
+                solved = solve(self.evaluator, self.model, drawn, self.reject)
+            except ComputationError as error:
+                own.fail(error.what)
+                continue
+            if isinstance(solved, Region):
+                own.reject(f"`{solved.text}` came true")
+                continue
+            tally.rejected += own.rejected
+            tally.failed += own.failed
+            return solved
+        raise ComputationError(
+            f"trajectory {index + 1} was drawn {ATTEMPTS} times, and none could be used: "
+            f"{own.failed} could not be solved, {own.rejected} were rejected; the last: {own.reason}",
+            where=f"trajectory {index + 1}",
+            remedy="narrow the box of starts with `--initial`, change `--span` or `--dt`, or reject less",
+        )
+
+
+def true_starts(evaluator: Solver, model: Model, options: SimulateOptions) -> Array:
+    """The states [trajectories, n] in which the trajectories of `simulate` with the same options start.
+
+    That is where the first row is, unless the model says when trajectories start. Raises as `simulate` does.
+    """
+    findings = Findings()
+    box, reject = boxes(model, options, findings), regions(options.reject, model, findings)
+    findings.raise_if_failed()
+    draws = _Draws(evaluator, model, options, box, reject, None)
+    starts = []
+    for i in range(options.trajectories):
+        drawn = draws.solved(i, Tally()).plan
+        x0 = evaluator.initial(drawn.x0, drawn.condition)
+        if drawn.begins > drawn.start:
+            times = np.array([drawn.begins])
+            x0 = evaluator.integrate(
+                x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
+            )[-1]
+        starts.append(x0)
+    return np.array(starts)
+
+
+def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ...] = ()) -> Solved | Region:
+    """The solution of a plan, or the region that it entered.
+
+    Raises ComputationError where the solver fails or the solution is not finite.
+    """
+    end = float(drawn.times[-1])
+    grid = np.linspace(drawn.start, end, DENSE) if reject else np.zeros(0)
+    times = np.unique(np.concatenate([drawn.times, grid]))
+    x0 = evaluator.initial(drawn.x0, drawn.condition)
+    states = evaluator.integrate(
+        x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
+    )
+    if not np.isfinite(states).all():
+        raise ComputationError("the solution is not finite", where=f"trajectory {drawn.label}")
+    inputs = input_values(model, drawn.inputs, times)
+    for region in reject:
+        if region.entered(times, states, drawn.condition, inputs, evaluator.constants):
+            return region
+    at = np.searchsorted(times, drawn.times)
+    values = evaluator.observe_many(drawn.times, states[at], drawn.condition, inputs[at])
+    if not np.isfinite(values).all():
+        raise ComputationError("a channel is not finite", where=f"trajectory {drawn.label}")
+    return Solved(drawn, values)
+
+
+def input_values(model: Model, signals: tuple[Signal, ...], times: Array) -> Array:
+    """The inputs' values [T, inputs] at `times` (at a jump: from there on)."""
+    columns = [evaluate(s, item.interpolation, times) for s, item in zip(signals, model.inputs, strict=True)]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
+
+
+def _noisy(solved: list[Solved], model: Model, options: SimulateOptions) -> tuple[Trajectory, ...]:
+    """The measurements with noise added.
+
+    Its standard deviation is `noise` times that of each channel over everything measured; on a channel with lognormal
+    noise it is relative to the value itself: value * exp(noise * e).
+    """
+    if not solved:
+        return ()
+    everything = np.concatenate([np.where(item.plan.mask, item.values, np.nan) for item in solved])
+    with np.errstate(all="ignore"):
+        mean = np.nansum(everything, axis=0) / np.maximum(1, (~np.isnan(everything)).sum(axis=0))
+        count = np.maximum(1, (~np.isnan(everything)).sum(axis=0))
+        deviation = np.sqrt(np.nansum((everything - mean) ** 2, axis=0) / count)
+    relative = np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=bool)
+    items = []
+    for index, item in enumerate(solved):
+        random = np.random.default_rng([options.seed, index, 1])
+        error = options.noise * random.standard_normal(item.values.shape)
+        values = np.where(relative, item.values * np.exp(error * relative), item.values + error * deviation)
+        items.append(_trajectory(item.plan, np.where(item.plan.mask, values, np.nan), model))
+    return tuple(items)
+
+
+def _trajectory(drawn: Plan, values: Array, model: Model) -> Trajectory:
+    """A trajectory as it would be read from its table: it starts at its first row, unless the model fixes the start."""
+    end = float(drawn.times[-1])
+    inputs = tuple(
+        clipped(signal, item.interpolation, drawn.begins, end)
+        for signal, item in zip(drawn.inputs, model.inputs, strict=True)
+    )
+    return Trajectory(
+        label=drawn.label,
+        start=drawn.begins,
+        times=drawn.times,
+        values=values,
+        counts=(~np.isnan(values)).astype(float),
+        sd=np.full(values.shape, np.nan),
+        condition=drawn.condition,
+        inputs=inputs,
+        doses=drawn.doses,
+    )

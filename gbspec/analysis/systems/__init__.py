@@ -1,0 +1,1 @@
+"""A model as a dynamical system: its right-hand side in casadi, steady states."""

@@ -1,0 +1,101 @@
+"""A system in which one number varies: x' = f(x, p), with exact derivatives up to the third."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.systems.compiled import Compiled
+from gbspec.analysis.systems.system import System, require_autonomous, suggestion
+from gbspec.diagnostics import Findings
+
+Array = NDArray[np.float64]
+
+
+class Family:
+    """x' = f(x, p) for the parameter `name` (a condition, input or constant), everything else at the system's values.
+
+    Raises UserError if the system has no such parameter (GB872), depends on time explicitly (GB873) or if another
+    number is missing (GB871).
+    """
+
+    def __init__(self, system: System, name: str) -> None:
+        if name not in system.parameters:
+            findings = Findings()
+            findings.error(
+                "GB872", f"`{name}` cannot be varied: `{system.name}` has no condition, input or constant of that name",
+                None, help=suggestion(name, system.parameters), subject=name,
+            )  # fmt: skip
+            findings.raise_if_failed()
+        low, high = system.range(name)
+        placeholder = low if np.isfinite(low) else (high if np.isfinite(high) else 1.0)
+        require_autonomous(
+            system if np.isfinite(system.values.get(name, np.nan)) else system.with_values({name: placeholder}),
+            "steady states and cycles",
+        )
+        self.system = system
+        self.name = name
+        self.size = system.size
+
+    def at(self, value: float) -> System:
+        """The system at one value of the parameter."""
+        return self.system.with_values({self.name: value})
+
+    @cached_property
+    def _symbolic(self) -> tuple[Any, Any, Any]:
+        """MX symbols x and p, and f(x, p)."""
+        import casadi
+
+        system = self.system
+        x, p = casadi.MX.sym("x", self.size), casadi.MX.sym("p")
+
+        def column(names: tuple[str, ...]) -> Any:
+            values = [p if name == self.name else casadi.MX(system.values[name]) for name in names]
+            return casadi.vertcat(*values) if values else casadi.MX(0, 1)
+
+        arguments = (column(system.conditions), column(system.inputs), column(system.constants))
+        return x, p, system.rhs(casadi.MX(system.time), x, *arguments)
+
+    @cached_property
+    def rhs(self) -> Compiled:
+        """(x, p) -> f [n]."""
+        import casadi
+
+        x, p, f = self._symbolic
+        return Compiled(casadi.Function("f", [x, p], [f]))
+
+    @cached_property
+    def function(self) -> Any:
+        """The casadi.Function (x, p) -> f, for integrators."""
+        return self.rhs.function
+
+    @cached_property
+    def linear(self) -> Compiled:
+        """(x, p) -> f [n], df/dx [n, n], df/dp [n]."""
+        import casadi
+
+        x, p, f = self._symbolic
+        return Compiled(casadi.Function("linear", [x, p], [f, casadi.jacobian(f, x), casadi.jacobian(f, p)]))
+
+    @cached_property
+    def bilinear(self) -> Compiled:
+        """(x, p, u, v) -> B(u, v) [n], the second derivative in directions u and v."""
+        import casadi
+
+        x, p, f = self._symbolic
+        u, v = casadi.MX.sym("u", self.size), casadi.MX.sym("v", self.size)
+        second = casadi.jtimes(casadi.jtimes(f, x, u), x, v)
+        return Compiled(casadi.Function("bilinear", [x, p, u, v], [second]))
+
+    @cached_property
+    def trilinear(self) -> Compiled:
+        """(x, p, u, v, w) -> C(u, v, w) [n], the third derivative in directions u, v and w."""
+        import casadi
+
+        x, p, f = self._symbolic
+        u, v, w = (casadi.MX.sym(name, self.size) for name in "uvw")
+        third = casadi.jtimes(casadi.jtimes(casadi.jtimes(f, x, u), x, v), x, w)
+        return Compiled(casadi.Function("trilinear", [x, p, u, v, w], [third]))

@@ -1,0 +1,265 @@
+"""One dynamical system to analyse: a right-hand side of CasADi with the names and numbers of what enters it.
+
+A `System` comes from an evaluator (of a fitted run or of a model's truth alike) or straight from a casadi.Function, so
+that everything after it treats both in the same way. A `Family` is a system in which one number varies.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.systems.compiled import Compiled
+from gbspec.data.signals import Interpolation, evaluate
+from gbspec.data.trajectories import Signal
+from gbspec.diagnostics import Findings
+
+if TYPE_CHECKING:
+    from gbspec.ir.model import Condition, Input, Model, Range, State
+
+Array = NDArray[np.float64]
+Box = tuple[float, float]
+ANYTHING: Box = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class System:
+    """x' = rhs(t, x, c, u, k) with states x, conditions c, inputs u and constants k.
+
+    `rhs` is a casadi.Function of these five columns; `values` holds the known numbers of conditions, inputs and
+    constants by name (a name without one must be given wherever a point is needed); `ranges` holds the plausible or
+    trained ranges of states, conditions and inputs by name, of which `declared` are the user's own; `trained` says
+    where the training data lay; `starts` guesses where states begin; `interpolation` is that of each input.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    rhs: Any = field(repr=False)
+    conditions: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    interpolation: tuple[Interpolation, ...] = ()
+    constants: tuple[str, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
+    ranges: Mapping[str, Box] = field(default_factory=dict)
+    declared: frozenset[str] = frozenset()
+    trained: Mapping[str, Box] = field(default_factory=dict)
+    starts: Mapping[str, float] = field(default_factory=dict)
+    time: float = 0.0
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Everything that may be varied: conditions, inputs, constants."""
+        return (*self.conditions, *self.inputs, *self.constants)
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    def range(self, name: str) -> Box:
+        """The range of a name; infinite where none is known."""
+        return self.ranges.get(name, ANYTHING)
+
+    def with_values(self, values: Mapping[str, float]) -> System:
+        """The same system with other numbers for some conditions, inputs or constants."""
+        return replace(self, values={**self.values, **{name: float(value) for name, value in values.items()}})
+
+    def outside(self, x: Array) -> tuple[str, ...]:
+        """The states, conditions and inputs that lie outside of their trained (else plausible) range."""
+        numbers = {**self.values, **dict(zip(self.states, map(float, x), strict=True))}
+        names = (*self.states, *self.conditions, *self.inputs)
+        return tuple(
+            name
+            for name in names
+            if name in numbers and not _inside(numbers[name], self.trained.get(name, self.range(name)))
+        )
+
+    def admissible(self, x: Array) -> bool:
+        """Whether no state is below a declared lower bound that is zero or more (a concentration below zero)."""
+        for name, value in zip(self.states, map(float, x), strict=True):
+            low, high = self.range(name)
+            if name in self.declared and low >= 0.0 and value < low and not _inside(value, (low, high)):
+                return False
+        return True
+
+    @cached_property
+    def start_box(self) -> tuple[Array, Array]:
+        """Lower and upper ends [n] of where starts are looked for: the ranges, else around the guessed start."""
+        ends = []
+        for name in self.states:
+            low, high = self.range(name)
+            guess = self.starts.get(name, 0.0)
+            reach = 10.0 * max(1.0, abs(guess))
+            ends.append(
+                (
+                    low if math.isfinite(low) else min(guess, high) - reach,
+                    high if math.isfinite(high) else max(guess, low) + reach,
+                )
+            )
+        box = np.array(ends, dtype=float)
+        return box[:, 0], box[:, 1]
+
+    @property
+    def scale(self) -> Array:
+        """The size [n] by which differences of states are judged: the width of the box of starts."""
+        low, high = self.start_box
+        return np.where(high > low, high - low, 1.0)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Conditions, inputs and constants that have no number yet."""
+        return tuple(name for name in self.parameters if not math.isfinite(self.values.get(name, math.nan)))
+
+    def vector(self, names: Iterable[str]) -> Array:
+        """The numbers of these names, in order; NaN where there is none."""
+        return np.array([self.values.get(name, math.nan) for name in names], dtype=float)
+
+    def inputs_at(self, signals: Sequence[Signal], time: float) -> dict[str, float]:
+        """The inputs' values at a time of a trajectory that has these signals, one an input."""
+        return {
+            name: float(evaluate(signal, interpolation, time))
+            for name, signal, interpolation in zip(self.inputs, signals, self.interpolation, strict=True)
+        }
+
+    @cached_property
+    def depends_on_time(self) -> bool:
+        """Whether time stands in the right-hand side explicitly."""
+        return int(self.rhs.jac_sparsity(0, 0).nnz()) > 0
+
+    @cached_property
+    def linearised(self) -> Compiled:
+        """(t, x, c, u, k) -> rhs [n], d(rhs)/dx [n, n]."""
+        import casadi
+
+        t, x, c, u, k = (casadi.MX.sym(name, self.rhs.size1_in(i)) for i, name in enumerate("txcuk"))
+        f = self.rhs(t, x, c, u, k)
+        return Compiled(casadi.Function("linearised", [t, x, c, u, k], [f, casadi.jacobian(f, x)]))
+
+    def linearise(self, x: Array, time: float | None = None) -> tuple[Array, Array]:
+        """The right-hand side [n] and its Jacobian [n, n] at state `x` [n], everything else at `values`."""
+        f, jacobian = self.linearised(
+            self.time if time is None else time,
+            x,
+            self.vector(self.conditions),
+            self.vector(self.inputs),
+            self.vector(self.constants),
+        )
+        return f, jacobian.reshape(self.size, self.size)
+
+
+def system_of(evaluator: Any, model: Model) -> System:
+    """The system of an evaluator: constants as they stand in its module, ranges declared or, failing that, trained."""
+    module = evaluator.instance
+    values: dict[str, float] = {}
+    external: tuple[Condition | Input, ...] = (*model.conditions, *model.inputs)
+    values.update({item.name: float(item.default) for item in external if item.default is not None})
+    values.update(zip(model.constant_names, map(float, evaluator.constants), strict=True))
+    ranged: tuple[State | Condition | Input, ...] = (*model.states, *external)
+    declared = {item.name: _box(item.range) for item in ranged if item.range is not None}
+    trained = trained_ranges(model, module)
+    return System(
+        name=model.name,
+        states=tuple(state.name for state in model.states),
+        rhs=evaluator.rhs,
+        conditions=tuple(condition.name for condition in model.conditions),
+        inputs=tuple(item.name for item in model.inputs),
+        interpolation=tuple(item.interpolation for item in model.inputs),
+        constants=model.constant_names,
+        values=values,
+        ranges={**trained, **declared},
+        declared=frozenset(declared),
+        trained=trained,
+        starts={state.name: float(state.start) for state in model.states if state.start is not None},
+        time=model.time.start or 0.0,
+    )
+
+
+def _box(declared: Range) -> Box:
+    return float(declared.low), float(declared.high)
+
+
+def _inside(value: float, box: Box) -> bool:
+    """Whether a number lies in a box, up to rounding."""
+    low, high = box
+    slack = 1e-6 * (high - low if math.isfinite(high - low) else max(1.0, abs(value)))
+    return low - slack <= value <= high + slack
+
+
+def trained_ranges(model: Model, module: Any) -> dict[str, Box]:
+    """Where the training data lay, kept with the weights, for each name that an unknown is applied to as it is."""
+    import sympy
+
+    applications = {
+        one.func.__name__: one
+        for expression in model.inlined((*model.balances, *(channel.value for channel in model.channels)))
+        for one in expression.atoms(sympy.core.function.AppliedUndef)
+    }
+    ranges: dict[str, Box] = {}
+    for network in model.networks:
+        ends = [module.weights.get(f"network.{network.name}.input_{end}") for end in ("low", "high")]
+        for output in network.outputs:
+            if output in applications and ends[0] is not None and ends[1] is not None:
+                for argument, low, high in zip(applications[output].args, *ends, strict=True):
+                    if argument.is_Symbol:
+                        known = ranges.get(argument.name, (math.inf, -math.inf))
+                        ranges[argument.name] = min(known[0], float(low)), max(known[1], float(high))
+    return ranges
+
+
+def suggestion(name: str, names: Iterable[str]) -> str:
+    """A help line for an unknown name: the closest one that exists, or all that do."""
+    names = list(names)
+    close = difflib.get_close_matches(name, names, n=1)
+    if close:
+        return f"did you mean `{close[0]}`?"
+    return "it has " + ", ".join(f"`{known}`" for known in names) if names else ""
+
+
+def state_at(system: System, point: Mapping[str, float], findings: Findings) -> tuple[System, Array] | None:
+    """A point given by names: the system with its conditions, inputs and constants there, and the state [n].
+
+    Every state must be given, and every condition or input without a default; constants may be. What is wrong goes to
+    `findings` (GB870 for a name the model does not have, GB871 for one that is missing), and None comes back.
+    """
+    known = (*system.states, *system.parameters)
+    unknown = [name for name in point if name not in known]
+    for name in unknown:
+        findings.error(
+            "GB870", f"`{system.name}` has no state, condition, input or constant `{name}`", None,
+            help=suggestion(name, known), subject=name,
+        )  # fmt: skip
+    moved = system.with_values({name: value for name, value in point.items() if name in system.parameters})
+    missing = [*(name for name in system.states if name not in point), *moved.missing]
+    if missing:
+        findings.error(
+            "GB871", "the point gives no value for " + ", ".join(f"`{name}`" for name in missing), None,
+            help="write every state, and every condition without a default: "
+            + ",".join(f"{name}=..." for name in missing),
+        )  # fmt: skip
+    if unknown or missing:
+        return None
+    return moved, np.array([float(point[name]) for name in system.states])
+
+
+def require_autonomous(system: System, what: str) -> None:
+    """Raises UserError where `what` makes no sense: time in the right-hand side, or a number that is missing."""
+    findings = Findings()
+    if system.depends_on_time:
+        findings.error(
+            "GB873", f"`{system.name}` depends on time explicitly, so it has no {what}", None,
+            help="replace time in the balances by a condition or an input that can be held",
+        )  # fmt: skip
+    if system.missing:
+        names = ", ".join(f"`{name}`" for name in system.missing)
+        findings.error(
+            "GB871", f"{what} need a value for {names}", None,
+            help="give it: " + " ".join(f"--set {name}=..." for name in system.missing),
+        )  # fmt: skip
+    findings.raise_if_failed()

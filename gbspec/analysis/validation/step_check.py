@@ -1,0 +1,150 @@
+"""Does the learned right-hand side hold without the step that it was trained with?
+
+A model trained through a Runge-Kutta step can come to lean on the step's own error (paper: case B). The same starts
+are solved with the training's step, with half of it, and adaptively; the differences say whether it does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.prediction.metrics import finite, truth_scale
+
+if TYPE_CHECKING:
+    from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.data.trajectories import Trajectories, Trajectory
+    from gbspec.runs.store import Run
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+LEANS = 0.01
+"""A difference above this part of the states' range means that the right-hand side leans on its step."""
+CONVERGED = 1e-4
+"""Where half the step changes less than this, it is not the step that the adaptive solution differs by."""
+LOOKED_AT = 24
+"""How many trajectories are solved again with fixed steps."""
+STATES_LOOKED_AT = 600
+"""The same after a fit, as states of all of them together: a model with many of them gets fewer trajectories."""
+
+
+@dataclass(frozen=True)
+class StepCheck:
+    """Largest difference, over the states' ranges, to the solution with the training's step `step`.
+
+    `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None where there is no step or
+    nothing to solve; infinite where the fixed step blows up. `unsolved`: trajectories that the training's step can
+    follow and the adaptive solver cannot.
+    """
+
+    half_step: float | None
+    adaptive: float | None
+    step: float | None = None
+    trajectories: int = 0
+    unsolved: int = 0
+
+    def to_json(self) -> dict[str, object]:
+        """Keys half_step, adaptive, the step, how many trajectories they rest on, and unsolved."""
+        return {
+            "half_step": None if self.half_step is None else finite(self.half_step),
+            "adaptive": None if self.adaptive is None else finite(self.adaptive),
+            "step": self.step,
+            "trajectories": self.trajectories,
+            "unsolved": self.unsolved,
+        }
+
+    @property
+    def warning(self) -> str | None:
+        """What to say where the right-hand side leans on its step."""
+        if self.unsolved:
+            return (
+                f"the learned right-hand side leans on its training step of {self.step:.6g}: {self.unsolved} of "
+                f"{self.unsolved + self.trajectories} trajectories that were looked at can be followed with that step "
+                "alone, not by an adaptive solver. Train with a smaller `--max-step`"
+            )
+        if self.half_step is None or self.adaptive is None or self.half_step <= CONVERGED:
+            return None
+        worst = max(self.half_step, self.adaptive)
+        if worst <= LEANS:
+            return None
+        if not math.isfinite(worst):
+            return (
+                f"with the training's step of {self.step:.6g} some trajectories blow up that the adaptive solver can "
+                "follow: train with a smaller `--max-step`"
+            )
+        return (
+            f"the learned right-hand side leans on its training step of {self.step:.6g}: solutions with half the step "
+            f"or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a smaller "
+            "`--max-step` before reading eigenvalues or bifurcations off it"
+        )
+
+
+def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
+    """The check of each member of a run that was just fitted to `trajectories`, from the starts that it learned."""
+    from gbspec.analysis.prediction.predict import learned_positions, learned_start, predict
+    from gbspec.backends.casadi.evaluator import Evaluator
+
+    checks = []
+    count = max(1, min(LOOKED_AT, STATES_LOOKED_AT // len(run.model.states)))
+    for member in run.members:
+        positions = learned_positions(member, trajectories, run.fit.get("data", {}))
+        fitted = [(i, position) for i, position in enumerate(positions) if position is not None]
+        chosen = _spread(fitted, count)
+        evaluator = Evaluator(member)
+        items = [trajectories.items[i] for i, _ in chosen]
+        starts = [learned_start(evaluator, position, trajectories.items[i]) for i, position in chosen]
+        predicted = [predict(evaluator, run.model, item, start) for item, start in zip(items, starts, strict=True)]
+        checks.append(step_check(evaluator, member.info.get("max_step"), items, predicted))
+    return tuple(checks)
+
+
+def _spread(items: Sequence[T], count: int) -> list[T]:
+    """At most `count` of the items, evenly from the first to the last."""
+    if not items:
+        return []
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).astype(int))]
+
+
+def step_check(
+    evaluator: Any, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
+) -> StepCheck:
+    """Solves up to 24 trajectories again with the training's step and with half of it, from the same starts."""
+    pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
+    if step is None:
+        return StepCheck(None, None, step)
+    failed = _spread([(item, one) for item, one in zip(items, predictions, strict=True) if one.failure], LOOKED_AT)
+    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in failed)
+    if not pairs:
+        return StepCheck(None, None, step, 0, unsolved)
+    chosen = _spread(pairs, LOOKED_AT)
+    adaptive = np.concatenate([one.states for _, one in chosen])
+    scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
+    coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])
+    fine = np.concatenate([_fixed(evaluator, step / 2.0, item, one) for item, one in chosen])
+    return StepCheck(_largest(fine - coarse, scale), _largest(adaptive - coarse, scale), step, len(chosen), unsolved)
+
+
+def _fixed(evaluator: Any, step: float, item: Trajectory, one: Prediction) -> Array:
+    states: Array = evaluator.integrate_rk4(
+        one.start.state,
+        item.times,
+        item.condition,
+        item.inputs,
+        item.start,
+        max_step=step,
+        doses=item.doses,
+        constants=one.start.constants,
+    )
+    return states
+
+
+def _largest(difference: Array, scale: Array) -> float:
+    if not np.isfinite(difference).all():
+        return math.inf
+    return float(np.max(np.abs(difference) / scale))

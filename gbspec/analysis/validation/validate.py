@@ -1,0 +1,234 @@
+"""What a fitted run is worth: on data, against its training step, and against the truth where there is one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.analysis.prediction.estimate import predictions
+from gbspec.analysis.prediction.metrics import ChannelErrors, channel_errors, finite, spread
+from gbspec.analysis.prediction.predict import Prediction, mean_prediction
+from gbspec.analysis.validation.step_check import StepCheck, step_check
+from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
+from gbspec.diagnostics import ComputationError, UserError
+
+if TYPE_CHECKING:
+    from gbspec.data.cases import Case, MetricsOptions
+    from gbspec.data.sampling import SimulateOptions
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.ir.model import Model
+    from gbspec.runs.store import Run
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """The NRMSE of one trajectory over all its measured values (each channel over its spread in the whole data set).
+
+    `initial` says where its start came from; `failure` why it could not be solved, and then `nrmse` is NaN.
+    """
+
+    trajectory: str
+    nrmse: float
+    initial: str
+    failure: str = ""
+
+    def to_json(self) -> dict[str, object]:
+        """Keys trajectory, nrmse, initial, and failure where there is one."""
+        document: dict[str, object] = {
+            "trajectory": self.trajectory,
+            "nrmse": finite(self.nrmse),
+            "initial": self.initial,
+        }
+        return document | ({"failure": self.failure} if self.failure else {})
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What `gbspec validate` found. `channels` are errors of autoregressive predictions from the initial states.
+
+    Failed trajectories are named in `trajectories` and `warnings`, and are in no error.
+    """
+
+    member: int | Literal["mean"]
+    channels: Mapping[str, ChannelErrors]
+    trajectories: tuple[TrajectoryError, ...]
+    step_check: StepCheck
+    truth: TruthErrors | None = None
+    warnings: tuple[str, ...] = ()
+    predictions: tuple[Prediction, ...] = field(default=(), repr=False)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The trajectories that could not be solved."""
+        return tuple(item.trajectory for item in self.trajectories if item.failure)
+
+    def warnings_after(self, fit: Mapping[str, Any]) -> list[str]:
+        """The warnings of a fit (`fit.json`), then those of its validation that it does not say already."""
+        known = list(fit.get("warnings", []))
+        return known + [warning for warning in self.warnings if not any(warning in one for one in known)]
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `validate --json`."""
+        document: dict[str, object] = {
+            "channels": {name: errors.to_json() for name, errors in self.channels.items()},
+            "trajectories": [item.to_json() for item in self.trajectories],
+            "step_check": self.step_check.to_json(),
+        }
+        if self.truth is not None:
+            document["truth"] = self.truth.to_json()
+        return document | {"member": self.member, "warnings": list(self.warnings)}
+
+    def __str__(self) -> str:
+        lines: list[str] = []
+        if self.channels:
+            lines.append(f"{'channel':<16}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
+            for name, one in self.channels.items():
+                lines.append(f"{name:<16}{one.n:>7}{one.rmse:>12.4g}{one.nrmse:>12.4g}{one.mae:>12.4g}{one.r2:>10.5g}")
+        check = self.step_check
+        if check.half_step is not None and check.adaptive is not None:
+            lines.append(f"step {check.step:.6g}: half step {check.half_step:.3g}, adaptive {check.adaptive:.3g}")
+        if self.truth is not None:
+            lines.append(str(self.truth))
+        lines += [f"warning: {warning}" for warning in self.warnings]
+        return "\n".join(lines)
+
+
+def validate(
+    run: Run,
+    trajectories: Trajectories | None = None,
+    *,
+    member: int | Literal["mean"] = "mean",
+    sampling: SimulateOptions | None = None,
+    metrics: MetricsOptions | None = None,
+    truth: bool = True,
+) -> Validation:
+    """Errors of a run on data (where given), the check of its step, and its errors against the truth.
+
+    Predictions run from each trajectory's initial state to its end without looking at the data again, solved by CVODES:
+    the initial state is the learned one on training data, the known one where the first row or the model gives it, and
+    else estimated from the trajectory itself. The mean of the members is the mean of their predictions. `sampling` and
+    `metrics` say where the truth is compared; without them, the model's case if it is a shipped one, else defaults.
+
+    Raises UserError where there is no such member.
+    """
+    from gbspec.backends.casadi.evaluator import Evaluator
+
+    members = run.members if member == "mean" else (run.member(member),)
+    evaluators = [Evaluator(one) for one in members]
+    warnings: list[str] = []
+    predicted: tuple[Prediction, ...] = ()
+    channels: dict[str, ChannelErrors] = {}
+    errors: tuple[TrajectoryError, ...] = ()
+    check = StepCheck(None, None, run.max_step)
+    if trajectories is not None:
+        each = [predictions(one, run.model, trajectories, run.fit.get("data", {})) for one in evaluators]
+        predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
+        channels, errors = _on_data(run.model, trajectories, predicted)
+        # The step is a matter of each right-hand side, so a mean of several is checked by its first member.
+        check = step_check(evaluators[0], run.max_step, trajectories.items, each[0])
+        warnings += _data_warnings(errors)
+    if check.warning:
+        warnings.append(check.warning)
+    compared = None
+    if truth and has_reference(run.model):
+        compared = _against_truth(run.model, evaluators, sampling, metrics, warnings)
+    return Validation(member, channels, errors, check, compared, tuple(warnings), predicted)
+
+
+def _stacked(trajectories: Trajectories) -> Array:
+    return np.concatenate([item.values for item in trajectories.items])
+
+
+def _on_data(
+    model: Model, trajectories: Trajectories, predictions: Sequence[Prediction]
+) -> tuple[dict[str, ChannelErrors], tuple[TrajectoryError, ...]]:
+    measured = _stacked(trajectories)
+    predicted = np.concatenate(
+        [one.channels if not one.failure else np.full(one.channels.shape, np.nan) for one in predictions]
+    )
+    channels = {
+        channel.name: channel_errors(measured[:, j], predicted[:, j]) for j, channel in enumerate(model.channels)
+    }
+    spreads = np.array([spread(column) for column in measured.T])
+    errors = []
+    for item, one in zip(trajectories.items, predictions, strict=True):
+        relative = ((one.channels - item.values) / spreads)[np.isfinite(item.values)]
+        nrmse = float(np.sqrt(np.mean(relative**2))) if relative.size and not one.failure else float("nan")
+        errors.append(TrajectoryError(item.label, nrmse, one.start.origin, one.failure))
+    return channels, tuple(errors)
+
+
+def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
+    warnings = [
+        f"trajectory `{one.trajectory}` could not be solved and is in no error: {one.failure}"
+        for one in errors
+        if one.failure
+    ]
+    estimated = [one.trajectory for one in errors if one.initial == "estimated"]
+    if estimated:
+        listed = ", ".join(f"`{label}`" for label in estimated[:5]) + (", ..." if len(estimated) > 5 else "")
+        warnings.append(
+            f"the initial states of {len(estimated)} trajectories that training did not see ({listed}) were estimated "
+            "from the same measurements that they are judged by"
+        )
+    return warnings
+
+
+def _against_truth(
+    model: Model,
+    evaluators: Sequence[Any],
+    sampling: SimulateOptions | None,
+    metrics: MetricsOptions | None,
+    warnings: list[str],
+) -> TruthErrors | None:
+    """The errors against the truth; None, and a warning, where the comparison cannot be made."""
+    from gbspec.data.cases import MetricsOptions as Metrics
+    from gbspec.data.sampling import SimulateOptions as Sampling
+
+    lacking = without_truth(model)
+    if lacking:
+        names = ", ".join(f"`{name}`" for name in lacking)
+        warnings.append(
+            f"{names} has no `truth`, so the truth that the model is compared with stands at its start there"
+        )
+    case = shipped_case(model)
+    if sampling is None:
+        sampling = case.sampling if case is not None else Sampling()
+    if metrics is None:
+        metrics = case.metrics if case is not None else Metrics()
+    try:
+        found = truth_errors(model, evaluators, sampling, metrics)
+    except UserError as error:
+        warnings.append(
+            "the model was not compared with its truth, since it is not known where: "
+            + "; ".join(diagnostic.message for diagnostic in error.diagnostics)
+        )
+        return None
+    except ComputationError as error:
+        warnings.append(f"the model was not compared with its truth: {error.what}")
+        return None
+    for name, norm in {"solution": found.solution, "right-hand side": found.rhs, **found.functions}.items():
+        if norm.failed:
+            warnings.append(f"{name}: {norm.failed} points could not be computed and are in no error")
+    return found
+
+
+def shipped_case(model: Model) -> Case | None:
+    """The case of a shipped model of this name, if its sampling fits this one's states and conditions."""
+    from gbspec.data.cases import find_cases
+    from gbspec.data.shipped import shipped_models
+
+    path = shipped_models().get(model.name)
+    if path is None:
+        return None
+    case = find_cases(path).of_model(model.name)
+    states = {state.name for state in model.states}
+    external = {item.name for item in (*model.conditions, *model.inputs)}
+    fits = set(case.sampling.initial) <= states and set(case.sampling.condition) <= external
+    return replace(case) if fits else None

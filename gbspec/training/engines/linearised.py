@@ -1,0 +1,96 @@
+"""What a Jacobian consists of, and the parts that it is put together from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.parameters import Parameters
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Residuals and their Jacobian at one vector; m measured values.
+
+    `residuals` [m]; `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of
+    the block of the trajectory `owner` [m] that the residual belongs to (all its other columns are zero).
+    """
+
+    residuals: Tensor
+    shared: Tensor
+    local: Tensor
+    owner: Tensor
+
+    def dense(self, parameters: Parameters) -> Tensor:
+        """The whole Jacobian [m, size] (for tests and small problems)."""
+        out = torch.zeros((len(self.residuals), parameters.size), dtype=self.residuals.dtype)
+        out[:, : parameters.n_shared] = self.shared
+        block = parameters.n_local
+        for i in range(len(self.residuals)):
+            begin = parameters.n_shared + int(self.owner[i]) * block
+            out[i, begin : begin + block] = self.local[i]
+        return out
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Segments sorted by falling number of sub-steps: owner, first sub-step, number of sub-steps (each [B])."""
+
+    owner: Integers
+    first: Integers
+    length: Integers
+
+    @property
+    def depth(self) -> int:
+        """The most sub-steps of a segment."""
+        return int(self.length.max(initial=0))
+
+    def live(self, step: int) -> int:
+        """How many segments take more than `step` sub-steps: the live prefix."""
+        return int(np.searchsorted(-self.length, -step, side="left"))
+
+    @property
+    def groups(self) -> list[tuple[int, int, int]]:
+        """(length, begin, end) of each run of segments of equal positive length."""
+        out = []
+        for length in sorted({int(n) for n in self.length if n > 0}, reverse=True):
+            begin = int(np.searchsorted(-self.length, -length, side="left"))
+            end = int(np.searchsorted(-self.length, -length, side="right"))
+            out.append((length, begin, end))
+        return out
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Derivatives of the m residuals: of the state [m, n], and directly of the shared and local columns (or None).
+
+    `row` [m] is each residual's key row; `bounds` [R + 1] where each row's residuals begin.
+    """
+
+    row: Tensor
+    bounds: Integers
+    state: Tensor
+    shared: Tensor | None
+    local: Tensor | None
+
+    def of_rows(self, rows: slice) -> slice:
+        """The residuals of some key rows."""
+        return slice(int(self.bounds[rows.start]), int(self.bounds[rows.stop]))
+
+    def _apply(self, rows: slice, sensitivity: Tensor, direct: Tensor | None) -> Tensor:
+        part = self.of_rows(rows)
+        which = self.row[part] - rows.start
+        out = torch.bmm(self.state[part][:, None, :], sensitivity[which])[:, 0]
+        return out if direct is None else out + direct[part]
+
+    def apply_shared(self, rows: slice, sensitivity: Tensor) -> Tensor:
+        """Rows of the Jacobian's shared columns, from the states' sensitivities on arrival at `rows`."""
+        return self._apply(rows, sensitivity, self.shared)
+
+    def apply_local(self, rows: slice, sensitivity: Tensor) -> Tensor:
+        """Rows of the Jacobian's local columns."""
+        return self._apply(rows, sensitivity, self.local)

@@ -1,0 +1,1 @@
+"""The native engine: the generated and compiled kernel."""

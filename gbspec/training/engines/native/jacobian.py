@@ -1,0 +1,221 @@
+"""The Jacobian through the native kernel: derivatives of the stretches between key rows, and their chain.
+
+What `engines.torch.jacobian` says of segments holds here; the kernel does the work for some trajectories at a time,
+so that neither the derivatives of stretches nor the sums that they are chained to leave the processor's cache.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from gbspec.backends.module.template.networks import _layers, _torch_like
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.native.kernel import Kernel, Natural, Tables, workspace
+from gbspec.training.engines.torch.doses import terms_of
+from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+
+BLOCK_BYTES = 8 * 2**20
+"""Derivatives of about this size are made before they are chained."""
+
+_FIELDS = (
+    "owner",
+    "first",
+    "steps",
+    "start",
+    "factor",
+    "shift",
+    "d_start",
+    "d_weights",
+    "d_constants",
+    "d_jumps",
+    "d_times",
+)
+
+
+class _Stretches(ctypes.Structure):
+    """`Stretches` of `jacobian.c`."""
+
+    _fields_ = [
+        ("count", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in _FIELDS),
+        ("columns", ctypes.c_int64),
+        ("jumps", ctypes.c_int64),
+    ]
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Of the states at the ends of B stretches: by their first states [B, n, n], by trained weights [B, n, columns]
+    (columns beyond the weights' are zero) and by learnable constants, natural [B, n, n_learnables]."""
+
+    start: Array
+    weights: Array
+    constants: Array
+
+
+class Stretches:
+    """The stretches that end at the key rows of a problem, at one vector.
+
+    `departure` [R, n] and `initial` [N, n] are states after key rows and at the beginnings.
+    """
+
+    def __init__(
+        self, problem: Problem, kernel: Kernel, parameters: Parameters, theta: Array, departure: Array, initial: Array
+    ) -> None:
+        self.problem, self.kernel, self.parameters = problem, kernel, parameters
+        vector = torch.from_numpy(theta)
+        with torch.no_grad():
+            self.natural = Natural.of(problem, parameters, vector)
+            self.factor, self.shift = _trained(problem, parameters, theta)
+        self.tables = problem.tables(self.natural.arrivals)
+        packed = self.tables.packed
+        self.first = packed.first_step
+        self.steps = (packed.row_step - self.first).astype(np.int64)
+        fresh = (packed.row_index == 0)[:, None]
+        start = np.where(fresh, initial[packed.row_trajectory], departure[packed.previous_row])
+        self.start = np.ascontiguousarray(start)
+        self.doses = _Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
+
+    def derivatives(self, rows: Integers, columns: int) -> Derivatives:
+        """Of the stretches that end at some rows; none by weights with `columns` 0."""
+        n, count = len(self.problem.model.states), len(rows)
+        order = np.argsort(-self.steps[rows], kind="stable")
+        chosen, back = rows[order], np.argsort(order, kind="stable")
+        jumps = len(self.problem.packed.doses.time)
+        arrays = {
+            "owner": np.ascontiguousarray(self.problem.packed.row_trajectory[chosen], dtype=np.int64),
+            "first": self.first[chosen],
+            "steps": self.steps[chosen],
+            "start": self.start[chosen],
+            "factor": self.factor,
+            "shift": self.shift,
+            "d_start": np.zeros((count, n, n)),
+            "d_weights": np.zeros((count, n, columns)),
+            "d_constants": np.zeros((count, n, len(self.problem.model.learnables))),
+            "d_jumps": np.zeros((n, jumps)),
+            "d_times": np.zeros((n, jumps)),
+        }
+        pointers: dict[str, int | None] = {name: array.ctypes.data for name, array in arrays.items()}
+        if not columns:
+            pointers["d_weights"] = None
+        struct = _Stretches(count, *(pointers[name] for name in _FIELDS), columns, jumps)
+        depth = int(arrays["steps"].max(initial=0))
+        weights, constants, _, doses, numbers = (np.ascontiguousarray(a) for a in self.natural.arrays())
+        library = self.kernel.library
+        library.stretches(
+            ctypes.byref(self.tables.struct),
+            ctypes.byref(struct),
+            depth,
+            weights.ctypes.data,
+            numbers.ctypes.data,
+            constants.ctypes.data,
+            doses.ctypes.data,
+            workspace(int(library.stretch_bytes(depth))).ctypes.data,
+        )
+        found = arrays["d_constants"][back]
+        if self.doses is not None:
+            self.doses.add(found, rows, arrays["d_jumps"], arrays["d_times"])
+        return Derivatives(arrays["d_start"][back], arrays["d_weights"][back], found)
+
+    def blocks(self, columns: int) -> Iterator[tuple[Integers, list[Integers]]]:
+        """Trajectories that are done together, and their key rows in turn: trajectory by trajectory, in time."""
+        packed = self.problem.packed
+        most = max(1, BLOCK_BYTES // (8 * len(self.problem.model.states) * max(columns, 64)))
+        order = np.lexsort((packed.row_index, packed.row_trajectory))
+        bounds = np.searchsorted(packed.row_trajectory[order], np.arange(packed.trajectories + 1))
+        begin = 0
+        while begin < packed.trajectories:
+            end = begin + 1
+            while end < packed.trajectories and bounds[end + 1] - bounds[begin] <= most:
+                end += 1
+            rows = order[bounds[begin] : bounds[end]]
+            yield np.arange(begin, end), [rows[i : i + most] for i in range(0, len(rows), most)]
+            begin = end
+
+
+def chain(
+    kernel: Kernel,
+    owner: Integers,
+    d_start: Array,
+    own: Array,
+    release: Array,
+    places: Sequence[Integers],
+    d_state: Array,
+    total: Array,
+    out: Array,
+) -> None:
+    """Takes the sums `total` [.., n, columns] of owners on by their stretches, `d_start` [B, n, n] and `own`
+    [B, n, columns], and writes rows `places[0][b]` to `places[1][b] - 1` of the Jacobian `out` [m, columns], which
+    `d_state` [m, n] gives; `release` [B, n] is left over by resets."""
+    if not own.shape[-1]:
+        return
+    arrays = [np.ascontiguousarray(owner, dtype=np.int64), d_start, own, np.ascontiguousarray(release), *places]
+    arrays += [d_state, total, out]
+    kernel.library.chain(len(owner), own.shape[-1], *(array.ctypes.data for array in arrays))
+
+
+def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Array, Array]:
+    """`factor` and `shift` [W] that take derivatives by the weights of the kernel to those by the trained ones.
+
+    In the kernel the networks' scales are part of the first and the last layer, and contracts have put weights into
+    their forms; a derivative by a first layer's weight becomes `factor * (that - shift * that by the unit's bias)`.
+    """
+    weights = parameters.weights(torch.from_numpy(theta))
+    slopes = problem.module.weight_slopes({name: value.numpy() for name, value in weights.items()})
+    factors, shifts = [np.zeros(0)], [np.zeros(0)]
+    for network in problem.module.networks:
+        layers, scales = _layers(network, weights, problem.ops, _torch_like)
+        center, scale, _, output_scale = (part.numpy() for part in scales)
+        for i, (weight, bias) in enumerate(layers):
+            own = np.ones(tuple(weight.shape)), np.ones(tuple(bias.shape))
+            if i == len(layers) - 1 and not network["raw"]:
+                own = own[0] * output_scale[:, None], own[1] * output_scale
+            if i == 0:
+                own = own[0] / scale, own[1]
+            moved = np.broadcast_to(center, own[0].shape) if i == 0 else np.zeros(own[0].shape)
+            for word, factor, shift in zip(("weight", "bias"), own, (moved, np.zeros(own[1].shape)), strict=True):
+                slope = slopes.get(f"network.{network['name']}.{i}.{word}", 1.0)
+                factors.append((factor * slope).ravel())
+                shifts.append(shift.ravel())
+    return np.concatenate(factors), np.concatenate(shifts)
+
+
+class _Doses:
+    """What learned fractions and lags of doses add to the derivatives by constants."""
+
+    def __init__(self, problem: Problem, parameters: Parameters, vector: torch.Tensor, tables: Tables) -> None:
+        packed, events, known = problem.packed, problem.packed.doses, len(problem.model.constants)
+        k = [column.detach().clone() for column in parameters.constants(vector).unbind(1)]
+        for column in k[known:]:
+            column.requires_grad_()
+        terms = terms_of(problem, torch.from_numpy(packed.condition), k)
+
+        def slopes(values: Sequence[Any]) -> Array:
+            """Derivatives [E, n_learnables] of fractions or lags."""
+            slope: Array = np.zeros((len(terms), packed.trajectories, len(problem.model.learnables)))
+            for kind, value in enumerate(values):
+                if isinstance(value, torch.Tensor) and value.requires_grad:
+                    found: Any = torch.autograd.grad(value.sum(), k[known:], allow_unused=True, retain_graph=True)
+                    for i, gradient in enumerate(found):
+                        slope[kind, :, i] = 0.0 if gradient is None else gradient.numpy()
+            return np.asarray(slope[events.kind, events.owner])
+
+        self.of_amount = slopes([fraction for fraction, _ in terms]) * events.amount[:, None]
+        self.of_time = slopes([lag for _, lag in terms])
+        self.row = tables.jump_row
+
+    def add(self, constants: Array, rows: Integers, d_jumps: Array, d_times: Array) -> None:
+        """Adds, to derivatives by constants [B, n, n_learnables] of some rows, those through the jumps [n, E]."""
+        here = np.flatnonzero(np.isin(self.row, rows))
+        order = np.argsort(rows)
+        place = order[np.searchsorted(rows, self.row[here], sorter=order)]
+        for by_jump, slope in ((d_jumps, self.of_amount), (d_times, self.of_time)):
+            np.add.at(constants, place, by_jump.T[here][:, :, None] * slope[here][:, None, :])

@@ -1,0 +1,1 @@
+"""The torch engine: the reference, for every model and every device."""

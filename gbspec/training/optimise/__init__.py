@@ -1,0 +1,1 @@
+"""Optimisers: Levenberg-Marquardt and its normal equations, Adam, L-BFGS, and priors."""

@@ -1,0 +1,157 @@
+"""Minimisation of a penalised sum of squares from one factored Gauss-Newton Hessian, with an entry held where asked.
+
+The limited-memory BFGS iteration (Nocedal and Wright 2006, algorithm 7.4) whose first matrix is the inverse of the
+normal matrix at the anchor: an iteration costs one gradient, no Jacobian, and its pairs hold what the anchor does not
+know, the curvature of the residuals. It is at rest where the decrease that the quadratic model still promises is small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.objective import half_squares
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.optimise.priors import Priors
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+
+MEMORY = 20
+"""Pairs of steps and gradient changes that are kept."""
+SUFFICIENT = 1e-4
+"""The part of the promised decrease that a step must bring (Armijo)."""
+HALVINGS = 8
+"""How often a step is shortened before the anchor is given up."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Where a minimisation ended: the vector, the objective, how far it still promised to fall, and the steps made."""
+
+    theta: Array
+    objective: float
+    promised: float
+    steps: int
+
+
+@dataclass(frozen=True)
+class Penalised:
+    """Phi = half of the sum of squared residuals, of the priors' rows and of `ridge` times the weights' squared
+    distance from `center` [n_weights].
+
+    The problem's `scaling.noise` must be set: it is what priors are measured by.
+    """
+
+    problem: Problem
+    parameters: Parameters
+    ridge: float
+    center: Array
+
+    @property
+    def priors(self) -> Priors:
+        """The priors' rows."""
+        return Priors.of(self.problem, self.parameters, np.zeros(0))
+
+    def value(self, theta: Array) -> float:
+        """Phi at a vector [size]; infinite where the solution blows up."""
+        residuals = solve(self.problem, self.parameters, theta)
+        found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
+        return found if np.isfinite(found) else float("inf")
+
+    def gradient(self, theta: Array) -> tuple[float, Array]:
+        """Phi and its gradient [size]."""
+        everything = np.arange(self.parameters.trajectories, dtype=np.int64)
+        value, slope = half_squares(self.problem, self.parameters, theta, everything)
+        slope = slope + self.priors.gradient(theta)
+        slope[: self.parameters.n_weights] += self.ridge * self._displaced(theta)
+        value += self._penalty(theta)
+        return (value, slope) if np.isfinite(value) and np.isfinite(slope).all() else (float("inf"), slope)
+
+    def _penalty(self, theta: Array) -> float:
+        moved = self._displaced(theta)
+        return self.priors.penalty(theta) + 0.5 * self.ridge * float(moved @ moved)
+
+    def _displaced(self, theta: Array) -> Array:
+        """How far the weights are from the centre of their prior [n_weights]."""
+        return np.asarray(theta[: self.parameters.n_weights] - self.center, dtype=np.float64)
+
+    def equations(self, theta: Array) -> NormalEquations:
+        """The normal equations at a vector, priors and ridge included."""
+        system = self.priors.with_rows(linearise(self.problem, self.parameters, theta), theta)
+        around = theta.copy()
+        around[: self.parameters.n_weights] -= self.center
+        return NormalEquations(system, self.parameters, np.ones(len(system.residuals)), self.ridge, around)
+
+
+class Anchor:
+    """The factored normal matrix at one vector, damped by `damping`; steps leave the entry `held` where it is."""
+
+    def __init__(self, equations: NormalEquations, damping: float, held: int | None) -> None:
+        self.equations, self.damping, self.held = equations, damping, held
+        if held is not None:
+            unit = np.zeros(equations.parameters.size)
+            unit[held] = 1.0
+            column = equations.invert(unit, damping)
+            self.variance = float(column[held])
+            self.path: Array = column / column[held]
+            """How everything else moves, to first order, when the held entry moves by one."""
+
+    def solve(self, vector: Array) -> Array:
+        """The inverse of the normal matrix, bordered by the held entry, times a vector."""
+        found = self.equations.invert(vector, self.damping)
+        return found if self.held is None else found - found[self.held] * self.path
+
+
+def minimise(target: Penalised, anchor: Anchor, theta: Array, enough: float, most: int) -> Rest:
+    """Follows the descent from `theta` until the promised decrease of Phi is below `enough`, or for `most` steps.
+
+    It also ends where no step along the direction brings a decrease: the anchor is then too far away.
+    """
+    pairs: list[tuple[Array, Array]] = []
+    value, slope = target.gradient(theta)
+    promised = float("inf")
+    for step in range(most):
+        direction = -_two_loops(slope, pairs, anchor)
+        promised = -0.5 * float(slope @ direction)
+        if promised <= enough:
+            return Rest(theta, value, promised, step)
+        found = _search(target, theta, value, direction, promised)
+        if found is None:
+            return Rest(theta, value, promised, step)
+        after, new, new_slope = found
+        moved, changed = after - theta, new_slope - slope
+        if float(moved @ changed) > 1e-10 * float(np.linalg.norm(moved) * np.linalg.norm(changed)):
+            pairs = [*pairs, (moved, changed)][-MEMORY:]
+        theta, value, slope = after, new, new_slope
+    return Rest(theta, value, promised, most)
+
+
+def _search(
+    target: Penalised, theta: Array, value: float, direction: Array, promised: float
+) -> tuple[Array, float, Array] | None:
+    """The first sufficient decrease along a direction, its value and gradient; None where there is none."""
+    length = 1.0
+    for _ in range(HALVINGS):
+        trial = theta + length * direction
+        new, slope = target.gradient(trial)
+        if new <= value - 2 * SUFFICIENT * length * promised:
+            return trial, new, slope
+        length *= 0.4
+    return None
+
+
+def _two_loops(slope: Array, pairs: list[tuple[Array, Array]], anchor: Anchor) -> Array:
+    """The inverse Hessian as the pairs and the anchor know it, times the gradient."""
+    rest, parts = slope.copy(), []
+    for moved, changed in reversed(pairs):
+        part = float(moved @ rest) / float(moved @ changed)
+        rest -= part * changed
+        parts.append(part)
+    found = anchor.solve(rest)
+    for (moved, changed), part in zip(pairs, reversed(parts), strict=True):
+        found += (part - float(changed @ found) / float(moved @ changed)) * moved
+    return found

@@ -1,0 +1,339 @@
+"""The Levenberg-Marquardt stage: robust, damped, regularised where asked, resumable after every iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.linearised import Linearised
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights
+from gbspec.training.optimise.priors import Priors
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+from gbspec.training.recipe.stages import Outcome, State, mean_loss, require_finite, scalar
+
+DELTA_HIGH, DELTA_LOW = 0.1, 0.003
+"""Huber's threshold, in deviations of the data: four times the median residual, within these bounds."""
+ATTEMPTS = 10
+"""Dampings tried in one iteration before the stage gives up."""
+LESS, MORE, GOOD = 0.2, 2.0, 0.9
+"""Factors from one damping to the next, and the part of a foretold decrease above which less damping is tried."""
+LEAST = 1e-12
+"""The smallest damping."""
+DIFFERENCE, BEND = 0.1, 0.75
+"""The part of a step at which its curvature is taken, and how large the correction may be beside the step."""
+CORRECTIONS, WORTHWHILE = 8, 0.02
+"""Most corrections of a step, and by which part of the objective each must lower it for another."""
+WEAK = 1e-2
+"""Prior precision of what has no prior, relative to the noise, in the count of degrees of freedom."""
+
+
+@dataclass(frozen=True)
+class LevenbergOptions:
+    """How a stage steps and when it ends.
+
+    `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
+    stage ends; `enough`: mean loss below which it ends at once, or what gives it for a vector and its residuals;
+    `damping`: the first one; `ridge`: precision of the weights' prior in units of squared residuals; `evidence`: let
+    the data set it anew after each iteration.
+    """
+
+    robust: bool = True
+    tolerance: float = 1e-3
+    enough: float | Callable[[Array, Array], float] = 0.0
+    damping: float = 1.0
+    ridge: float = 0.0
+    evidence: bool = False
+
+
+class LevenbergMarquardt:
+    """Minimises the problem that `problem_at(iteration)` gives (always the same one unless sub-steps are random)."""
+
+    def __init__(
+        self,
+        name: str,
+        total: int,
+        problem_at: Callable[[int], Problem],
+        parameters: Parameters,
+        options: LevenbergOptions,
+    ) -> None:
+        self.name, self.total, self.problem_at, self.parameters = name, total, problem_at, parameters
+        self.options = options
+
+    def begin(self, theta: Array) -> State:
+        """The vector, the damping, the ridge, and how often in a row the decrease was small."""
+        return {
+            "theta": theta,
+            "damping": np.array(self.options.damping),
+            "ridge": np.array(self.options.ridge),
+            "small": np.array(0.0),
+        }
+
+    def threshold(self, residuals: Array) -> float:
+        """Huber's threshold for these residuals."""
+        if not self.options.robust or not len(residuals):
+            return float("inf")
+        return float(np.clip(4 * np.median(np.abs(residuals)), DELTA_LOW, DELTA_HIGH))
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One Jacobian, and as many dampings as it takes to improve."""
+        problem, theta = self.problem_at(iteration), state["theta"]
+        damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
+        system = linearise(problem, self.parameters, theta)
+        require_finite(problem, self.parameters, theta, system.residuals.numpy(), self.name)
+        fit = _Fit(problem, self.parameters, system, theta, self.threshold(system.residuals.numpy()), ridge)
+        found = _searched(fit, damping)
+        if not found.after.value < fit.start.value:
+            kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
+            return Outcome(kept, mean_loss(fit.measured(fit.start)), True)
+        before, after, trial = fit.start.value, found.after, theta + found.move
+        if self.options.evidence:
+            ridge = evidence(fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
+        # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
+        damping = found.damping * float(np.clip(1 - (2 * found.gain - 1) ** 3, 0.2, 2.0))
+        small = small + 1 if (before - after.value) < self.options.tolerance * max(before, 1e-300) else 0.0
+        new: State = {
+            "theta": trial,
+            "damping": np.array(max(damping, LEAST)),
+            "ridge": np.array(ridge),
+            "small": np.array(small),
+        }
+        loss = mean_loss(fit.measured(after))
+        enough = self.options.enough
+        return Outcome(
+            new, loss, small >= 2 or loss < (enough(trial, fit.measured(after)) if callable(enough) else enough)
+        )
+
+    def certainty(self, state: State) -> Certainty:
+        """What the curvature says of a converged state; nothing where the equations are singular to rounding.
+
+        The covariance (Gauss-Newton, Laplace) is the noise variance times the inverse of the normal matrix, priors and
+        ridge included. How far the next undamped step would move a constant is added to its deviation (in squares), NaN
+        where that is more than the deviation itself: the stage had not come to rest.
+        """
+        try:
+            return self._certainty(state)
+        except np.linalg.LinAlgError:  # as those of a fit without any residual are
+            return Certainty.unknown(len(self.parameters.shared))
+
+    def _certainty(self, state: State) -> Certainty:
+        parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
+        problem = self.problem_at(0)
+        system = linearise(problem, parameters, theta)
+        residuals = system.residuals.numpy()
+        if not np.isfinite(residuals).all():
+            return Certainty.unknown(len(parameters.shared))
+        delta = self.threshold(residuals)
+        fit = _Fit(problem, parameters, system, theta, delta, ridge)
+        equations = fit.equations
+        weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
+        freedom = equations.degrees_of_freedom(weak, 0)
+        variance = noise_variance(equations, residuals, delta, freedom)
+        ahead, count = fit.step(weak), len(parameters.shared)
+        out, inverse = np.zeros(count), np.zeros((count, count))
+        slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
+        for i, slope in enumerate(slopes):
+            unit = np.zeros(parameters.size)
+            unit[parameters.n_weights + i] = 1.0
+            inverse[i] = equations.invert(unit, weak)[parameters.n_weights : parameters.n_shared]
+            own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])
+            out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
+        roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * np.where(slopes < 0, -1.0, 1.0)
+        return Certainty(out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots), freedom)
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and how many degrees of
+    freedom the fit used, priors and ridge taken into account; NaN where it is not known, correlations then empty."""
+
+    deviations: Array = field(default_factory=lambda: np.zeros(0))
+    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    freedom: float = float("nan")
+
+    @classmethod
+    def unknown(cls, count: int) -> Certainty:
+        """Of `count` constants of which nothing can be said."""
+        return cls(np.full(count, np.nan), np.full((count, count), np.nan))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """All rows of residuals at a vector, and the objective there."""
+
+    residuals: Array
+    value: float
+
+
+class _Fit:
+    """One linearisation: the residuals of the `count` measured values and, below them, the rows of the priors.
+
+    Where Huber's function weighs measurements down, priors count for as much less as the measurements do on average.
+    """
+
+    def __init__(
+        self, problem: Problem, parameters: Parameters, system: Linearised, theta: Array, delta: float, ridge: float
+    ) -> None:
+        measured = system.residuals.numpy()
+        weights = huber_weights(measured, delta)
+        self.problem, self.parameters, self.count = problem, parameters, len(measured)
+        self.theta, self.delta, self.ridge = theta, delta, ridge
+        self.priors = Priors.of(problem, parameters, measured)
+        self.balance = float(weights.mean()) if len(weights) else 1.0
+        rows = self.priors.with_rows(system, theta)
+        residuals: Array = rows.residuals.numpy()
+        weights = np.concatenate([weights, np.full(len(self.priors), self.balance)])
+        self.equations = NormalEquations(rows, parameters, weights, ridge, theta)
+        self.start = self._with_value(residuals, theta)
+
+    def solved(self, move: Array) -> _Solved:
+        """All rows at another vector, so far from the first."""
+        at = self.theta + move
+        rows = [solve(self.problem, self.parameters, at), self.priors.rows(at)]
+        return self._with_value(np.concatenate(rows), at)
+
+    def _with_value(self, residuals: Array, at: Array) -> _Solved:
+        priors = residuals[self.count :]
+        with np.errstate(over="ignore", invalid="ignore"):  # corrections that run away
+            penalty = self.ridge * float(self.equations.penalised @ at**2) + self.balance * float(priors @ priors)
+        return _Solved(residuals, huber(residuals[: self.count], self.delta) + 0.5 * penalty)
+
+    def step(self, damping: float) -> Array:
+        """The damped step; NaN (which no objective accepts) where the equations are singular to rounding."""
+        return self._found(lambda: self.equations.step(damping))
+
+    def correction(self, target: Array, damping: float) -> Array:
+        """What undoes a change of all (weighted) rows as well as the damping allows; NaN as above."""
+        return self._found(lambda: self.equations.respond(target, damping))
+
+    def _found(self, solve: Callable[[], Array]) -> Array:
+        try:
+            return solve()
+        except np.linalg.LinAlgError:
+            return np.full(self.parameters.size, np.nan)
+
+    def measured(self, solved: _Solved) -> Array:
+        """The residuals of measured values."""
+        return solved.residuals[: self.count]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A damping, how far it moves, what is solved there, and which part of the decrease that was foretold came true (0:
+    there was none)."""
+
+    damping: float
+    move: Array
+    after: _Solved
+    gain: float
+
+    @classmethod
+    def of(cls, fit: _Fit, damping: float) -> _Trial:
+        """Tries a damping."""
+        step = fit.step(damping)
+        move, after = _followed(fit, step, damping)
+        if not after.value < fit.start.value:
+            return cls(damping, move, after, 0.0)
+        foretold = fit.equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
+        gain = min((fit.start.value - after.value) / foretold, 1.0) if foretold > 0 else 1.0
+        return cls(damping, move, after, gain)
+
+
+def _searched(fit: _Fit, damping: float) -> _Trial:
+    """The best of a few dampings, since a Jacobian costs more than several of them.
+
+    From the one at hand it goes up until the objective falls, in growing strides; else down as long as it falls as was
+    foretold: not under a ridge, whose strength the data set only step by step, so that a long step would follow the
+    noise (hare and lynx, foretold by fits of the other years: errors of logarithms 0.330 instead of 0.303).
+    """
+    best = _Trial.of(fit, damping)
+    factor = MORE
+    for _ in range(ATTEMPTS - 1):
+        if best.gain > 0:
+            break
+        best = _Trial.of(fit, best.damping * factor)
+        factor *= MORE
+    while not fit.ridge and best.gain > GOOD and factor == MORE and best.damping > LEAST:
+        trial = _Trial.of(fit, best.damping * LESS)
+        if not trial.after.value < best.after.value:
+            break
+        best = trial
+    return best
+
+
+def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
+    """Where the path leads of which `step` is the beginning: how far to move, and what is solved there.
+
+    A fit lies in a narrow curved valley of the objective. On a straight step of useful length the residuals leave what
+    the linear model foretells by many times their size, and nearly all of that is undone by corrections which the
+    equations at hand give: first half the geodesic acceleration, then chord steps towards the residuals foretold. They
+    cost one solution each, and a half to a quarter of the damping works before the next Jacobian.
+    """
+    best = step, fit.solved(step)
+    bend = _bend(fit, step, damping)
+    if bend is None:
+        return best
+    equations, root = fit.equations, fit.equations.root
+    foretold = root * fit.start.residuals + equations.times(step)
+    move = step + bend
+    for _ in range(1 + CORRECTIONS):
+        there = fit.solved(move)
+        gained = best[1].value - there.value
+        if not gained > 0:
+            break
+        best = move, there
+        if gained < WORTHWHILE * min(there.value, fit.start.value):
+            break
+        move = move + fit.correction(root * there.residuals - foretold, damping)
+    return best
+
+
+def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
+    """Half the geodesic acceleration along a step (Transtrum and Sethna 2012); None where it is not a correction.
+
+    The second derivative of the residuals along the step is taken by a difference.
+    """
+    ahead = fit.solved(DIFFERENCE * step).residuals
+    if not np.isfinite(ahead).all():
+        return None
+    equations = fit.equations
+    second = 2 / DIFFERENCE * (equations.root * (ahead - fit.start.residuals) / DIFFERENCE - equations.times(step))
+    bend = 0.5 * fit.correction(second, damping)
+    with np.errstate(over="ignore"):
+        small = 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step))
+    return bend if small else None
+
+
+def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:
+    """Residual variance with the degrees of freedom that the fit used taken off."""
+    weights = huber_weights(residuals, delta)
+    return float(np.sum(weights * residuals**2)) / max(len(residuals) - freedom, 0.1 * len(residuals), 1.0)
+
+
+def evidence(
+    equations: NormalEquations, residuals: Array, delta: float, theta: Array, ridge: float, seed: int
+) -> float:
+    """The ridge that maximises the evidence at the present linearisation (MacKay 1992), approached by half (in logs).
+
+    With gamma effective weights the prior's precision is gamma / |w|^2 and the noise variance is that of the
+    residuals with all used degrees of freedom taken off; the ridge is their product.
+    """
+    parameters = equations.parameters
+    weights = theta[: parameters.n_weights]
+    size = float(weights @ weights)
+    if not len(weights) or size == 0.0:
+        return ridge
+    scale = max(float(np.mean(residuals**2)), 1e-300)
+    try:
+        freedom = equations.degrees_of_freedom(WEAK * scale, seed)
+    except np.linalg.LinAlgError:  # singular to rounding: so little damping says nothing
+        return ridge
+    unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+    effective = max(freedom - unpenalised, 1.0)
+    target = noise_variance(equations, residuals, delta, freedom) * effective / size
+    return target if ridge <= 0 else float(np.sqrt(ridge * target))

@@ -1,0 +1,260 @@
+"""Damped least-squares steps from the exact Jacobian, with Huber's weights and a ridge on the network weights.
+
+The damped normal equations `(J^T W J + D) s = -(J^T W r + ridge * w)` (w the network weights, D = damping, plus the
+ridge at the weights) are solved in the smaller of their two forms. With fewer residuals than shared columns: the dual,
+of the residuals' size. Else the primal, whose blocks of single trajectories (own constants, initial states) are
+eliminated first, so that its size is the number of shared columns whatever the number of trajectories. Where both are
+large (`sketch.LEAST`), neither matrix is formed if a sketch of it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.linearised import Linearised
+from gbspec.training.optimise.nystrom import LEAST, Blocks, Sketch, TooSlowError
+from gbspec.training.problem.parameters import Parameters
+
+Found = TypeVar("Found")
+
+LARGE = 1000
+"""Matrices of at least this size are factored by all threads (everything else in training is too small to gain)."""
+PROBES = 12
+"""Random vectors in the estimate of a trace; its relative error is about sqrt(2 / (PROBES * trace))."""
+
+
+class _Threads:
+    """How many threads factor large matrices in this process."""
+
+    large = 1
+
+
+def use_threads(count: int) -> None:
+    """Sets the threads of this process: one for tensors, which are small in training, `count` for large matrices."""
+    torch.set_num_threads(1)
+    _Threads.large = count
+
+
+def huber(residuals: Array, delta: float) -> float:
+    """Sum of Huber's function: r^2 / 2 up to `delta`, linear beyond; infinite if a residual is not a number."""
+    if not np.isfinite(residuals).all():
+        return float("inf")
+    if np.isinf(delta):
+        return 0.5 * float(residuals @ residuals)
+    return float(huber_each(residuals, delta).sum())
+
+
+def huber_each(residuals: Array, delta: float) -> Array:
+    """Huber's function of each residual; what is beyond `delta` is never squared, however large it is."""
+    size = np.abs(residuals)
+    inside = np.minimum(size, delta)
+    return np.asarray(inside * (size - 0.5 * inside), dtype=np.float64)
+
+
+def huber_weights(residuals: Array, delta: float) -> Array:
+    """Weights of iteratively reweighted least squares for Huber's function (Huber 1981)."""
+    size = np.abs(residuals)
+    return np.asarray(np.where(size <= delta, 1.0, delta / np.maximum(size, 1e-300)), dtype=np.float64)
+
+
+class Cholesky:
+    """A factored symmetric positive definite matrix [n, n] (torch's LAPACK is several times faster than scipy's).
+
+    Raises LinAlgError where the matrix is not positive definite to rounding.
+    """
+
+    def __init__(self, matrix: Array) -> None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(_Threads.large if len(matrix) >= LARGE else before)
+        try:
+            factor, info = torch.linalg.cholesky_ex(torch.from_numpy(matrix))
+        finally:
+            torch.set_num_threads(before)
+        if int(info) != 0:
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+        self.factor = factor
+
+    def solve(self, right: Array) -> Array:
+        """The solution of A x = right; `right` is [n] or [n, k]."""
+        if not len(right):
+            return right
+        columns = torch.from_numpy(np.ascontiguousarray(right.reshape(len(right), -1)))
+        return np.asarray(torch.cholesky_solve(columns, self.factor).numpy().reshape(right.shape), dtype=np.float64)
+
+
+class NormalEquations:
+    """The linearised problem at one vector, solved for any damping; it takes the system over and scales it in place.
+
+    `weights` [m] are those of the residuals; `ridge` is the precision of the prior on network weights around zero, in
+    units of the residuals.
+    """
+
+    def __init__(self, system: Linearised, parameters: Parameters, weights: Array, ridge: float, theta: Array) -> None:
+        root = np.sqrt(weights)
+        self.parameters = parameters
+        self.shared, self.local = system.shared.numpy(), system.local.numpy()
+        for part in (self.shared, self.local):  # in place, as the first is as large as memory may allow
+            part *= root[:, None]
+        self.residuals = system.residuals.numpy() * root
+        self.owner = system.owner.numpy()
+        self.root = root
+        self.ridge = ridge
+        self.penalised = np.zeros(parameters.size)
+        self.penalised[: parameters.n_weights] = 1.0
+        self.theta = theta
+        self.groups = [np.flatnonzero(self.owner == i) for i in range(parameters.trajectories)]
+        self.dual = len(self.residuals) < parameters.n_shared
+        large = min(len(self.residuals), parameters.n_shared) >= LEAST
+        blocks = Blocks.of(self.local, self.owner, parameters.trajectories)
+        self.sketch = Sketch(self.shared, blocks) if large else None
+        self._grams: tuple[Array, Array] | None = None
+        self._factor: tuple[Any, tuple[float, float]] | None = None
+
+    # ---------------------------------------------------------------- products
+    def times(self, step: Array) -> Array:
+        """J s (weighted) [m]."""
+        parameters = self.parameters
+        local = step[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+        shared = self.shared @ step[: parameters.n_shared]
+        return np.asarray(shared + np.einsum("ij,ij->i", self.local, local[self.owner]), dtype=np.float64)
+
+    def transposed(self, residuals: Array) -> Array:
+        """J^T r [size]."""
+        parameters = self.parameters
+        local = np.zeros((parameters.trajectories, parameters.n_local))
+        np.add.at(local, self.owner, self.local * residuals[:, None])
+        return np.concatenate([self.shared.T @ residuals, local.ravel()])
+
+    def gradient(self) -> Array:
+        """Gradient of the objective [size]."""
+        return self.transposed(self.residuals) + self.ridge * self.penalised * self.theta
+
+    def predicted_decrease(self, step: Array) -> float:
+        """By how much the linear model says that a step lowers the objective."""
+        change = self.times(step)
+        quadratic = 0.5 * float(change @ change) + 0.5 * self.ridge * float(np.sum(self.penalised * step**2))
+        return -float(self.gradient() @ step) - quadratic
+
+    # ---------------------------------------------------------------- solutions
+    def step(self, damping: float) -> Array:
+        """The step [size] that minimises the damped linear model."""
+        diagonal = damping + self.ridge * self.penalised
+        # Completing the square in damping and ridge leaves one diagonal term and shifted residuals.
+        shift = -self.ridge * self.penalised / diagonal * self.theta
+        target = self.residuals + self.times(shift) if self.ridge else self.residuals
+        return self.respond(target, damping) + shift
+
+    def respond(self, target: Array, damping: float) -> Array:
+        """-(J^T J + D)^-1 J^T target [size]."""
+        found = self._sketched(lambda sketch: sketch.solve(self.transposed(target), self._diagonal(damping)))
+        if found is not None:
+            return -found
+        if self.dual:
+            y = self._dual_factor(damping).solve(target)
+            return np.asarray(-self.transposed(y) / self._diagonal(damping), dtype=np.float64)
+        return -self._primal(self.transposed(target), damping)
+
+    def invert(self, vector: Array, damping: float) -> Array:
+        """(J^T J + D)^-1 v [size]."""
+        found = self._sketched(lambda sketch: sketch.solve(vector, self._diagonal(damping)))
+        if found is not None:
+            return found
+        if not self.dual:
+            return self._primal(vector, damping)
+        diagonal = self._diagonal(damping)
+        scaled = vector / diagonal
+        y = self._dual_factor(damping).solve(self.times(scaled))
+        return np.asarray(scaled - self.transposed(y) / diagonal, dtype=np.float64)
+
+    def degrees_of_freedom(self, damping: float, seed: int) -> float:
+        """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""
+        rng = np.random.default_rng([seed, 53])
+        probes = rng.choice([-1.0, 1.0], size=(PROBES, len(self.residuals)))
+        found = self._sketched(lambda sketch: sketch.quadratic(probes.T.copy(), self._diagonal(damping)))
+        if found is not None:
+            return found / PROBES
+        if self.dual:
+            # J (J^T J + D)^-1 J^T = I - (I + J D^-1 J^T)^-1
+            solved = self._dual_factor(damping).solve(probes.T)
+            return len(self.residuals) - float(np.sum(probes * solved.T)) / PROBES
+        return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
+
+    def _sketched(self, of: Callable[[Sketch], Found]) -> Found | None:
+        """What the sketch gives; None where the matrices must be factored, from then on."""
+        if self.sketch is None:
+            return None
+        try:
+            return of(self.sketch)
+        except TooSlowError:
+            self.sketch = None
+            return None
+
+    def _diagonal(self, damping: float) -> Array:
+        return np.asarray(damping + self.ridge * self.penalised, dtype=np.float64)
+
+    def _dual_factor(self, damping: float) -> Any:
+        """Cholesky factor of I + J D^-1 J^T [m, m]; the two Gram matrices are formed once."""
+        if self._factor is None or self._factor[1] != (damping, self.ridge):
+            if self._grams is None:
+                self._grams = self._form_grams()
+            of_weights, of_rest = self._grams
+            if self.ridge:
+                matrix = of_weights / (damping + self.ridge)
+                matrix += of_rest / damping
+            else:
+                matrix = of_weights / damping
+            matrix[np.diag_indices_from(matrix)] += 1.0
+            self._factor = Cholesky(matrix), (damping, self.ridge)
+        return self._factor[0]
+
+    def _form_grams(self) -> tuple[Array, Array]:
+        """Gram matrices of the weights' columns and of all others; their sum and nothing where there is no ridge."""
+        weights = self.shared[:, : self.parameters.n_weights]
+        constants = self.shared[:, self.parameters.n_weights :]
+        rest = constants @ constants.T
+        for rows in self.groups:
+            block = self.local[rows]
+            rest[np.ix_(rows, rows)] += block @ block.T
+        gram = weights @ weights.T
+        if self.ridge:
+            return gram, rest
+        gram += rest
+        return gram, np.zeros((0, 0))
+
+    def _primal(self, gradient: Array, damping: float) -> Array:
+        """(J^T J + D)^-1 g, the trajectories' blocks eliminated."""
+        ns, nl = self.parameters.n_shared, self.parameters.n_local
+        factor, inverses, crosses = self._primal_factor(damping)
+        g_shared, g_local = gradient[:ns].copy(), gradient[ns:].reshape(-1, nl)
+        for inverse, cross, g in zip(inverses, crosses, g_local, strict=True):
+            g_shared -= cross @ (inverse @ g)
+        x = factor.solve(g_shared)
+        blocks = [v @ (g - c.T @ x) for v, g, c in zip(inverses, g_local, crosses, strict=True)]
+        return np.concatenate([x, *blocks])
+
+    def _primal_factor(self, damping: float) -> Any:
+        if self._factor is not None and self._factor[1] == (damping, self.ridge):
+            return self._factor[0]
+        ns, nl = self.parameters.n_shared, self.parameters.n_local
+        if self._grams is None:
+            self._grams = self.shared.T @ self.shared, np.zeros((0, 0))
+        diagonal = self._diagonal(damping)
+        matrix = self._grams[0].copy()
+        matrix[np.diag_indices_from(matrix)] += diagonal[:ns]
+        inverses, crosses = [], []
+        for i, rows in enumerate(self.groups):
+            local = self.local[rows]
+            own = diagonal[ns + i * nl : ns + (i + 1) * nl]
+            inverses.append(np.linalg.inv(local.T @ local + np.diag(own)))
+            crosses.append(self.shared[rows].T @ local)
+        if crosses and nl:
+            wide = [c @ np.linalg.cholesky(0.5 * (v + v.T)) for c, v in zip(crosses, inverses, strict=True)]
+            joined = np.concatenate(wide, axis=1)
+            matrix -= joined @ joined.T
+        self._factor = (Cholesky(matrix), inverses, crosses), (damping, self.ridge)
+        return self._factor[0]

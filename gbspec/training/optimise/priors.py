@@ -1,0 +1,138 @@
+"""What is known of constants beforehand: `prior normal(mean, sd)` and `prior lognormal(median, cv)` in the fit.
+
+Each prior is a row of the sum of squares, `noise * (k - mean) / sd`, or of logarithms under a lognormal prior, whose
+deviation is then sqrt(log(1 + cv^2)). `noise` is the standard deviation of the measurements' noise in units of the
+residuals: so the least sum is the most probable vector, and the inverse of the normal matrix, times the noise's
+variance, the covariance of the posterior where the model is linear (Gelman et al., Bayesian Data Analysis, 14.8). The
+noise is known where every channel states its own; else the residuals at hand tell it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import Prior
+from gbspec.training.engines.linearised import Linearised
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem, typical
+
+LEAST_NOISE = 1e-6
+"""Exact data leave nothing to a prior but what they do not tell; this keeps that much of it."""
+
+
+def spread_of(prior: Prior) -> float:
+    """The standard deviation of a constant, or of its logarithm under a lognormal prior."""
+    return prior.scale if prior.kind == "normal" else float(np.sqrt(np.log1p(prior.scale**2)))
+
+
+def standardised(prior: Prior, value: Tensor) -> Tensor:
+    """By how many of the prior's standard deviations values differ from its centre."""
+    if prior.kind == "normal":
+        return (value - prior.location) / prior.scale
+    return (torch.log(value) - float(np.log(prior.location))) / spread_of(prior)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """The P rows of all priors: one for a shared constant, one a trajectory for a constant that each has for itself.
+
+    `column` [P] is the entry of the trainable vector that a row depends on, `owner` [P] its trajectory (0: shared).
+    """
+
+    parameters: Parameters
+    noise: float
+    column: Integers
+    owner: Integers
+
+    @staticmethod
+    def of(problem: Problem, parameters: Parameters, residuals: Array) -> Priors:
+        """The priors of a model's learnables; `residuals` tell the noise where no channel states it."""
+        count, local = parameters.trajectories, parameters.n_local
+        columns, owners = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+        for i in _with_prior(parameters):
+            if i in parameters.own:
+                owner = np.arange(count, dtype=np.int64)
+                columns.append(parameters.n_shared + owner * local + parameters.own.index(i))
+            else:
+                owner = np.zeros(1, dtype=np.int64)
+                columns.append(owner + parameters.n_weights + parameters.shared.index(i))
+            owners.append(owner)
+        stated = problem.scaling.noise
+        noise = stated if stated is not None else max(typical(residuals), LEAST_NOISE) if len(columns) > 1 else 0.0
+        return Priors(parameters, noise, np.concatenate(columns), np.concatenate(owners))
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+    def rows(self, theta: Array) -> Array:
+        """The rows [P] at a vector."""
+        with torch.no_grad():
+            return np.asarray(self._rows(torch.from_numpy(theta)).numpy(), dtype=np.float64)
+
+    def penalty(self, theta: Array) -> float:
+        """Half the sum of squared rows."""
+        return 0.5 * float(np.sum(self.rows(theta) ** 2))
+
+    def gradient(self, theta: Array) -> Array:
+        """The gradient of the penalty [size]."""
+        out = np.zeros_like(theta)
+        np.add.at(out, self.column, self.rows(theta) * self._slopes(theta))
+        return out
+
+    def with_rows(self, system: Linearised, theta: Array) -> Linearised:
+        """A linearised problem with the rows of the priors below its own."""
+        if not len(self):
+            return system
+        parameters, slopes = self.parameters, torch.from_numpy(self._slopes(theta))
+        shared = torch.zeros((len(self), system.shared.shape[1]), dtype=slopes.dtype)
+        local = torch.zeros((len(self), system.local.shape[1]), dtype=slopes.dtype)
+        for row, (column, owner) in enumerate(zip(self.column.tolist(), self.owner.tolist(), strict=True)):
+            if column >= parameters.n_shared:
+                local[row, column - parameters.n_shared - owner * parameters.n_local] = slopes[row]
+            elif shared.shape[1]:
+                shared[row, column] = slopes[row]
+        return replace(
+            system,
+            residuals=torch.cat([system.residuals, torch.from_numpy(self.rows(theta))]),
+            shared=torch.cat([system.shared, shared]),
+            local=torch.cat([system.local, local]),
+            owner=torch.cat([system.owner, torch.from_numpy(self.owner)]),
+        )
+
+    def _rows(self, theta: Tensor) -> Tensor:
+        parameters = self.parameters
+        constants, known = parameters.constants(theta), len(parameters.model.constants)
+        found = [torch.zeros(0, dtype=theta.dtype)]
+        for i in _with_prior(parameters):
+            values = constants[:, known + i] if i in parameters.own else constants[:1, known + i]
+            prior = parameters.model.learnables[i].prior
+            if prior is not None:
+                found.append(self.noise * standardised(prior, values))
+        return torch.cat(found)
+
+    def _slopes(self, theta: Array) -> Array:
+        """The derivative of each row by the one entry that it depends on [P]."""
+        vector = torch.from_numpy(theta.copy()).requires_grad_()
+        rows = self._rows(vector)
+        if not rows.requires_grad:
+            return np.zeros(0)
+        (gradient,) = torch.autograd.grad(rows.sum(), vector)
+        return np.asarray(gradient.numpy()[self.column], dtype=np.float64)
+
+
+def priors_at(problem: Problem, parameters: Parameters, theta: Array) -> Priors:
+    """The priors beside the residuals at a vector, which are solved only where they must tell the noise."""
+    told = problem.scaling.noise is not None or not _with_prior(parameters)
+    return Priors.of(problem, parameters, np.zeros(0) if told else solve(problem, parameters, theta))
+
+
+def _with_prior(parameters: Parameters) -> list[int]:
+    """Indices of the learnables that have a prior."""
+    return [i for i, learnable in enumerate(parameters.model.learnables) if learnable.prior is not None]

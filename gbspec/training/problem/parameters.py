@@ -1,0 +1,189 @@
+"""The vector of everything that is trained, and what it stands for.
+
+Order: network weights (network by network, layer by layer, weight row by row, then bias), shared constants, then one
+block a trajectory: its own constants and its initial state. All of it is float64 and scaled so that a unit is large.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import Model
+from gbspec.training.problem.bounds import STRETCH, Bijections
+from gbspec.training.problem.packing import Integers
+
+Weights = dict[str, Array]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Layout and scales of the trainable vector for N trajectories of a model.
+
+    `start_value` [N, n_states] and `start_scale` [n_states]: a learned initial state is
+    `start_value + STRETCH * start_scale * u`; `start_free` [N, n_states] says which are learned. `fixed` holds what
+    the weights file contains and training does not change (the networks' scales).
+    """
+
+    model: Model
+    start_value: Array
+    start_scale: Array
+    start_free: Array
+    fixed: Weights
+
+    # ---------------------------------------------------------------- sizes
+    @property
+    def trajectories(self) -> int:
+        """Number of trajectories."""
+        return int(self.start_value.shape[0])
+
+    @cached_property
+    def weight_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Names and shapes of the networks' trained arrays, in order."""
+        shapes: dict[str, tuple[int, ...]] = {}
+        for network in self.model.networks:
+            sizes = network.sizes
+            for layer, (a, b) in enumerate(pairwise(sizes)):
+                shapes[f"network.{network.name}.{layer}.weight"] = (b, a)
+                shapes[f"network.{network.name}.{layer}.bias"] = (b,)
+        return shapes
+
+    @property
+    def n_weights(self) -> int:
+        """Number of network weights."""
+        return sum(network.parameters for network in self.model.networks)
+
+    @property
+    def shared(self) -> tuple[int, ...]:
+        """Indices (among the learnables) of the constants that all trajectories share."""
+        return tuple(i for i, k in enumerate(self.model.learnables) if not k.per_trajectory)
+
+    @property
+    def own(self) -> tuple[int, ...]:
+        """Indices (among the learnables) of the constants that each trajectory has for itself."""
+        return tuple(i for i, k in enumerate(self.model.learnables) if k.per_trajectory)
+
+    @property
+    def n_shared(self) -> int:
+        """Number of columns that all trajectories share: weights and shared constants."""
+        return self.n_weights + len(self.shared)
+
+    @property
+    def n_local(self) -> int:
+        """Number of columns in each trajectory's block: own constants and initial state."""
+        return len(self.own) + len(self.model.states)
+
+    @property
+    def size(self) -> int:
+        """Length of the vector."""
+        return self.n_shared + self.trajectories * self.n_local
+
+    @property
+    def free(self) -> Array:
+        """1 where an entry of the vector may move, 0 where it may not [size]."""
+        out = np.ones(self.size)
+        local = out[self.n_shared :].reshape(self.trajectories, self.n_local)
+        local[:, len(self.own) :] = self.start_free
+        return out
+
+    def bijections(self, indices: tuple[int, ...]) -> Bijections:
+        """Bounds of some of the learnables."""
+        return Bijections.of(tuple(self.model.learnables[i] for i in indices))
+
+    # ---------------------------------------------------------------- natural values from the vector
+    def local(self, theta: Tensor) -> Tensor:
+        """The trajectories' blocks [N, n_local]."""
+        return theta[self.n_shared :].reshape(self.trajectories, self.n_local)
+
+    def weights(self, theta: Tensor) -> dict[str, Tensor]:
+        """What the module's networks take: trained arrays as views of `theta`, and the fixed scales."""
+        out: dict[str, Tensor] = {
+            k: torch.as_tensor(v, dtype=theta.dtype, device=theta.device) for k, v in self.fixed.items()
+        }
+        # Cut in one operation: on the way back of one cut each, every piece is a vector of full length.
+        shapes = self.weight_shapes
+        parts = torch.split(theta[: self.n_weights], [math.prod(shape) for shape in shapes.values()])
+        out |= {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+        return out
+
+    def constants(self, theta: Tensor) -> Tensor:
+        """All constants of every trajectory, known ones first [N, n_constants]."""
+        known = theta.new_tensor([c.value for c in self.model.constants])
+        shared = self.bijections(self.shared).to_natural(theta[self.n_weights : self.n_shared])
+        same = torch.cat([known, shared]).expand(self.trajectories, -1)
+        if not self.own:
+            return same
+        own = self.bijections(self.own).to_natural(self.local(theta)[:, : len(self.own)])
+        order = np.argsort([*range(len(known)), *(len(known) + i for i in (*self.shared, *self.own))])
+        return torch.cat([same, own], 1)[:, torch.from_numpy(order)]
+
+    def starts(self, theta: Tensor) -> Tensor:
+        """Initial states before expressed ones are put in [N, n_states]."""
+        u = self.local(theta)[:, len(self.own) :]
+        value = torch.as_tensor(self.start_value, dtype=theta.dtype, device=theta.device)
+        scale = torch.as_tensor(STRETCH * self.start_scale * self.start_free, dtype=theta.dtype, device=theta.device)
+        return torch.addcmul(value, scale, u)
+
+    # ---------------------------------------------------------------- the vector from natural values
+    def vector(self, weights: Mapping[str, Array], constants: Array | None = None) -> Array:
+        """The vector for given weights, learnable constants ([n] or [N, n], natural) and starts at `start_value`."""
+        theta = np.zeros(self.size)
+        parts = [np.asarray(weights[name], dtype=np.float64).ravel() for name in self.weight_shapes]
+        theta[: self.n_weights] = np.concatenate([*parts, np.zeros(0)])
+        values = (
+            np.array([k.start for k in self.model.learnables], dtype=np.float64) if constants is None else constants
+        )
+        table = np.broadcast_to(values, (self.trajectories, len(self.model.learnables)))
+        if self.shared:
+            natural = np.median(table[:, list(self.shared)], axis=0) if self.trajectories else values[list(self.shared)]
+            theta[self.n_weights : self.n_shared] = self.bijections(self.shared).from_natural(natural)
+        if self.own:
+            local = theta[self.n_shared :].reshape(self.trajectories, self.n_local)
+            local[:, : len(self.own)] = self.bijections(self.own).from_natural(table[:, list(self.own)].copy())
+        return theta
+
+    def with_starts(self, theta: Array, starts: Array) -> Array:
+        """The vector with the learned initial states set to `starts` [N, n_states] (fixed ones stay)."""
+        out = theta.copy()
+        local = out[self.n_shared :].reshape(self.trajectories, self.n_local)
+        scale = STRETCH * self.start_scale
+        local[:, len(self.own) :] = np.where(self.start_free > 0, (starts - self.start_value) / scale, 0.0)
+        return out
+
+    def take(self, indices: Integers) -> Parameters:
+        """The layout for some of the trajectories."""
+        return replace(self, start_value=self.start_value[indices], start_free=self.start_free[indices])
+
+    def take_vector(self, theta: Array, indices: Integers) -> Array:
+        """The part of the vector that belongs to some of the trajectories: shared columns and their blocks."""
+        local = theta[self.n_shared :].reshape(self.trajectories, self.n_local)
+        return np.concatenate([theta[: self.n_shared], local[indices].ravel()])
+
+    # ---------------------------------------------------------------- what is written to a run
+    def natural(self, theta: Array) -> Weights:
+        """The content of a weights file: network arrays and scales, constants, learned initial states."""
+        vector = torch.as_tensor(theta, dtype=torch.float64)
+        out = {name: value.numpy().astype(np.float64) for name, value in self.weights(vector).items()}
+        constants = self.constants(vector).numpy()
+        names = self.model.constant_names
+        known = len(self.model.constants)
+        # A constant that each trajectory has for itself is kept in full; its entry in `constants` is their mean.
+        out["constants"] = constants.mean(axis=0) if self.trajectories else np.zeros(len(names))
+        for i in range(len(self.model.learnables)):
+            column = constants[:, known + i]
+            if i in self.own:
+                out[f"per_trajectory.{names[known + i]}"] = column.copy()
+            elif self.trajectories:
+                out["constants"][known + i] = column[0]
+        for i, constant in enumerate(self.model.constants):
+            out["constants"][i] = constant.value
+        out["initial"] = np.array(self.starts(vector).numpy(), dtype=np.float64)
+        return out

@@ -1,0 +1,390 @@
+"""The profile likelihood of a learned constant: how well everything else can make up for another value of it.
+
+The constant is held at one value after the other, outwards from its estimate, and the weights, the other constants and
+the initial states are fitted anew each time (Raue et al. 2009, Bioinformatics 25, 1923). What is fitted are whole
+solutions from the initial states. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
+deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval.
+
+The weights' prior is centred on the weights of the run, with the precision that the evidence gives there. A network has
+far more weights than the data tell apart, and whole solutions bend along the rest: where the fit does not come to rest
+under that precision, it is raised until it does, and how much the interval shrinks by it is said. Each fit begins
+where the linearised fit expects it, and every fit is kept beside the run, to be used again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir.model import Model
+from gbspec.runs.store import Run
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.optimise.anchored import Anchor, Penalised, Rest, minimise
+from gbspec.training.optimise.levenberg_marquardt import evidence, noise_variance
+from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import typical
+from gbspec.training.profile.store import Kept
+from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.plan import FIRST_RIDGE
+from gbspec.training.recipe.stages import require_finite
+
+THRESHOLD = 2.705543454095404
+"""The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
+FIRST, BEYOND = 0.6, 1.05
+"""Where the deviance's root is looked for, as parts of the threshold's: once well inside, then just outside."""
+NEAR = 0.75, 1.25
+"""A side is done with a point outside, when it or the last one inside is within these parts of the threshold's root."""
+WIDEST = 0.5
+"""The most that a first step changes the entry of the trainable vector (half of it is a factor of e^0.75)."""
+ACCURACY = 0.01
+"""A fit is at rest when its deviance is not expected to fall by more than this."""
+AGAIN = 12
+"""Steps from one Jacobian before the next is made."""
+TIGHTER, MOST_TIGHTER = 10.0, 6
+"""The factor by which the weights' prior is made tighter, and how often."""
+ROUNDS = 8
+"""Iterations of the evidence at one linearisation."""
+WEAK = 1e-2
+"""Damping, as a multiple of the noise's variance: that of directions of which nothing is known."""
+CLEAN = 1e-6
+"""The least standard deviation of noise, in deviations of the data, that a deviance is measured by."""
+
+Report = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class ProfilePoint:
+    """The constant held at `value`; `deviance` above the best point; `others`: the other constants there.
+
+    `converged` is False where the fit had not come to rest after the iterations allowed: the deviance is too large.
+    """
+
+    value: float
+    deviance: float
+    others: dict[str, float]
+    converged: bool
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A profile, by value. `low` and `high` end the 90 % interval; None where it was not left on that side, or
+    where some fit had not come to rest."""
+
+    name: str
+    member: int
+    estimate: float
+    points: tuple[ProfilePoint, ...]
+    low: float | None
+    high: float | None
+    noise: float
+    notes: tuple[str, ...] = ()
+    threshold: float = THRESHOLD
+
+    @property
+    def settled(self) -> bool:
+        """Whether every fit came to rest, so that the deviances mean something."""
+        return all(point.converged for point in self.points)
+
+    def to_json(self) -> dict[str, object]:
+        """The document of `profile --json`."""
+        return {
+            "constant": self.name,
+            "member": self.member,
+            "estimate": self.estimate,
+            "interval": [self.low, self.high],
+            "threshold": self.threshold,
+            "noise": self.noise,
+            "points": [
+                {"value": p.value, "deviance": p.deviance, "converged": p.converged, "constants": p.others}
+                for p in self.points
+            ],
+            "notes": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        ends = [f"{end:.6g}" if end is not None else "open" for end in (self.low, self.high)]
+        interval = f"90 % interval {ends[0]} to {ends[1]}" if self.settled else "no interval, see the note"
+        lines = [f"{self.name} = {self.estimate:.6g}, {interval}"]
+        for point in self.points:
+            inside = "inside" if point.deviance <= self.threshold else ""
+            rest = "" if point.converged else "  not converged"
+            lines.append(
+                f"  {self.name} = {point.value:<12.6g} deviance {point.deviance:<10.4g} {inside}{rest}".rstrip()
+            )
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+
+def profile(
+    run: Run,
+    name: str,
+    trajectories: Trajectories,
+    *,
+    member: int | None = None,
+    points: int = 6,
+    iterations: int = 60,
+    progress: Report | None = None,
+) -> Profile:
+    """The profile of a constant that all trajectories share, at most `points` values to either side.
+
+    Raises UserError (GB858) where there is no such constant, ComputationError where the fit cannot be started.
+    """
+    _check(run.model, name)
+    number = run.best if member is None else member
+    profiler = _Profiler(run, name, trajectories, number, iterations)
+    best = profiler.estimate()
+    found = [best]
+    for direction in (-1.0, 1.0):
+        found += _side(profiler, best, direction, points, progress)
+    return _assembled(name, number, sorted(found, key=lambda one: one.value), profiler)
+
+
+def _check(model: Model, name: str) -> None:
+    known = [k.name for k in model.learnables if not k.per_trajectory]
+    if name not in known:
+        listed = ", ".join(f"`{one}`" for one in known)
+        help = f"the shared learned constants are {listed}" if known else "the model has no shared learned constant"
+        message = f"`{name}` is not a learned constant that all trajectories share"
+        raise UserError([Diagnostic("GB858", message, None, help=help, subject=name)])
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A fit with the constant at `value`: its vector and its penalised half sum of squares."""
+
+    value: float
+    theta: Array
+    objective: float
+    converged: bool
+
+
+class _Profiler:
+    """Fits with the constant free, then held, all around one linearisation."""
+
+    def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
+        fields = {k: v for k, v in run.fit.get("options", {}).items() if k in TrainOptions().to_json()}
+        options = replace(TrainOptions(**fields), random_substeps=False)
+        self.model, self.name, self.iterations = run.model, name, iterations
+        self.weights: dict[str, Array] = run.member(member).weights
+        self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)
+        self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
+        self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
+        self.column = self.parameters.n_weights + self.place
+        self.begin = self._vector(self.parameters, self.free)
+        self.kept = Kept.of(run, member, name, trajectories)
+        self.notes: list[str] = []
+        self.variance, self.deviation = 1.0, 0.0
+
+    def estimate(self) -> _Fitted:
+        """The fit with everything free; sets the noise, the prior, and the path to follow from there."""
+        theta, parameters = self.begin, self.parameters
+        problem = self.free.problem(0.0)
+        residuals = solve(problem, parameters, theta)
+        require_finite(problem, parameters, theta, residuals, "profile")
+        noise = max(typical(residuals), CLEAN)
+        self.target = self._penalised(FIRST_RIDGE * max(noise, 1e-2) ** 2 if parameters.n_weights else 0.0, noise**2)
+        equations = self.target.equations(theta)
+        freedom = self._freedom(equations, residuals)
+        self.variance = max(noise_variance(equations, residuals, float("inf"), freedom), CLEAN**2)
+        first = self.target = self._penalised(equations.ridge, self.variance)
+        rest = self._settled(theta)
+        residuals = solve(problem, parameters, rest.theta)
+        self.variance = max(float(residuals @ residuals) / max(len(residuals) - freedom, 1.0), CLEAN**2)
+        self.target = self._penalised(self.target.ridge, self.variance)
+        self.anchor = self._anchor(rest.theta)
+        self.deviation = math.sqrt(self.anchor.variance * self.variance)
+        if self.target.ridge > first.ridge:
+            self._compare(first, rest.theta)
+        return self._fitted(rest)
+
+    def _freedom(self, equations: NormalEquations, residuals: Array) -> float:
+        """Degrees of freedom that the fit has used; leaves the ridge of the greatest evidence in the equations."""
+        parameters = self.parameters
+        own = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
+        if not parameters.n_weights:
+            return own
+        weak = WEAK * max(float(np.mean(residuals**2)), CLEAN**2)
+        for _ in range(ROUNDS):
+            at = self.begin
+            equations.ridge = evidence(equations, residuals, float("inf"), at, equations.ridge, self.free.seed)
+        return equations.degrees_of_freedom(weak, self.free.seed)
+
+    def _settled(self, theta: Array) -> Rest:
+        """The fit with everything free, under the weakest prior around the run's weights that lets it come to rest."""
+        enough = 0.5 * ACCURACY * self.variance
+        ridges = [self.target.ridge * TIGHTER**k for k in range(MOST_TIGHTER if self.parameters.n_weights else 1)]
+        for ridge in ridges:
+            known = self.kept.find(None, ridge)
+            if known is not None:
+                self.target = replace(self.target, ridge=ridge)
+                return known
+        for ridge in ridges:
+            self.target = replace(self.target, ridge=ridge)
+            anchor = Anchor(self.target.equations(theta), WEAK * self.variance, None)
+            rest = minimise(self.target, anchor, theta, enough, AGAIN)
+            if rest.promised <= enough:
+                self.kept.add(None, ridge, rest)
+                return rest
+        return self._followed(theta, None, None)
+
+    def _compare(self, first: Penalised, theta: Array) -> None:
+        """Says what a tighter prior does to the interval, by the linearised fits."""
+        before = self.deviation
+        weaker = replace(first, problem=self.target.problem)
+        wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, self.column).variance * self.variance)
+        factor = self.target.ridge / first.ridge
+        self.notes.append(
+            f"the weights' prior was made {factor:g} times tighter than the evidence asks, for the fits to come to "
+            f"rest: by the linearised fit this makes the interval {100 * (1 - before / wide):.1f} % narrower"
+        )
+
+    def _penalised(self, ridge: float, variance: float) -> Penalised:
+        problem = self.free.problem(0.0)
+        problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(variance)))
+        return Penalised(problem, self.parameters, ridge, self.begin[: self.parameters.n_weights])
+
+    def _anchor(self, theta: Array) -> Anchor:
+        return Anchor(self.target.equations(theta), WEAK * self.variance, self.column)
+
+    def held(self, entry: float, neighbour: _Fitted) -> _Fitted:
+        """The fit with the constant's entry of the vector at `entry`, from a neighbour moved along the linear path."""
+        known = self.kept.find(entry, self.target.ridge)
+        if known is not None:
+            return self._fitted(known)
+        start = neighbour.theta + (entry - neighbour.theta[self.column]) * self.anchor.path
+        rest = self._followed(start, self.anchor, self.column)
+        if self._at_rest(rest):
+            self.kept.add(entry, self.target.ridge, rest)
+        return self._fitted(rest)
+
+    def _followed(self, theta: Array, anchor: Anchor | None, held: int | None) -> Rest:
+        """Steps to rest, or as many as are allowed, from a new Jacobian wherever the last one is far."""
+        enough, left = 0.5 * ACCURACY * self.variance, self.iterations
+        while True:
+            anchor = anchor or Anchor(self.target.equations(theta), WEAK * self.variance, held)
+            rest = minimise(self.target, anchor, theta, enough, min(AGAIN, left))
+            left -= max(rest.steps, 1)
+            if rest.promised <= enough or left <= 0:
+                return rest
+            theta, anchor = rest.theta, None
+
+    def _at_rest(self, rest: Rest) -> bool:
+        return 2 * rest.promised <= ACCURACY * self.variance
+
+    def _fitted(self, rest: Rest) -> _Fitted:
+        return _Fitted(self.natural(rest.theta), rest.theta, rest.objective, self._at_rest(rest))
+
+    def natural(self, theta: Array) -> float:
+        """The constant's value."""
+        u = torch.from_numpy(theta[self.parameters.n_weights : self.parameters.n_shared])
+        return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
+
+    def others(self, one: _Fitted) -> dict[str, float]:
+        """The other learned constants of a fit (of those that each trajectory has, the mean)."""
+        known = len(self.model.constants)
+        values = self.parameters.constants(torch.from_numpy(one.theta)).numpy().mean(axis=0)[known:]
+        named = zip(self.model.learnables, values, strict=True)
+        return {k.name: float(v) for k, v in named if k.name != self.name}
+
+    # ---------------------------------------------------------------- vectors
+    def _moved_measured_starts(self) -> bool:
+        """Whether the run's fit took measured starts for measurements, as whole solutions of noisy data do."""
+        starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
+        kept = (self.free.start_free == 0) & [state.initial.kind != "expression" for state in self.model.states]
+        return starts.shape == kept.shape and not np.allclose(starts[kept], self.free.start_value[kept], rtol=1e-9)
+
+    def _fixed(self) -> dict[str, Array]:
+        """What the weights file holds of the networks beside what is trained."""
+        trained = self.free.parameters({}).weight_shapes
+        return {k: v for k, v in self.weights.items() if k.startswith("network.") and k not in trained}
+
+    def _vector(self, parameters: Parameters, context: Context) -> Array:
+        """The run's own vector."""
+        known = len(context.model.constants)
+        table = np.tile(np.asarray(self.weights["constants"])[known:], (parameters.trajectories, 1))
+        for i, learnable in enumerate(context.model.learnables):
+            own = self.weights.get(f"per_trajectory.{learnable.name}")
+            if own is not None and len(own) == len(table):
+                table[:, i] = own
+        theta = parameters.vector(self.weights, table)
+        starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
+        return parameters.with_starts(theta, starts) if starts.shape == parameters.start_value.shape else theta
+
+
+def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progress: Report | None) -> list[_Fitted]:
+    """The fits to one side of the estimate, until the threshold lies between two of them or `most` are made.
+
+    Each is where the deviance's root, straight for a parabola, is expected to be a little above the threshold's.
+    """
+    found: list[_Fitted] = []
+    stride = direction * min(math.sqrt(THRESHOLD) * profiler.deviation, WIDEST)
+    here, inside, place = best, (0.0, 0.0), FIRST
+    outside = math.inf
+    for _ in range(most):
+        entry = float(best.theta[profiler.column]) + place * stride
+        here = profiler.held(entry, here)
+        if not math.isfinite(here.objective) or here.value == (found[-1] if found else best).value:
+            break
+        found.append(here)
+        deviance = 2.0 * (here.objective - best.objective) / profiler.variance
+        if progress is not None:
+            progress(here.value, deviance)
+        root = math.sqrt(max(deviance, 0.0) / THRESHOLD)
+        if root <= 1.0:
+            inside = place, root
+            if math.isfinite(outside) and root > NEAR[0]:
+                break
+        else:
+            outside = min(outside, place)
+            if root < NEAR[1] or inside[1] > NEAR[0]:
+                break
+        aimed = (
+            inside[0] + (place - inside[0]) * (BEYOND - inside[1]) / (root - inside[1])
+            if root > 1.0
+            else (place * min(BEYOND / max(root, 1e-9), 2.0))
+        )
+        place = min(aimed, 0.5 * (inside[0] + outside)) if math.isfinite(outside) and root <= 1.0 else aimed
+    return found
+
+
+def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler) -> Profile:
+    """Deviances above the best of all fits, and where they cross the threshold."""
+    least = min(fits, key=lambda one: one.objective)
+    points = tuple(
+        ProfilePoint(one.value, 2.0 * (one.objective - least.objective) / profiler.variance, profiler.others(one),
+                     one.converged)
+        for one in fits
+    )  # fmt: skip
+    notes, at = list(profiler.notes), fits.index(least)
+    low, high = _crossing(points[at::-1]), _crossing(points[at:])
+    slow = sum(not point.converged for point in points)
+    if slow:
+        low = high = None
+        notes.append(f"{slow} of {len(points)} fits had not come to rest, so their deviances are too large and no "
+                     "interval can be given: allow more `--iterations`")  # fmt: skip
+    else:
+        open_sides = [side for side, end in (("below", low), ("above", high)) if end is None]
+        notes += [f"the data do not bound {name} {side}, as far as it was followed" for side in open_sides]
+    if np.any(profiler.free.start_free == 0) and any(s.initial.kind == "measured" for s in profiler.model.states):
+        notes.append("measured initial states stay as measured, so their noise is not in the interval")
+    if profiler.variance <= CLEAN**2:
+        notes.append("the data are followed to rounding, so the deviance is measured by the least noise allowed")
+    return Profile(name, member, least.value, points, low, high, math.sqrt(profiler.variance), tuple(notes))
+
+
+def _crossing(points: tuple[ProfilePoint, ...]) -> float | None:
+    """Where the deviance first crosses the threshold outwards; its root, straight for a parabola, is interpolated."""
+    level = math.sqrt(THRESHOLD)
+    for a, b in pairwise(points):
+        first, second = (math.sqrt(max(p.deviance, 0.0)) for p in (a, b))
+        if first <= level < second:
+            return a.value + (level - first) / (second - first) * (b.value - a.value)
+    return None

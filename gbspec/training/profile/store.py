@@ -1,0 +1,67 @@
+"""The fits of profiles, kept in the run directory: one that was broken off goes on, one repeated is soon there."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.runs import files
+from gbspec.runs.store import Run
+from gbspec.training.optimise.anchored import Rest
+
+FORMAT = "1"
+"""To be changed with what a fit means, so that older ones are not taken for new."""
+
+
+@dataclass
+class Kept:
+    """The fits of one constant and one member that came to rest, by the constant's entry and the weights' prior.
+
+    The file is `members/K/profile.NAME.safetensors`; `mark` tells the weights and the data that it belongs to.
+    """
+
+    path: Path
+    mark: str
+    fits: dict[str, Rest]
+
+    @staticmethod
+    def of(run: Run, member: int, name: str, trajectories: Trajectories) -> Kept:
+        """Reads what was kept; nothing where the file is missing, damaged or of other weights or data."""
+        folder = files.member_directory(run.path, member)
+        told = hashlib.sha256(f"{FORMAT} {trajectories.sha256} ".encode())
+        for key, value in sorted(run.member(member).weights.items()):
+            told.update(key.encode() + np.ascontiguousarray(value, dtype=np.float64).tobytes())
+        kept = Kept(folder / f"profile.{name}.safetensors", told.hexdigest(), {})
+        kept._read()
+        return kept
+
+    def find(self, entry: float | None, ridge: float) -> Rest | None:
+        """The fit with the constant's entry of the vector at `entry` (None: free), if there is one."""
+        return self.fits.get(_key(entry, ridge))
+
+    def add(self, entry: float | None, ridge: float, rest: Rest) -> None:
+        """Keeps a fit, at once on disk."""
+        self.fits[_key(entry, ridge)] = rest
+        arrays: dict[str, Array] = {f"theta.{key}": one.theta for key, one in self.fits.items()}
+        numbers = {key: [one.objective.hex(), one.promised.hex(), one.steps] for key, one in self.fits.items()}
+        files.write_tensors(self.path, arrays, {"mark": self.mark, "fits": numbers})
+
+    def _read(self) -> None:
+        if not self.path.is_file():
+            return
+        try:
+            arrays, remarks = files.read_tensors(self.path)
+        except ValueError:
+            return
+        if remarks.get("mark") == self.mark:
+            for key, (objective, promised, steps) in remarks["fits"].items():
+                theta = arrays[f"theta.{key}"]
+                self.fits[key] = Rest(theta, float.fromhex(objective), float.fromhex(promised), int(steps))
+
+
+def _key(entry: float | None, ridge: float) -> str:
+    return f"{entry.hex() if entry is not None else 'free'},{ridge.hex()}"

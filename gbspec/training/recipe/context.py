@@ -1,0 +1,175 @@
+"""What the stages of one member work with: data, curves, packings, and the layout of the trainable vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.ir.model import Model
+from gbspec.training.engines.device import device_of
+from gbspec.training.engines.native.kernel import TORCH, Choice, choose
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem.packing import Packed, default_max_step, pack
+from gbspec.training.problem.parameters import Parameters, Weights
+from gbspec.training.problem.problem import Problem, measured_states, scaling_of, teacher_forcing
+from gbspec.training.starts.slopes import Points, collocate
+from gbspec.training.starts.splines import Curves, fit_curves
+
+
+@dataclass
+class Context:
+    """The data of one member and everything derived from them; built anew on resume, always the same.
+
+    `held` are the trajectories (or a single trajectory's last rows) kept out by `--holdout`; they are fitted with their
+    own initial states but without influence on what is shared.
+    """
+
+    model: Model
+    module: Any
+    trajectories: Trajectories
+    held: Trajectories
+    options: TrainOptions
+    seed: int
+    max_step: float
+    smooth: bool
+    curves: Curves
+    points: Points
+    start_value: Array
+    start_free: Array
+    state_scale: Array
+    choice: Choice = TORCH
+    _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
+
+    def packed(self, fraction: float = 1.0, draw: int | None = None) -> Packed:
+        """The packing at `fraction` of the largest step; with random sub-steps `draw` numbers the drawing."""
+        draw = draw if self.options.random_substeps else None
+        key = (fraction, draw)
+        if key not in self._packed:
+            rng = None if draw is None else np.random.default_rng([self.seed, 31, draw])
+            if draw is not None:
+                self._packed = {k: v for k, v in self._packed.items() if k[1] is None}
+            self._packed[key] = pack(self.trajectories, self.model, fraction * self.max_step, rng)
+        return self._packed[key]
+
+    def problem(self, blend: float = 1.0, fraction: float = 1.0, draw: int | None = None) -> Problem:
+        """The training problem with teacher forcing of strength `blend`."""
+        packed = self.packed(fraction, draw)
+        forcing = teacher_forcing(self.model, packed, blend)
+        scaling = scaling_of(self.model, packed, self.trajectories)
+        device = device_of(self.options.device)
+        return Problem(self.model, self.module, packed, forcing, scaling, self.choice.kernel, device)
+
+    def parameters(self, fixed: Weights, *, released: bool = False) -> Parameters:
+        """The layout of the trainable vector, with the networks' scales `fixed`.
+
+        `released`: starts that are measured values are learned too, the values counting as measurements like others.
+        """
+        free = released_starts(self.model, self.start_free) if released else self.start_free
+        return Parameters(self.model, self.start_value, self.state_scale, free, fixed)
+
+
+def build_context(
+    model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int, smooth: bool = False
+) -> Context:
+    """Splits off what is held out and prepares the rest; `smooth` chooses smoothing curves."""
+    kept, held = split(trajectories, options.holdout, seed)
+    max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
+    curves = fit_curves(model, kept, smooth)
+    packed = pack(kept, model, max_step)
+    state_scale = state_scales(model, packed, kept)
+    value, free = start_states(model, kept, curves, packed)
+    context = Context(
+        model,
+        module.random(seed),
+        kept,
+        held,
+        options,
+        seed,
+        max_step,
+        smooth,
+        curves,
+        collocate(model, kept, curves, value),
+        value,
+        free,
+        state_scale,
+        choose(model, module, options, packed.substeps),
+    )
+    context._packed[1.0, None] = packed
+    return context
+
+
+def split(trajectories: Trajectories, fraction: float, seed: int) -> tuple[Trajectories, Trajectories]:
+    """Training and held-out part: whole trajectories drawn at random, or the last rows of a single one."""
+    if fraction <= 0 or not len(trajectories):
+        return trajectories, trajectories.subset([])
+    if len(trajectories) > 1:
+        count = int(np.clip(round(fraction * len(trajectories)), 1, len(trajectories) - 1))
+        drawn = np.random.default_rng([seed, 41]).permutation(len(trajectories))
+        return trajectories.subset(sorted(drawn[count:].tolist())), trajectories.subset(sorted(drawn[:count].tolist()))
+    from dataclasses import replace
+
+    item = trajectories.items[0]
+    rows = len(item.times)
+    cut = int(np.clip(round((1 - fraction) * rows), min(2, rows), max(rows - 1, 1)))
+    part = {name: getattr(item, name)[:cut] for name in ("times", "values", "counts", "sd")}
+    return replace(trajectories, items=(replace(item, **part),)), trajectories
+
+
+def state_scales(model: Model, packed: Packed, trajectories: Trajectories) -> Array:
+    """Typical deviation of each state: of its data, else from its range, else from its start."""
+    values, _ = measured_states(model, packed)
+    out = np.ones(len(model.states))
+    for i, state in enumerate(model.states):
+        column = values[np.isfinite(values[:, i]), i]
+        if len(column) > 1 and column.std() > 0:
+            out[i] = column.std()
+        elif state.range is not None and state.range.bounded:
+            out[i] = (state.range.high - state.range.low) / np.sqrt(12)
+        elif state.start:
+            out[i] = abs(state.start)
+    return out
+
+
+def start_states(model: Model, trajectories: Trajectories, curves: Curves, packed: Packed) -> tuple[Array, Array]:
+    """Where each trajectory starts and which of these numbers are learned: [N, n_states] each.
+
+    A state measured at a trajectory's start starts there and is not learned (unless `initial X learn` asks for it);
+    otherwise the guess is the end of its curve, its declared start, or the middle of its range.
+    """
+    measured, seen = measured_states(model, packed)
+    n = len(trajectories)
+    value, free = np.zeros((n, len(model.states))), np.ones((n, len(model.states)))
+    at_start = np.flatnonzero((packed.row_index == 0) & (packed.row_step == 0))
+    for i, state in enumerate(model.states):
+        guess = _guess(model, i, measured[:, i])
+        for k, item in enumerate(trajectories.items):
+            curve = curves.items[k][i]
+            value[k, i] = curve.extended(np.array([item.start]))[0] if curve is not None else guess
+        first = at_start[seen[at_start, i]]
+        value[packed.row_trajectory[first], i] = measured[first, i]
+        if state.initial.kind == "measured":
+            free[packed.row_trajectory[first], i] = 0.0
+        elif state.initial.kind == "expression":
+            free[:, i] = 0.0
+    return value, free
+
+
+def released_starts(model: Model, free: Array) -> Array:
+    """Which starts are learned [N, n_states] where a measured start counts as a measurement: all but expressed ones."""
+    expressed = np.array([state.initial.kind == "expression" for state in model.states], dtype=bool)
+    return np.where(expressed, free, 1.0)
+
+
+def _guess(model: Model, index: int, measured: Array) -> float:
+    state = model.states[index]
+    seen = measured[np.isfinite(measured)]
+    if len(seen):
+        return float(np.median(seen))
+    if state.start is not None:
+        return state.start
+    if state.range is not None and state.range.bounded:
+        return (state.range.low + state.range.high) / 2
+    return 0.0

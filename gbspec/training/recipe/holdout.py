@@ -1,0 +1,49 @@
+"""How well a vector predicts held-out data: the shared part as it is, what belongs to a trajectory fitted to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.device import device_of
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.problem.packing import pack
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Mask, Problem, scaling_of, teacher_forcing
+from gbspec.training.recipe.context import Context, start_states
+from gbspec.training.recipe.stages import mean_loss
+from gbspec.training.starts.initial_states import refit_starts
+from gbspec.training.starts.splines import fit_curves
+
+
+def held_out_score(context: Context, parameters: Parameters, theta: Array) -> float:
+    """Mean of half squared residuals of the held-out trajectories under teacher forcing (infinite after a blow-up).
+
+    A single trajectory held out in time is predicted whole from its fitted start; only its later rows count.
+    """
+    held, model = context.held, context.model
+    packed = pack(held, model, context.max_step)
+    scaling = scaling_of(model, packed, context.trajectories)
+    single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
+    forcing = teacher_forcing(model, packed, 0.0 if single else 1.0)
+    device = device_of(context.options.device)
+    problem = Problem(model, context.module, packed, forcing, scaling, context.choice.kernel, device)
+    value, free = start_states(model, held, fit_curves(model, held), packed)
+    from dataclasses import replace
+
+    local = replace(parameters, start_value=value, start_free=free)
+    own = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+    block = np.tile(own.mean(axis=0), (len(held), 1))
+    block[:, len(parameters.own) :] = own[0, len(parameters.own) :] if single else 0.0
+    vector = np.concatenate([theta[: parameters.n_shared], block.ravel()])
+    if single:
+        later = packed.row_time > context.trajectories.items[0].end
+        same = replace(local, start_value=parameters.start_value, start_free=parameters.start_free)
+        return mean_loss(solve(problem, same, vector)[_of_rows(problem, later)])
+    return mean_loss(solve(problem, local, refit_starts(problem, local, vector, context.seed)))
+
+
+def _of_rows(problem: Problem, rows: Mask) -> Mask:
+    """Which of the measured residuals belong to the given rows."""
+    where = np.nonzero(problem.packed.weights > 0)[0]
+    return np.asarray(rows[where], dtype=np.bool_)

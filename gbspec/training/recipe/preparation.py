@@ -1,0 +1,80 @@
+"""The way to a first vector: scales of the networks, constants from elimination, weights from slope regression."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.ir.model import Model
+from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem.bounds import Bijections
+from gbspec.training.problem.parameters import Parameters, Weights
+from gbspec.training.problem.problem import typical
+from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.stages import imputed_forcing, mean_loss
+from gbspec.training.starts.warm_start import eliminate, network_scales, regress_slopes
+
+SUSPECT = 0.03
+"""Smoothing is tried above this typical residual (in deviations of the data) of a start from interpolating curves."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A member before its first stage. `loss`: mean of half squared residuals with imputed forcing."""
+
+    context: Context
+    parameters: Parameters
+    theta: Array
+    loss: float
+
+
+def prepare(model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int) -> Prepared:
+    """Builds the context and the first vector: from interpolating curves, or smoothing ones where these do better."""
+    first = _attempt(build_context(model, module, trajectories, options, seed))
+    if not options.warm_start or not first.context.points.equations:
+        return first
+    if _misfit(first) <= SUSPECT:
+        return first
+    second = _attempt(build_context(model, module, trajectories, options, seed, smooth=True))
+    return min(first, second, key=_misfit)
+
+
+def _misfit(prepared: Prepared) -> float:
+    """Typical residual of the solution that restarts from the curves at every row."""
+    problem = prepared.context.problem()
+    imputed = replace(problem, forcing=imputed_forcing(prepared.context, problem))
+    return typical(solve(imputed, prepared.parameters, prepared.theta))
+
+
+def _attempt(context: Context) -> Prepared:
+    parameters, theta = _initial(context)
+    if context.options.warm_start:
+        theta = regress_slopes(parameters, context.module, context.points, theta, context.seed)
+    problem = context.problem()
+    imputed = replace(problem, forcing=imputed_forcing(context, problem))
+    return Prepared(context, parameters, theta, mean_loss(solve(imputed, parameters, theta)))
+
+
+def _initial(context: Context) -> tuple[Parameters, Array]:
+    """Fresh weights, networks scaled by the data; constants as declared, or as elimination has them (warm start)."""
+    model = context.model
+    learnables = Bijections.of(model.learnables)
+    start = learnables.from_natural(np.array([k.start for k in model.learnables], dtype=np.float64))
+    fixed: Weights = {
+        name: value for name, value in context.module.weights.items() if name.endswith(("_center", "_scale"))
+    }
+    constants = start
+    if len(context.points):
+        eliminated = eliminate(model, context.module, context.points, start)
+        fixed = network_scales(model, eliminated)
+        if context.options.warm_start and np.isfinite(eliminated.constants).all():
+            constants = eliminated.constants
+    factor = context.options.output_scale
+    parameters = context.parameters({k: factor * v if k.endswith("output_scale") else v for k, v in fixed.items()})
+    natural = learnables.to_natural(torch.from_numpy(constants)).numpy() if len(constants) else constants
+    return parameters, parameters.vector(context.module.weights, natural)

@@ -1,0 +1,1 @@
+"""Whole fits: members, workers, clusters, sweeps, and their summaries."""

@@ -1,0 +1,320 @@
+"""Training as a whole: the directory, the members, and what `fit.json` says of them."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+from collections.abc import Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gbspec
+from gbspec.backends.module import generate, load_module
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
+from gbspec.ir.model import Model
+from gbspec.runs import files
+from gbspec.runs.store import Run
+from gbspec.training.engines.device import device_of
+from gbspec.training.engines.native.kernel import choose
+from gbspec.training.options import TrainOptions
+from gbspec.training.progress import Progress, Silent
+from gbspec.training.recipe.context import build_context
+from gbspec.training.recipe.plan import plan
+from gbspec.training.runs.parallel import Job, fit_jobs
+from gbspec.training.runs.summary import MemberResult
+
+TOGETHER = 0.95
+"""Correlations beyond this are warned of."""
+NEGLIGIBLE = 0.3
+"""A direction is not said to consist of constants with smaller parts in it."""
+FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
+
+
+def train(
+    model: Model,
+    trajectories: Trajectories,
+    options: TrainOptions,
+    directory: Path | str,
+    progress: Progress | None = None,
+) -> Run:
+    """Fits all members and writes the run directory.
+
+    Raises UserError (GB850 options, GB855 the directory in use, GB856 nothing to learn from, GB860 no cluster, GB861 no
+    GPU, GB863 no native kernel), ComputationError where no member could be fitted (what was reached before stays in the
+    directory; members that failed beside others are told as messages), and KeyboardInterrupt on SIGINT after writing a
+    run that can be used and resumed.
+    """
+    shown = progress or Silent()
+    fitting = Fitting(model, trajectories, options, Path(directory), shown)
+    fitting.begin()
+    try:
+        fit_jobs(fitting.jobs(), options, shown, fitting.take)
+    finally:
+        fitting.write()
+    return fitting.run()
+
+
+class Fitting:
+    """A run directory that is being filled: its jobs, and what became of them.
+
+    Raises UserError where the options, the data or the directory do not allow it.
+    """
+
+    def __init__(
+        self, model: Model, trajectories: Trajectories, options: TrainOptions, path: Path, progress: Progress
+    ) -> None:
+        findings = Findings()
+        options.check(findings)
+        _check_data(trajectories, findings)
+        findings.raise_if_failed()
+        if options.scheduler is None:
+            device_of(options.device)
+            if options.backend == "native":
+                choose(model, load_module(model), options, 0)
+        if options.named_stages:
+            anywhere = replace(options, backend="torch", device="cpu")  # what a worker has is not asked for here
+            context = build_context(model, load_module(model), trajectories, anywhere, options.seed)
+            plan(context, context.parameters({}), {})
+        self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
+        self.progress = progress
+        self.record = _record(model, trajectories, options)
+        self.results: dict[int, MemberResult] = {}
+        self.failures: dict[int, ComputationError] = {}
+
+    def begin(self) -> None:
+        """Makes the directory, or finds the run to resume. Raises UserError where that cannot be."""
+        _prepare(self.path, self.model, self.record, self.options)
+
+    def jobs(self, first: int = 0) -> list[Job]:
+        """One job a member, numbered from `first` on."""
+        return [
+            Job(self.model, self.trajectories, self.options, member, self.path, first + member)
+            for member in range(self.options.members)
+        ]
+
+    def take(self, job: Job, outcome: MemberResult | ComputationError) -> None:
+        """Files what became of a member."""
+        if isinstance(outcome, ComputationError):
+            self.failures[job.member] = outcome
+            self.progress.message(f"member {job.member} failed: {outcome.what}")
+        else:
+            self.results[job.member] = outcome
+
+    def write(self) -> None:
+        """Writes `fit.json` and `history.csv`, if a member could be fitted."""
+        if self.results:
+            _write_results(self.path, self.model, self.record, self.results, self.options)
+
+    def run(self) -> Run:
+        """The run; raises the first member's ComputationError if none could be fitted."""
+        if self.failures and not self.results:
+            raise self.failures[min(self.failures)]
+        return Run(self.path, self.model, self.record, tuple(sorted(self.results)))
+
+
+def _check_data(trajectories: Trajectories, findings: Findings) -> None:
+    if trajectories.measurements == 0:
+        findings.error("GB856", "the data hold no measured value, so there is nothing to learn from", None)
+    elif not any(np.any(item.times > item.start) for item in trajectories.items):
+        message = "no trajectory has a measurement after its start, so nothing can be learned of its dynamics"
+        findings.error("GB856", message, None, help="add later rows, or say when trajectories start: `time t from 0`")
+
+
+def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> dict[str, Any]:
+    """What is known before training: the first part of `fit.json`."""
+    packages = ("torch", "numpy", "scipy", "sympy", "casadi")
+    return {
+        "gbspec": gbspec.__version__,
+        "model": model.name,
+        "data": {
+            "path": trajectories.path,
+            "sha256": trajectories.sha256,
+            "trajectories": len(trajectories),
+            "rows": trajectories.rows or sum(len(item.times) for item in trajectories.items),
+            "values": trajectories.measurements,
+        },
+        "options": options.to_json(),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
+        "constants": {},
+        "noise": {},
+        "members": [],
+        "warnings": [],
+        "correlations": {},
+    }
+
+
+# -------------------------------------------------------------------------------------------------- the directory
+def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOptions) -> None:
+    """Makes the directory, or finds the run to resume in it."""
+    if path.exists() and not path.is_dir():
+        raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
+    existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
+    strangers = [name for name in existing if name not in FOREIGN]
+    if strangers:
+        message = f"`{path}` holds files that are not of a run, such as `{strangers[0]}`"
+        raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
+    if options.resume and (path / files.FIT).is_file():
+        _check_resumable(path, model, record)
+    elif options.resume:
+        message = f"there is no run to resume in `{path}`"
+        advice = "check the path, or train without `--resume`"
+        raise UserError([Diagnostic("GB855", message, None, help=advice)])
+    elif files.FIT in existing:
+        message = f"`{path}` already holds a run"
+        help_text = "name another directory with `-o`, delete this one, or continue it with `--resume`"
+        raise UserError([Diagnostic("GB855", message, None, help=help_text)])
+    path.mkdir(parents=True, exist_ok=True)
+    files.write_bytes(path / files.MODEL, model.text.encode("utf-8"))
+    files.write_bytes(path / files.MODULE, generate(model).encode("utf-8"))
+    if not (path / files.FIT).is_file():
+        files.write_json(path / files.FIT, record)
+
+
+def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
+    """Refuses to continue with another model, other data or other options than the run began with."""
+    try:
+        before = json.loads((path / files.FIT).read_text(encoding="utf-8"))
+        text = (path / files.MODEL).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise UserError([Diagnostic("GB852", f"the run `{path}` cannot be resumed: {error}", None)]) from None
+    findings = Findings()
+    if text != model.text:
+        findings.error("GB855", f"the run `{path}` was started with another model", None, help=_OTHER)
+    if before.get("data", {}).get("sha256") != record["data"]["sha256"]:
+        findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
+    may_change = {"members", "workers", "threads", "device", "backend"}
+    for name, value in record["options"].items():
+        old = before.get("options", {}).get(name)
+        if name not in may_change and old != value:
+            flag = name.replace("_", "-")
+            findings.error(
+                "GB855", f"the run `{path}` was started with `--{flag} {old}`, not {value}", None, help=_OTHER
+            )
+    findings.raise_if_failed()
+
+
+_OTHER = "continue it as it began, or name another directory with `-o`"
+
+
+# -------------------------------------------------------------------------------------------------- results
+def _write_results(
+    path: Path, model: Model, record: dict[str, Any], results: dict[int, MemberResult], options: TrainOptions
+) -> None:
+    """Completes `fit.json` and writes `history.csv`."""
+    ordered = [results[k] for k in sorted(results)]
+    ended = [(member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants)]
+    for member, name, _ in ended:  # the curvature says nothing of a constant that a bound stopped
+        results[member].sd[name] = float("nan")
+    record["constants"] = {k.name: _constant(k.name, k.start, ordered) for k in model.learnables}
+    record["noise"] = {c.name: float(np.mean([r.noise[c.name] for r in ordered])) for c in model.channels}
+    record["members"] = [
+        {"seed": r.seed, "loss": r.loss, "rmse": r.rmse, "seconds": r.seconds, "stages": r.stages} for r in ordered
+    ]
+    record["correlations"] = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
+    record["warnings"] = [*warnings_of(results, options), *moving_together(record["correlations"])] + [
+        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond are plausible"
+        for member, name, bound in ended
+    ]
+    files.write_json(path / files.FIT, record)
+    rows = [
+        [member, stage, iteration, seconds, loss, *constants]
+        for member in sorted(results)
+        for stage, iteration, seconds, loss, constants in results[member].history
+    ]
+    files.write_history(path / files.HISTORY, [k.name for k in model.learnables], rows)
+
+
+def _constant(name: str, start: float, results: list[MemberResult]) -> dict[str, Any]:
+    """Mean over members, standard deviation (within and between members), and a 90 % interval."""
+    values = np.array([r.constants[name] for r in results])
+    within = np.array([r.sd[name] for r in results])
+    between = values.var(ddof=1) if len(values) > 1 else 0.0
+    sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
+    center = float(values.mean())
+    interval = [center - 1.645 * sd, center + 1.645 * sd] if math.isfinite(sd) else None
+    return {
+        "value": center,
+        "sd": sd if math.isfinite(sd) else None,
+        "interval": interval,
+        "start": start,
+        "per_member": values.tolist(),
+    }
+
+
+def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:
+    """Correlations of the shared constants by their names, the mean over members; empty where one is not known."""
+    tables = [r.correlations for r in results]
+    if len(names) < 2 or any(t.shape != (len(names), len(names)) or not np.isfinite(t).all() for t in tables):
+        return {}
+    mean = np.mean(tables, axis=0)
+    return {a: {b: float(mean[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)}
+
+
+def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Warnings of constants that the data tell apart badly: pairs, then groups none of whose pairs says it.
+
+    A group is what an eigenvector of the correlations consists of whose eigenvalue is below 1 - TOGETHER, that of a
+    pair at the limit: along it the data determine the constants worst.
+    """
+    names = list(correlations)
+    table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(table[i, j]) > TOGETHER]
+    warnings = [
+        f"`{names[i]}` and `{names[j]}` move together (correlation {table[i, j]:.3f}): "
+        "the data tell a combination of them better than each"
+        for i, j in pairs
+    ]
+    values, vectors = np.linalg.eigh(table)
+    for value, direction in zip(values, vectors.T, strict=True):
+        group = [i for i in range(len(names)) if abs(direction[i]) > NEGLIGIBLE]
+        if value < 1 - TOGETHER and not any(i in group and j in group for i, j in pairs):
+            listed = ", ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
+            warnings.append(
+                f"the data hardly determine the direction {listed} (in standard deviations): fix one of these"
+            )
+    return warnings
+
+
+def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:
+    """Learnable constants that a bound stopped, and the bound: nearer to it than 1e-5 of the range's width.
+
+    Where there is one bound alone, the distance of the start from it stands for the width.
+    """
+    out = []
+    for learnable in model.learnables:
+        low, high = learnable.range.low, learnable.range.high
+        if learnable.name not in constants or high <= low:
+            continue
+        value = constants[learnable.name]
+        for bound in (low, high):
+            width = high - low if math.isfinite(high - low) else abs(learnable.start - bound)
+            if math.isfinite(bound) and abs(value - bound) < 1e-5 * width:
+                out.append((learnable.name, bound))
+    return out
+
+
+def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:
+    """Plain words on what a user must know before trusting the fit."""
+    out = []
+    for member, result in sorted(results.items()):
+        if result.failed:
+            names = ", ".join(f"`{label}`" for label in result.failed[:5])
+            more = f" and {len(result.failed) - 5} more" if len(result.failed) > 5 else ""
+            out.append(
+                f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
+                "these do not count as fitted"
+            )
+        out += [f"member {member}: {note}" for note in result.notes]
+        if not result.finished:
+            out.append(f"member {member}: training was interrupted; `--resume` continues it")
+    missing = options.members - len(results)
+    if missing > 0:
+        out.append(f"{missing} of {options.members} members were not fitted")
+    return out

@@ -1,0 +1,369 @@
+"""One member of a run: runs the stages, keeps checkpoints and history, ends with usable weights whatever happens."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from gbspec.data.fingerprint import fingerprint
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir.model import Model
+from gbspec.runs import files
+from gbspec.training.optimise.levenberg_marquardt import Certainty, LevenbergMarquardt
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.progress import Progress, Update
+from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.plan import Planned, plan, step_fraction
+from gbspec.training.recipe.preparation import prepare
+from gbspec.training.recipe.recognition import recognition
+from gbspec.training.recipe.stages import Outcome, Stage, State
+from gbspec.training.runs.summary import MemberResult, summarise
+
+SAVE_EVERY = 5.0
+"""Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
+
+TIGHT = 1e-3
+"""Stages whose tolerance is at most this are meant to converge; whether one has, its next step tells."""
+
+
+@dataclass
+class Position:
+    """Where a member stands: the stage it is in, how many of its steps are done, its state, and what lies behind.
+
+    `entry` is the vector with which the present stage began, from which it is built again on resume; `marks` holds the
+    vectors at the ends of the stages so far, `notes` what the user should be told;
+    `best` and `best_score` are of the vector that predicts held-out data best (without held-out data: the last one).
+    """
+
+    stage: int = 0
+    iteration: int = 0
+    state: State = field(default_factory=dict)
+    entry: Array = field(default_factory=lambda: np.zeros(0))
+    theta: Array = field(default_factory=lambda: np.zeros(0))
+    best: Array = field(default_factory=lambda: np.zeros(0))
+    best_score: float = float("inf")
+    marks: dict[str, Array] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    certainty: Certainty = field(default_factory=Certainty)
+    seconds: float = 0.0
+    loss: float = float("inf")
+    history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    finished: bool = False
+
+
+def fit_member(
+    model: Model,
+    module: type[Any],
+    trajectories: Trajectories,
+    options: TrainOptions,
+    member: int,
+    directory: Path,
+    progress: Progress,
+    stop: Callable[[], bool] = lambda: False,
+) -> MemberResult:
+    """Fits one member and writes its weights and checkpoints under `directory` (members/K).
+
+    Raises ComputationError where the estimation fails, and Interrupted, with the weights so far written, on SIGINT or
+    when `stop()`, asked after every iteration, says so.
+    """
+    torch.manual_seed(options.seed + member)
+    seed = options.seed + member
+    checkpoint = _checkpoint(directory) if options.resume else None
+    began = time.monotonic()
+    with uninterrupted() as interrupted:
+        if checkpoint is not None:
+            arrays, remarks = checkpoint
+            context = build_context(model, module, trajectories, options, seed, bool(remarks["smooth"]))
+            fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
+            runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
+        else:
+            ready = prepare(model, module, trajectories, options, seed)
+            position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss)
+            runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
+            runner.record_preparation(time.monotonic() - began)
+        if runner.context.choice.remark and member == 0:
+            progress.message(runner.context.choice.remark)
+        return runner.run(lambda: interrupted() or stop())
+
+
+class Interrupted(KeyboardInterrupt):
+    """Raised instead of KeyboardInterrupt once a member's work is safe; `result` is what it reached."""
+
+    def __init__(self, result: MemberResult) -> None:
+        self.result = result
+        super().__init__("interrupted")
+
+
+class _Runner:
+    def __init__(
+        self,
+        context: Context,
+        parameters: Parameters,
+        position: Position,
+        member: int,
+        directory: Path,
+        progress: Progress,
+    ) -> None:
+        self.context, self.member = context, member
+        self.directory, self.progress = directory, progress
+        self.position = position
+        self.plan = plan(context, parameters, position.marks)
+        # Stages that keep measured starts leave their entries at zero, which stands for the measured value.
+        self.parameters = context.parameters(parameters.fixed, released=True)
+        self._began = time.monotonic() - self.position.seconds
+        self._saved = time.monotonic()
+
+    # ---------------------------------------------------------------- running
+    def record_preparation(self, seconds: float) -> None:
+        """Enters the warm start in the history, as if it were a stage."""
+        position = self.position
+        position.seconds = seconds
+        self._began = time.monotonic() - seconds
+        name = "warm start" if self.context.options.warm_start else "start"
+        constants = self._constants(position.theta)
+        position.history.append((name, 1, seconds, position.loss, constants))
+        position.stages.append({"name": name, "iterations": 1, "loss": position.loss, "seconds": seconds})
+        names = [k.name for k in self.parameters.model.learnables]
+        self.progress.update(
+            Update(self.member, name, 1, 1, position.loss, seconds, None, dict(zip(names, constants, strict=True)))
+        )
+
+    def run(self, stop: Callable[[], bool]) -> MemberResult:
+        """All stages from the present position on; `stop` is asked after every iteration."""
+        position = self.position
+        if position.finished:
+            return self._result()
+        try:
+            while position.stage < len(self.plan):
+                if stop():
+                    raise KeyboardInterrupt
+                self._run_stage(self.plan[position.stage], stop)
+                position.stage, position.iteration, position.state = position.stage + 1, 0, {}
+                self._save()
+        except KeyboardInterrupt:
+            self._save()
+            raise Interrupted(self._result()) from None
+        position.finished = True
+        self._save()
+        return self._result()
+
+    def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
+        position = self.position
+        if position.iteration == 0:
+            if not planned.due(position.theta):
+                if self.context.options.named_stages:
+                    position.notes.append(f"the stage `{planned.name}` was asked for and had nothing to do")
+                return
+            position.entry = position.theta
+        stage = planned.make(position.entry)
+        if position.iteration == 0:
+            position.state = stage.begin(position.theta)
+            position.stages.append({"name": stage.name, "iterations": 0, "loss": None, "seconds": 0.0})
+        began = time.monotonic() - float(position.stages[-1]["seconds"])
+        while position.iteration < stage.total:
+            outcome = stage.step(position.state, position.iteration)
+            self._record(stage, outcome, time.monotonic() - began)
+            if outcome.done:
+                break
+            if stop():
+                raise KeyboardInterrupt
+            if time.monotonic() - self._saved > SAVE_EVERY:
+                self._save()
+        position.marks[planned.name] = position.theta
+        self._take_certainty(stage)
+
+    def _take_certainty(self, stage: Stage) -> None:
+        """What the last stage that says any says of constants; another vector makes that void."""
+        position = self.position
+        if isinstance(stage, LevenbergMarquardt):
+            # A stage that may end while the loss still falls by percents has no curvature to speak of.
+            known = stage.options.tolerance <= TIGHT
+            position.certainty = stage.certainty(position.state) if known else Certainty()
+        elif not np.array_equal(position.theta, position.entry):
+            position.certainty = Certainty(freedom=position.certainty.freedom)
+
+    def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
+        position = self.position
+        position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
+        position.iteration += 1
+        if outcome.note:
+            position.notes.append(outcome.note)
+        position.seconds = time.monotonic() - self._began
+        constants = self._constants(position.theta)
+        position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
+        position.stages[-1].update(iterations=position.iteration, loss=outcome.loss, seconds=stage_seconds)
+        self._score()
+        names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]
+        self.progress.update(
+            Update(
+                self.member,
+                stage.name,
+                position.iteration,
+                stage.total,
+                outcome.loss,
+                position.seconds,
+                self._seconds_left(stage, stage_seconds),
+                dict(zip(names, constants, strict=True)),
+            )
+        )
+
+    def _score(self) -> None:
+        """Keeps the vector that predicts held-out data best; the last one where nothing is held out."""
+        position = self.position
+        if not len(self.context.held):
+            position.best, position.best_score = position.theta, position.loss
+            return
+        from gbspec.training.recipe.holdout import held_out_score
+
+        score = held_out_score(self.context, self.parameters, position.theta)
+        if score <= position.best_score:
+            position.best, position.best_score = position.theta, score
+
+    def _constants(self, theta: Array) -> tuple[float, ...]:
+        """Learned constants (of per-trajectory ones the mean), natural."""
+        values = self.parameters.constants(torch.from_numpy(theta)).numpy()
+        known = len(self.parameters.model.constants)
+        return tuple(float(x) for x in values[:, known:].mean(axis=0)) if len(values) else ()
+
+    def _shared_names(self) -> list[str]:
+        return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
+
+    def _seconds_left(self, stage: Stage, stage_seconds: float) -> float:
+        """At this stage's pace for all that may still come: an upper estimate, as stages end when they converge."""
+        position = self.position
+        pace = stage_seconds / max(position.iteration, 1)
+        later = sum(p.total for p in self.plan[position.stage + 1 :])
+        return pace * (max(stage.total - position.iteration, 0) + later)
+
+    # ---------------------------------------------------------------- files
+    def _result(self) -> MemberResult:
+        position = self.position
+        freedom = position.certainty.freedom
+        result = summarise(
+            self.context, self.parameters, position.best, freedom, position.loss, position.seconds, position.stages
+        )
+        weights = self.parameters.natural(position.best) | {"initial": result.initial}
+        if position.finished and self.context.options.initial == "recognition":
+            blend = 0.0 if "autoregressive" in position.marks else self.context.options.blend
+            weights |= recognition(self.context, self.parameters, position.best, blend)
+        info = {
+            # The largest step that the weights were fitted with last.
+            "max_step": self.context.max_step * step_fraction([str(stage["name"]) for stage in position.stages]),
+            "seed": self.context.seed,
+            "labels": result.labels,
+            # The learned initial states are found again by content, whatever table a trajectory comes in.
+            "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
+        }
+        instance = type(self.context.module)(weights, info)
+        path = self.directory / files.WEIGHTS
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{files.WEIGHTS}.tmp")
+        instance.save(temporary)
+        temporary.replace(path)
+        result.history = list(position.history)
+        for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
+            result.sd[name] = float(deviation)
+        result.correlations = position.certainty.correlations
+        result.finished, result.notes = position.finished, list(position.notes)
+        return result
+
+    def _save(self) -> None:
+        """Writes the last and the best checkpoint."""
+        position = self.position
+        arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
+        arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
+        arrays |= {"deviations": position.certainty.deviations, "correlations": position.certainty.correlations}
+        arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
+        arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
+        remarks = {
+            "stage": position.stage,
+            "iteration": position.iteration,
+            "seconds": position.seconds,
+            "finished": position.finished,
+            "smooth": self.context.smooth,
+            "stages": position.stages,
+            "notes": position.notes,
+            "exact": {
+                "loss": position.loss.hex(),
+                "best_score": position.best_score.hex(),
+                "freedom": position.certainty.freedom.hex(),
+            },
+            "history": [
+                [name, i, seconds, loss.hex(), [x.hex() for x in constants]]
+                for name, i, seconds, loss, constants in position.history
+            ],
+        }
+        files.write_tensors(self.directory / files.CHECKPOINT, arrays, remarks)
+        best = {"theta": position.best}
+        files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})
+        self._saved = time.monotonic()
+
+
+def _checkpoint(directory: Path) -> tuple[dict[str, Array], dict[str, Any]] | None:
+    """The last checkpoint, if there is one. Raises `UserError` (GB852) where it is damaged."""
+    path = directory / files.CHECKPOINT
+    if not path.is_file():
+        return None
+    try:
+        return files.read_tensors(path)
+    except ValueError as error:
+        help_text = f"delete `{directory}` to fit the member anew"
+        raise UserError([Diagnostic("GB852", str(error), None, help=help_text)]) from None
+
+
+def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
+    """The position that a checkpoint keeps."""
+    return Position(
+        stage=remarks["stage"],
+        iteration=remarks["iteration"],
+        state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
+        entry=arrays["entry"],
+        certainty=Certainty(arrays["deviations"], arrays["correlations"], float.fromhex(remarks["exact"]["freedom"])),
+        theta=arrays["theta"],
+        best=arrays["best"],
+        best_score=float.fromhex(remarks["exact"]["best_score"]),
+        seconds=remarks["seconds"],
+        loss=float.fromhex(remarks["exact"]["loss"]),
+        history=[
+            (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
+            for name, i, seconds, loss, constants in remarks["history"]
+        ],
+        stages=remarks["stages"],
+        notes=remarks["notes"],
+        marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
+        finished=remarks["finished"],
+    )
+
+
+class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
+    """Within it SIGINT is noted instead of raised, so that an iteration ends whole; a second one is raised at once."""
+
+    def __enter__(self) -> Callable[[], bool]:
+        import signal
+        import threading
+
+        self._seen = 0
+        self._main = threading.current_thread() is threading.main_thread()
+        if self._main:
+            self._before = signal.signal(signal.SIGINT, self._note)
+        return lambda: self._seen > 0
+
+    def _note(self, number: int, frame: object) -> None:
+        self._seen += 1
+        if self._seen > 1:
+            raise KeyboardInterrupt
+
+    def __exit__(self, *exception: object) -> None:
+        import signal
+
+        if self._main:
+            signal.signal(signal.SIGINT, self._before)

@@ -1,0 +1,137 @@
+"""What is said of a fitted member: errors by channel, noise, initial states, and the constants' standard deviations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.torch.unroll import observe_rows, unroll
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.recipe.context import Context
+
+
+@dataclass
+class MemberResult:
+    """A member's part of `fit.json`; arrays in natural units.
+
+    `rmse` and `noise` by channel: root mean square of prediction minus value of the autoregressive solution (NaN where
+    it blew up) and the estimated standard deviation of the noise; `constants` by name; `sd` by name (NaN: not known);
+    `correlations` [k, k] of the constants that all trajectories share, empty where not known;
+    `failed` names the trajectories whose autoregressive solution blew up.
+    """
+
+    seed: int
+    loss: float
+    rmse: dict[str, float]
+    noise: dict[str, float]
+    constants: dict[str, float]
+    sd: dict[str, float]
+    seconds: float
+    stages: list[dict[str, Any]]
+    initial: Array
+    labels: list[str]
+    failed: list[str] = field(default_factory=list)
+    history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
+    finished: bool = True
+    notes: list[str] = field(default_factory=list)
+    correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+def summarise(
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    freedom: float,
+    loss: float,
+    seconds: float,
+    stages: list[dict[str, Any]],
+) -> MemberResult:
+    """Evaluates a member at `theta`; `freedom` is how many degrees of freedom its last stage used (NaN: not known)."""
+    model = context.model
+    problem = context.problem(0.0)
+    vector = torch.from_numpy(theta)
+    with torch.no_grad():
+        solution = unroll(problem, parameters, vector)
+        constants = parameters.constants(vector)
+        networks = context.module.torch_networks(parameters.weights(vector))
+        owner = torch.from_numpy(problem.packed.row_trajectory)
+        predicted = observe_rows(problem, solution.arrival, constants[owner], networks).numpy()
+    difference = predicted - problem.packed.values
+    seen = problem.packed.weights > 0
+    blown = seen & ~np.isfinite(predicted)
+    failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
+    rmse, noise = {}, {}
+    noise_of = _Noise.of(context, parameters, theta, freedom, [str(stage["name"]) for stage in stages])
+    for i, channel in enumerate(model.channels):
+        column = difference[seen[:, i], i]
+        rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
+        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i])
+    known = len(model.constants)
+    values = constants.numpy()[:, known:].mean(axis=0)
+    names = [k.name for k in model.learnables]
+    return MemberResult(
+        context.seed,
+        loss,
+        rmse,
+        noise,
+        dict(zip(names, map(float, values), strict=True)),
+        {name: float("nan") for name in names},
+        seconds,
+        [dict(stage) for stage in stages],
+        solution.initial.numpy().copy(),
+        list(context.packed().labels),
+        failed,
+    )
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Residuals [R, C], in units of the channels' scales, from which the noise is told.
+
+    Where the data say that they are noisy, or constants alone are learned, the fit was to whole solutions: their mean
+    squares (each residual cut at `threshold`, four deviations), divided by the `share` of the degrees of freedom that
+    the fit left, are what a prediction errs by. Else values were predicted from the ones before: the median tells.
+    """
+
+    residuals: Array
+    share: float | None
+    threshold: float
+
+    @classmethod
+    def of(
+        cls, context: Context, parameters: Parameters, theta: Array, freedom: float, stages: Sequence[str]
+    ) -> _Noise:
+        """From the residuals at `theta`, with the forcing that was trained with."""
+        asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
+        whole = asked and (not parameters.n_weights or "autoregressive" in stages)
+        with torch.no_grad():
+            blend = 0.0 if whole else context.options.blend
+            out = unroll(context.problem(blend), parameters, torch.from_numpy(theta))
+        residuals = np.asarray(out.residuals.numpy(), dtype=np.float64)
+        count = int((context.packed().weights > 0).sum())
+        if not whole or not count:
+            return cls(residuals, None, float("inf"))
+        used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
+        threshold = 4 * _robust_deviation(residuals[context.packed().weights > 0])
+        return cls(residuals, max(1 - used / count, 0.1, 1 / count), threshold)
+
+    def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:
+        """The standard deviation of a channel's noise."""
+        column = self.residuals[seen, channel]
+        column = column[np.isfinite(column)]
+        if self.share is None or not len(column):
+            return _robust_deviation(column)
+        inside = np.minimum(np.abs(column), self.threshold)
+        return float(np.sqrt(np.mean(inside**2) / self.share))
+
+
+def _robust_deviation(residuals: Array) -> float:
+    """1.4826 times the median absolute residual: the standard deviation, untroubled by a few bad values."""
+    finite = residuals[np.isfinite(residuals)]
+    return 1.4826 * float(np.median(np.abs(finite))) if len(finite) else float("nan")

@@ -1,0 +1,98 @@
+"""A sweep: runs with different options on the same data, all their members fitted side by side, and a table of them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import ComputationError
+from gbspec.ir.model import Model
+from gbspec.runs import files
+from gbspec.training.options import TrainOptions
+from gbspec.training.progress import Progress, Silent
+from gbspec.training.runs.fit import Fitting
+from gbspec.training.runs.parallel import Job, fit_jobs
+from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.variations import Point
+
+TABLE = "sweep.csv"
+
+
+def sweep(
+    model: Model,
+    trajectories: Trajectories,
+    points: Sequence[Point],
+    options: TrainOptions,
+    directory: Path,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Fits every point into a run directory of its own under `directory`; gives (and writes) a row for each.
+
+    `options` say how the call goes: workers, threads, scheduler. A row has the run's name, what was varied, the
+    members that were fitted, the least loss of a member, and of that member the rmse of each channel and the constants;
+    a point of which no member could be fitted has none of these. Raises UserError like `train`, and KeyboardInterrupt
+    on SIGINT, after writing what can be resumed.
+    """
+    shown = progress or Silent()
+    runs = [_fitting(model, trajectories, point, directory, shown) for point in points]
+    for run in runs:
+        run.begin()
+    jobs: list[Job] = []
+    of_job: dict[int, Fitting] = {}
+    for run in runs:
+        own = run.jobs(len(jobs))
+        of_job |= dict.fromkeys((job.number for job in own), run)
+        jobs += own
+
+    def take(job: Job, outcome: MemberResult | ComputationError) -> None:
+        run = of_job[job.number]
+        run.take(job, outcome)
+        if len(run.results) + len(run.failures) == run.options.members:
+            run.write()
+            done = sum(len(each.results) + len(each.failures) == each.options.members for each in runs)
+            shown.message(f"[{done}/{len(runs)}] {run.path.name}: loss {_least(run):.4g}")
+
+    try:
+        fit_jobs(jobs, options, shown, take)
+    finally:
+        for run in runs:
+            run.write()
+        rows = [_row(point, run) for point, run in zip(points, runs, strict=True)]
+        _write(directory / TABLE, rows)
+    return rows
+
+
+def _fitting(model: Model, trajectories: Trajectories, point: Point, directory: Path, shown: Progress) -> Fitting:
+    """A point's run: resumed where it was begun, as a sweep that goes on may have new points."""
+    path = directory / point.name
+    resume = point.options.resume and (path / files.FIT).is_file()
+    return Fitting(model, trajectories, replace(point.options, resume=resume), path, shown)
+
+
+def _least(run: Fitting) -> float:
+    return min((result.loss for result in run.results.values()), default=math.nan)
+
+
+def _row(point: Point, run: Fitting) -> dict[str, Any]:
+    row: dict[str, Any] = {"run": point.name, **point.varied, "members": len(run.results)}
+    best = min(run.results.values(), key=lambda result: result.loss, default=None)
+    if best is not None:
+        row |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
+        row |= {**best.constants, "seconds": sum(result.seconds for result in run.results.values())}
+    return row
+
+
+def _write(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Writes the table; its columns are those of the fullest row."""
+    fullest: dict[str, Any] = max(rows, key=len)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(fullest), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    files.write_bytes(path, text.getvalue().encode("utf-8"))

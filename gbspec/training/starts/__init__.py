@@ -1,0 +1,1 @@
+"""Where a fit starts from: curves, slopes, gradient matching, search, initial states."""

@@ -1,0 +1,184 @@
+"""Refits the initial states (and own constants) trajectory by trajectory, everything shared being frozen.
+
+Candidates around the current start are tried for all trajectories in one batch; the best of each is polished by
+Levenberg-Marquardt steps on the trajectories' own blocks, each with its own damping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.torch.unroll import solve, unroll
+from gbspec.training.optimise.normal_equations import huber_each
+from gbspec.training.optimise.priors import LEAST_NOISE, Priors
+from gbspec.training.problem.packing import Integers, Packed
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Forcing, Problem, typical
+
+POLISH_STEPS = 12
+FLAT = 1e-12
+"""The least damping of a step, beside the trace of its Hessian."""
+HUBER = 0.3
+"""Residuals beyond this many deviations of the data count linearly: one bad value must not set a start."""
+
+
+def refit_starts(
+    problem: Problem, parameters: Parameters, theta: Array, seed: int, candidates: int = 32, radius: float = 1.0
+) -> Array:
+    """The vector with better starts: no trajectory's own loss over its first rows increases.
+
+    `radius` is the size of the box of candidates in units of the states' deviations.
+    """
+    if not parameters.start_free.any():
+        return theta
+    window = first_rows(problem, _influence(problem))
+    if window.scaling.noise is None:
+        # One noise throughout, so that losses with priors can be compared.
+        noise = max(typical(solve(window, parameters, theta)), LEAST_NOISE)
+        window = replace(window, scaling=replace(window.scaling, noise=noise if np.isfinite(noise) else 0.0))
+    best, losses = theta, _trajectory_losses(window, parameters, theta)
+    starts = _starts(parameters, theta)
+    width = parameters.start_free * parameters.start_scale * radius
+    points = np.random.default_rng([seed, 23]).uniform(-1, 1, (candidates, len(parameters.start_scale)))
+    for fraction in (1.0, 0.25):
+        found = _best_candidates(window, parameters, best, starts, points * fraction, width)
+        best, losses = _keep_better(window, parameters, best, found, losses)
+        starts = _starts(parameters, best)
+    return _polish(window, parameters, best, losses)
+
+
+def first_rows(problem: Problem, count: int) -> Problem:
+    """The problem with no more than the first `count` key rows of each trajectory."""
+    packed = problem.packed
+    keep = packed.row_index < count
+    steps = np.zeros(packed.trajectories, dtype=np.int64)
+    np.maximum.at(steps, packed.row_trajectory[keep], packed.row_step[keep])
+    depth = int(steps.max(initial=0))
+    h = packed.h[:depth].copy()
+    h[np.arange(depth)[:, None] >= steps[None, :]] = 0.0
+    cut = {
+        name: getattr(packed, name)[keep]
+        for name in (
+            "row_trajectory",
+            "row_index",
+            "row_step",
+            "row_time",
+            "values",
+            "weights",
+            "sd",
+            "row_inputs",
+        )
+    }
+    shorter: Packed = replace(packed, t=packed.t[:depth], h=h, inputs=packed.inputs[:depth], steps=steps, **cut)
+    forcing = Forcing(problem.forcing.value[keep], problem.forcing.weight[keep])
+    scaling = replace(problem.scaling, row_scale=problem.scaling.row_scale[keep])
+    return replace(problem, packed=shorter, forcing=forcing, scaling=scaling)
+
+
+def _influence(problem: Problem) -> int:
+    """After how many rows a start no longer matters: every state reset once, and a few rows more for what is hidden."""
+    packed, weight = problem.packed, problem.forcing.weight
+    resettable = weight.max(axis=0, initial=0.0) >= 1.0
+    if not resettable.all():
+        return int(packed.row_index.max(initial=0)) + 1
+    seen = np.zeros((packed.trajectories, weight.shape[1]), dtype=np.int64) + int(packed.row_index.max(initial=0))
+    for state in range(weight.shape[1]):
+        rows = np.flatnonzero(weight[:, state] >= 1.0)[::-1]
+        seen[packed.row_trajectory[rows], state] = packed.row_index[rows]
+    return int(seen.max(initial=0)) + 2
+
+
+def _starts(parameters: Parameters, theta: Array) -> Array:
+    with torch.no_grad():
+        return np.asarray(parameters.starts(torch.from_numpy(theta)).numpy(), dtype=np.float64)
+
+
+def _trajectory_losses(problem: Problem, parameters: Parameters, theta: Array) -> Array:
+    """Huber loss of each trajectory; infinite where it blew up [N]."""
+    with torch.no_grad():
+        residuals = unroll(problem, parameters, torch.from_numpy(theta)).residuals.numpy()
+    rho = huber_each(residuals, HUBER).sum(axis=1)
+    rho = np.where(np.isfinite(rho), rho, np.inf)
+    losses = np.zeros(problem.packed.trajectories)
+    np.add.at(losses, problem.packed.row_trajectory, rho)
+    priors = Priors.of(problem, parameters, np.zeros(0))
+    if len(priors):
+        np.add.at(losses, priors.owner, 0.5 * priors.rows(theta) ** 2)
+    return losses
+
+
+def _best_candidates(
+    problem: Problem, parameters: Parameters, theta: Array, starts: Array, points: Array, width: Array
+) -> Array:
+    """Each trajectory's best start among `starts + width * points` [N, n_states]."""
+    count, n = len(points), parameters.trajectories
+    index: Integers = np.repeat(np.arange(n, dtype=np.int64), count)
+    many, wide = problem.take(index), parameters.take(index)
+    tried = starts[index] + width[index] * np.tile(points, (n, 1))
+    vector = wide.with_starts(parameters.take_vector(theta, index), tried)
+    losses = _trajectory_losses(many, wide, vector).reshape(n, count)
+    return np.asarray(tried.reshape(n, count, -1)[np.arange(n), losses.argmin(axis=1)], dtype=np.float64)
+
+
+def _keep_better(
+    problem: Problem, parameters: Parameters, theta: Array, starts: Array, losses: Array
+) -> tuple[Array, Array]:
+    trial = parameters.with_starts(theta, starts)
+    return _keep_blocks(problem, parameters, theta, trial, losses)
+
+
+def _keep_blocks(
+    problem: Problem, parameters: Parameters, old: Array, new: Array, losses: Array
+) -> tuple[Array, Array]:
+    """Takes each trajectory's block from `new` where its loss fell."""
+    trial = _trajectory_losses(problem, parameters, new)
+    better = trial < losses
+    out = old.copy()
+    blocks = out[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+    blocks[better] = new[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)[better]
+    return out, np.where(better, trial, losses)
+
+
+def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Array) -> Array:
+    n, width = parameters.trajectories, parameters.n_local
+    damping = np.full(n, 1e-2)
+    for _ in range(POLISH_STEPS):
+        system = linearise(problem, parameters, theta, only_local=True)
+        if len(system.owner) == 0 or not np.isfinite(system.residuals.numpy()).all():
+            break
+        system = Priors.of(problem, parameters, np.zeros(0)).with_rows(system, theta)
+        residuals = system.residuals.numpy()
+        size = np.abs(residuals)
+        weight = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, 1e-300))
+        local, owner = system.local.numpy(), system.owner.numpy()
+        hessian, gradient = np.zeros((n, width, width)), np.zeros((n, width))
+        np.add.at(hessian, owner, local[:, :, None] * (weight[:, None] * local)[:, None, :])
+        np.add.at(gradient, owner, local * (weight * residuals)[:, None])
+        step = damped_steps(hessian, gradient, damping)
+        trial = theta.copy()
+        trial[parameters.n_shared :] += step.ravel()
+        theta, new = _keep_blocks(problem, parameters, theta, trial, losses)
+        improved = new < losses
+        damping = np.where(improved, damping / 5, damping * 4)
+        if not (new < losses * (1 - 1e-6) - 1e-15).any() and (damping > 1e3).all():
+            break
+        losses = new
+    return theta
+
+
+def damped_steps(hessian: Array, gradient: Array, damping: Array) -> Array:
+    """Steps [N, k] from Hessians [N, k, k] (positive semidefinite), gradients [N, k] and dampings [N].
+
+    Each damping is at least FLAT times its Hessian's trace: it falls with every success, and the equations of a
+    direction along which the data say nothing must not become singular by that.
+    """
+    least = FLAT * np.trace(hessian, axis1=1, axis2=2)
+    diagonal = np.maximum(np.maximum(damping, least), np.finfo(float).tiny)
+    width = hessian.shape[1]
+    system = hessian + diagonal[:, None, None] * np.eye(width)
+    return np.asarray(-np.linalg.solve(system, gradient[:, :, None])[:, :, 0], dtype=np.float64)

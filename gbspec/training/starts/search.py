@@ -1,0 +1,85 @@
+"""The search for a start of constants: many values within their bounds, the most promising improved a little."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import ComputationError
+from gbspec.training.engines.torch.unroll import explain_failure, solve
+from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
+from gbspec.training.optimise.normal_equations import huber
+from gbspec.training.optimise.priors import Priors
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+from gbspec.training.recipe.stages import Outcome, State, mean_loss
+
+CANDIDATES, KEPT, IMPROVEMENTS = 64, 4, 12
+SPREAD = 1.0
+"""Half width of the candidates' box in trainable units: a factor of e^3 either way, or most of a bounded range."""
+
+
+class Search:
+    """Chooses among the vector it is given, the declared starts and draws around both: one step."""
+
+    name = "search"
+    total = 1
+
+    def __init__(self, problem: Problem, parameters: Parameters, seed: int) -> None:
+        self.problem, self.parameters, self.seed = problem, parameters, seed
+
+    def begin(self, theta: Array) -> State:
+        """Nothing but the vector."""
+        return {"theta": theta}
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """Ranks all candidates by Huber's loss, improves the best few by Levenberg-Marquardt, keeps the best."""
+        candidates = self._candidates(state["theta"])
+        ranked = sorted((self._loss(theta), i) for i, theta in enumerate(candidates))
+        if not np.isfinite(ranked[0][0]):
+            raise explain_failure(self.problem, self.parameters, state["theta"], self.name)
+        best = min((self._improve(candidates[i]) for _, i in ranked[:KEPT]), key=lambda found: found[0])
+        loss = mean_loss(solve(self.problem, self.parameters, best[1]))
+        return Outcome({"theta": best[1]}, loss, True)
+
+    def _candidates(self, theta: Array) -> list[Array]:
+        parameters = self.parameters
+        declared = parameters.vector(parameters.natural(theta))
+        columns = slice(parameters.n_weights, parameters.n_shared)
+        own = len(parameters.own)
+        draws = np.random.default_rng([self.seed, 71]).uniform(
+            -SPREAD, SPREAD, (CANDIDATES, len(parameters.shared) + own)
+        )
+        out = [theta, declared]
+        for i, draw in enumerate(draws):
+            candidate = (theta if i % 2 else declared).copy()
+            candidate[columns] += draw[: len(parameters.shared)]
+            blocks = candidate[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+            blocks[:, :own] += draw[len(parameters.shared) : len(parameters.shared) + own]
+            out.append(candidate)
+        return out
+
+    def _loss(self, theta: Array) -> float:
+        residuals = solve(self.problem, self.parameters, theta)
+        return huber(residuals, 1.0) + self._penalty(theta, residuals)
+
+    def _penalty(self, theta: Array, residuals: Array) -> float:
+        """What the priors add to half the sum of squares."""
+        return (
+            Priors.of(self.problem, self.parameters, residuals).penalty(theta) if np.isfinite(residuals).all() else 0.0
+        )
+
+    def _improve(self, theta: Array) -> tuple[float, Array]:
+        options = LevenbergOptions(robust=False, tolerance=1e-3, damping=1e-1)
+        stage = LevenbergMarquardt(self.name, IMPROVEMENTS, lambda i: self.problem, self.parameters, options)
+        state = stage.begin(theta)
+        for i in range(IMPROVEMENTS):
+            try:
+                outcome = stage.step(state, i)
+            except ComputationError:
+                return float("inf"), theta
+            state = outcome.state
+            if outcome.done:
+                break
+        residuals = solve(self.problem, self.parameters, state["theta"])
+        return mean_loss(residuals) + self._penalty(state["theta"], residuals) / max(len(residuals), 1), state["theta"]

@@ -1,0 +1,167 @@
+"""Points of the splines at which balances are compared with slopes, and what the networks see and should say there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.signals import evaluate
+from gbspec.data.trajectories import Array, Trajectories
+from gbspec.ir.model import Model
+from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.problem import torch_arithmetic
+from gbspec.training.starts.splines import Curves
+
+POINTS = 6000
+"""About how many points are used at most, whatever the amount of data."""
+LEAST = 400
+"""A trajectory has four points for each of its rows up to this number, then as many as it has rows."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """M points of the curves: `t` [M], `x` and `slope` [M, n_states], `condition`, `inputs`, `trajectory` [M].
+
+    `equations`: indices of the balances that can be compared: their states have curves, and so has all that they
+    contain. `rough`: balances whose own state has a curve, hidden states in them standing at a guess: enough for an
+    order of magnitude. `scale` [n_states]: size of the slopes; `measurements`: how many values the curves rest on.
+    """
+
+    t: Array
+    x: Array
+    slope: Array
+    condition: Array
+    inputs: Array
+    trajectory: Integers
+    equations: tuple[int, ...]
+    rough: tuple[int, ...]
+    scale: Array
+    measurements: int
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def some(self, index: Integers) -> Points:
+        """Some of the points."""
+        columns = ("t", "x", "slope", "condition", "inputs", "trajectory")
+        return replace(self, **{name: getattr(self, name)[index] for name in columns})
+
+
+def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
+    """Balances of which every state, the left side's included, has curves."""
+    hidden = {s.symbol for i, s in enumerate(model.states) if not curves.covers(i)}
+    balances = model.inlined(model.balances)
+    return tuple(
+        i for i, s in enumerate(model.states) if s.symbol not in hidden and not (balances[i].free_symbols & hidden)
+    )
+
+
+def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: Array) -> Points:
+    """Evenly spaced points within the span that all of a trajectory's needed states have in common.
+
+    States without curves stand at `guess` [N, n_states].
+    """
+    equations = comparable_balances(model, curves)
+    covered = [i for i in range(len(model.states)) if curves.covers(i)]
+    share = max(POINTS // max(len(trajectories), 1), 4)
+    columns: dict[str, list[Array]] = {name: [] for name in ("t", "x", "slope", "condition", "inputs", "trajectory")}
+    for i, item in enumerate(trajectories.items):
+        found = [curves.items[i][state] for state in covered]
+        present = [curve for curve in found if curve is not None]
+        if not present or len(present) < len(found):
+            continue
+        low, high = max(c.low for c in present), min(c.high for c in present)
+        if high <= low:
+            continue
+        count = min(share, max(min(4 * len(item.times), LEAST), len(item.times)))
+        t = low + (high - low) * (np.arange(count) + 0.5) / count
+        x, slope = np.tile(guess[i], (count, 1)), np.zeros((count, len(model.states)))
+        for state, curve in zip(covered, present, strict=True):
+            x[:, state], slope[:, state] = curve.value(t), curve.slope(t)
+        columns["t"].append(t)
+        columns["x"].append(x)
+        columns["slope"].append(slope)
+        columns["condition"].append(np.tile(item.condition, (count, 1)))
+        columns["inputs"].append(_inputs_at(model, item.inputs, t))
+        columns["trajectory"].append(np.full(count, float(i)))
+    n = len(model.states)
+    empty = {"t": (0,), "x": (0, n), "slope": (0, n), "condition": (0, len(model.conditions))}
+    empty |= {"inputs": (0, len(model.inputs)), "trajectory": (0,)}
+    joined = {name: np.concatenate([*parts, np.zeros(empty[name])]) for name, parts in columns.items()}
+    slope = joined["slope"]
+    scale = np.sqrt((slope**2).mean(axis=0)) if len(slope) else np.ones(n)
+    return Points(
+        joined["t"],
+        joined["x"],
+        slope,
+        joined["condition"],
+        joined["inputs"],
+        joined["trajectory"].astype(np.int64),
+        equations if len(slope) else (),
+        tuple(covered) if len(slope) else (),
+        np.where(scale > 0, scale, 1.0),
+        max(trajectories.measurements, 1),
+    )
+
+
+def _inputs_at(model: Model, signals: Sequence[Any], t: Array) -> Array:
+    out = np.zeros((len(t), len(model.inputs)))
+    for j, (spec, signal) in enumerate(zip(model.inputs, signals, strict=True)):
+        out[:, j] = evaluate(signal, spec.interpolation, t)
+    return out
+
+
+class FreeOutputs:
+    """Networks whose outputs are free numbers at each point, one for each application; records their arguments.
+
+    In place of the module's networks: `values` [M, Q] are the outputs in the order in which a right-hand side asks for
+    them, `arguments` the recorded arguments, one (network, [M, E, n_arguments]) an application; E is 1, or the number
+    of elements where a network is applied to whole arrays.
+    """
+
+    def __init__(self, model: Model, count: int) -> None:
+        self.model, self.count = model, count
+        self.values: Tensor | None = None
+        self.neutral: list[float] = []
+        self.arguments: list[tuple[int, Array]] = []
+        self._position = 0
+
+    def functions(self) -> tuple[Any, ...]:
+        """What `_rhs` takes as its networks."""
+        self._position = 0
+        self.arguments = []
+        return tuple(self._function(index) for index in range(len(self.model.networks)))
+
+    def _function(self, index: int) -> Any:
+        outputs = self.model.networks[index].outputs
+        neutral = {u.output: u.neutral for u in self.model.unknowns if u.network == index}
+
+        def apply(*arguments: Tensor) -> tuple[Tensor, ...]:
+            tensors = [torch.as_tensor(a, dtype=torch.float64).detach() for a in arguments]
+            points = (self.count, 1) if any(a.ndim > 1 for a in tensors) else (self.count,)
+            shape = np.broadcast_shapes(points, *(a.shape for a in tensors))
+            table = torch.stack([a.expand(shape) for a in tensors], -1).reshape(self.count, -1, len(tensors))
+            self.arguments.append((index, table.numpy()))
+            begin, each = self._position, table.shape[1]
+            self._position += len(outputs) * each
+            if self.values is None:
+                self.neutral.extend(neutral.get(i, 0.0) for i in range(len(outputs)) for _ in range(each))
+                return tuple(torch.full(shape, neutral.get(i, 0.0), dtype=torch.float64) for i in range(len(outputs)))
+            columns = self.values[:, begin : self._position].reshape(self.count, len(outputs), each)
+            return tuple(columns[:, i].reshape(shape) for i in range(len(outputs)))
+
+        return apply
+
+
+def evaluate_rhs(model: Model, module: Any, points: Points, constants: Tensor, networks: Any) -> Tensor:
+    """Right-hand sides [M, n_states] at the points, with constants [M, n_constants]."""
+    k = tuple(constants[:, i] for i in range(constants.shape[1]))
+    t, x = torch.from_numpy(points.t), torch.from_numpy(points.x)
+    c, u = torch.from_numpy(points.condition), torch.from_numpy(points.inputs)
+    out: Tensor = module._rhs(torch_arithmetic(module), t, x, c, u, k, networks)
+    return out

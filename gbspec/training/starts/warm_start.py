@@ -1,0 +1,263 @@
+"""Gradient matching: constants and networks from the slopes of splines, before any trajectory is solved.
+
+1. *Elimination*: the networks' outputs are free numbers at each point; constants (and these numbers) minimise the
+   robust distance of balances and slopes. Where there are more balances than outputs, this determines the constants
+   without any assumption on the unknown functions; elsewhere damping keeps them where they started.
+2. *Scales*: the networks' inputs are scaled by what they see at the points, outputs by the free numbers.
+3. *Slope regression*: networks and constants together, Adam on minibatches of points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import NN, Model
+from gbspec.training.optimise.adam_update import Moments, one_cycle
+from gbspec.training.optimise.priors import spread_of
+from gbspec.training.problem.bounds import Bijections
+from gbspec.training.problem.parameters import Parameters, Weights
+from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
+
+ELIMINATION_STEPS = 30
+REGRESSION_STEPS = 1000
+BATCH, EVALUATIONS = 256, 8192
+"""Points of a minibatch: this many, fewer where unknowns are then evaluated more often than that (arrays)."""
+ELIMINATION_WORK = 2e9
+"""Multiplications in one step of the elimination; fewer points are used where it would take more."""
+PEAK_RATE = 5e-3
+PRIOR = 0.5
+"""Deviation of the constants' prior around their starts, in trainable units: a factor of about e^1.5 either way."""
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Constants (trainable values [n_learnables]), and free outputs [M, Q] with the arguments of each application."""
+
+    constants: Array
+    outputs: Array
+    arguments: tuple[tuple[int, Array], ...]
+
+
+def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
+    known = [torch.full((count,), c.value, dtype=torch.float64) for c in model.constants]
+    natural = Bijections.of(model.learnables).to_natural(u)
+    learned = [natural[..., i].expand(count) for i in range(len(model.learnables))]
+    columns = known + learned
+    return torch.stack(columns, -1) if columns else torch.zeros((count, 0), dtype=torch.float64)
+
+
+class _Mismatch:
+    """Balances less slopes at M points, in units of the balances' scales [M, E], at trainable constants [n] and free
+    outputs [M, Q].
+
+    Where no balance can be compared, the rough ones serve, and constants do not count. Of many points some are taken.
+    """
+
+    def __init__(self, model: Model, module: Any, points: Points, start: Array) -> None:
+        self.model, self.module = model, module
+        self.equations, self.fixed = list(points.equations or points.rough), not points.equations
+        self.free = _free_outputs(model, module, points, start)
+        enough = int(ELIMINATION_WORK / max(len(self.equations) * len(self.free.neutral) ** 2, 1)) + 1
+        if len(points) > enough:
+            points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
+            self.free = _free_outputs(model, module, points, start)
+        self.points, self.scale = points, torch.from_numpy(points.scale[self.equations])
+
+    def _of(self, u: Array, outputs: Array, derivatives: bool) -> tuple[Tensor, Tensor, Tensor]:
+        k = _constants_at(self.model, torch.from_numpy(u), len(self.points)).detach().requires_grad_(derivatives)
+        self.free.values = o = torch.from_numpy(outputs).clone().requires_grad_(derivatives)
+        rhs = evaluate_rhs(self.model, self.module, self.points, k, self.free.functions())
+        return (rhs - torch.from_numpy(self.points.slope))[:, self.equations] / self.scale, o, k
+
+    def values(self, u: Array, outputs: Array) -> Array:
+        """The mismatch."""
+        return np.asarray(self._of(u, outputs, False)[0].detach().numpy())
+
+    def linear(self, u: Array, outputs: Array) -> tuple[Array, Array, Array]:
+        """The mismatch and its derivatives by outputs [M, E, Q] and constants [M, E, n]."""
+        r, o, k = self._of(u, outputs, True)
+        by_outputs, by_constants = [], []
+        for i in range(len(self.equations)):
+            found: Any = (None, None)
+            if r.requires_grad:
+                found = torch.autograd.grad(r[:, i].sum(), [o, k], retain_graph=True, allow_unused=True)
+            by_outputs.append(torch.zeros_like(o) if found[0] is None else found[0])
+            by_constants.append(torch.zeros_like(k) if found[1] is None else found[1])
+        slope = Bijections.of(self.model.learnables).derivative(u) * (0.0 if self.fixed else 1.0)
+        jac_k = torch.stack(by_constants, 1).numpy()[:, :, len(self.model.constants) :] * slope
+        return r.detach().numpy(), torch.stack(by_outputs, 1).numpy(), jac_k
+
+
+def eliminate(model: Model, module: Any, points: Points, start: Array) -> Eliminated:
+    """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights.
+
+    Where no balance can be compared, the rough ones serve, and the constants stay at `start`.
+    """
+    mismatch = _Mismatch(model, module, points, start)
+    points, count = mismatch.points, len(mismatch.points)
+    u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
+    width = np.median(np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()) if count else 1.0
+    damping, best = 1e-2, np.inf
+    centre, deviation = _prior_of_constants(model, start)
+    for _ in range(ELIMINATION_STEPS):
+        r, jac_o, jac_k = mismatch.linear(u, outputs)
+        if not np.isfinite(r).all():
+            break
+        spread = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
+        w = 1.0 / (1.0 + (r / (3 * spread)) ** 2)
+        value = float(np.log1p((r / (3 * spread)) ** 2).sum())
+        # Points of one curve are not independent: the prior counts against the measurements that lie behind them.
+        prior = count / points.measurements * (spread / deviation) ** 2
+        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - centre)
+        new_r = mismatch.values(u + du, outputs + do)
+        new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
+        if new < value:
+            u, outputs, damping = u + du, outputs + do, max(damping / 5, 1e-8)
+            if abs(best - new) < 1e-6 * max(new, 1e-12):
+                break
+            best = new
+        else:
+            damping *= 4
+            if damping > 1e6:
+                break
+    return Eliminated(u, outputs, tuple(mismatch.free.arguments))
+
+
+def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
+    """Centres and deviations of the constants in trainable units [n]: as declared, else `PRIOR` around `start`."""
+    centre, deviation = start.copy(), np.full(len(start), PRIOR)
+    bijections = Bijections.of(model.learnables)
+    declared = np.array([0.0 if k.prior is None else k.prior.location for k in model.learnables])
+    at = bijections.from_natural(declared)
+    slope = np.abs(bijections.derivative(at))
+    for i, learnable in enumerate(model.learnables):
+        if learnable.prior is not None and slope[i] > 0:
+            width = spread_of(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
+            centre[i], deviation[i] = at[i], width / slope[i]
+    return centre, deviation
+
+
+def _free_outputs(model: Model, module: Any, points: Points, start: Array) -> FreeOutputs:
+    """Free outputs for some points, once evaluated, so that they know how many they are."""
+    free = FreeOutputs(model, len(points))
+    with torch.no_grad():
+        constants = _constants_at(model, torch.from_numpy(start), len(points))
+        evaluate_rhs(model, module, points, constants, free.functions())
+    return free
+
+
+def _eliminated_step(
+    r: Array, jac_o: Array, jac_k: Array, w: Array, damping: float, prior: Array, offset: Array
+) -> tuple[Array, Array]:
+    """The Gauss-Newton step of constants [n] and free outputs [M, Q]; outputs are eliminated point by point.
+
+    `prior` [n] is the precision of the constants' prior, `offset` [n] their distance from its centre.
+    """
+    q = jac_o.shape[2]
+    weighted = jac_o * w[:, :, None]
+    h_oo = np.einsum("pei,pej->pij", weighted, jac_o)
+    # The least-norm solution where a point does not determine its outputs.
+    size = np.trace(h_oo, axis1=1, axis2=2).mean() / max(q, 1) if q else 1.0
+    h_oo = h_oo + 1e-8 * max(size, 1e-300) * np.eye(q)
+    g_o = np.einsum("pei,pe->pi", weighted, r)
+    h_ok = np.einsum("pei,pek->pik", weighted, jac_k)
+    solved_g = np.linalg.solve(h_oo, g_o[:, :, None])[:, :, 0] if q else g_o
+    solved_k = np.linalg.solve(h_oo, h_ok) if q else h_ok
+    h_kk = np.einsum("pei,pej->ij", jac_k * w[:, :, None], jac_k) - np.einsum("pik,pij->kj", h_ok, solved_k)
+    g_k = np.einsum("pek,pe->k", jac_k * w[:, :, None], r) - np.einsum("pik,pi->k", h_ok, solved_g)
+    if not len(g_k):
+        return np.zeros(0), -solved_g
+    du = -np.linalg.solve(h_kk + np.diag(damping + prior), g_k + prior * offset)
+    do = -solved_g - np.einsum("pik,k->pi", solved_k, du)
+    return du, do
+
+
+def network_scales(model: Model, eliminated: Eliminated) -> Weights:
+    """Step 2: input and output scales of every network, and the range that its inputs cover."""
+    out: Weights = {}
+    position = 0
+    seen: dict[int, list[tuple[Array, Array]]] = {}
+    for which, arguments in eliminated.arguments:
+        width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
+        columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
+        seen.setdefault(which, []).append(
+            (arguments.reshape(-1, n_arguments), columns.swapaxes(1, 2).reshape(-1, width))
+        )
+        position += width * each
+    for index, network in enumerate(model.networks):
+        name = network.name
+        applications = seen.get(index, [])
+        arguments = (
+            np.concatenate([a for a, _ in applications]) if applications else np.zeros((0, len(network.arguments)))
+        )
+        outputs = np.concatenate([o for _, o in applications]) if applications else np.zeros((0, len(network.outputs)))
+        ranges = [argument.range for argument in network.arguments]
+        low, high, center, scale = (np.zeros(len(ranges)) for _ in range(4))
+        for i, bounds in enumerate(ranges):
+            column = arguments[:, i]
+            declared = (bounds.low, bounds.high) if bounds is not None and bounds.bounded else (-1.0, 1.0)
+            varies = len(column) > 1 and float(column.std()) > 1e-9 * max(float(np.abs(column).max()), 1e-300)
+            low[i], high[i] = (column.min(), column.max()) if len(column) else declared
+            center[i] = column.mean() if len(column) else (declared[0] + declared[1]) / 2
+            scale[i] = column.std() if varies else max((declared[1] - declared[0]) / np.sqrt(12), 1e-12)
+        out |= {f"network.{name}.input_center": center, f"network.{name}.input_scale": scale}
+        out |= {f"network.{name}.input_low": low, f"network.{name}.input_high": high}
+        center_out, scale_out = _output_scale(model, index, outputs)
+        out |= {f"network.{name}.output_center": center_out, f"network.{name}.output_scale": scale_out}
+    return out
+
+
+def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
+    """Mean and deviation of the free outputs, robustly; with a postulate the centre is its neutral value."""
+    unknowns = sorted((u for u in model.unknowns if u.network == network), key=lambda u: u.output)
+    width = model.networks[network].sizes[-1]  # the last, beyond the unknowns, are extra outputs that contracts need
+    center, scale = np.zeros(width), np.ones(width)
+    for i, unknown in enumerate(unknowns):
+        column = outputs[:, i]
+        column = column[np.isfinite(column)]
+        plain = unknown.postulate == NN
+        if len(column) < 2:
+            center[i], scale[i] = unknown.neutral, 1.0
+            continue
+        low, high = np.quantile(column, [0.02, 0.98])
+        clipped = np.clip(column, low, high)
+        center[i] = clipped.mean() if plain else unknown.neutral
+        deviation = float(np.sqrt(np.mean((clipped - center[i]) ** 2)))
+        size = max(float(np.abs(clipped).max()), 1e-300)
+        scale[i] = deviation if deviation > 1e-6 * size else max(0.1 * size, 1e-12) if size > 1e-12 else 1.0
+    return center, scale
+
+
+def regress_slopes(parameters: Parameters, module: Any, points: Points, theta: Array, seed: int) -> Array:
+    """Step 3: weights and shared constants by Adam on minibatches of points; Huber's loss, a one-cycle schedule."""
+    model = parameters.model
+    if not points.equations or not model.networks:
+        return theta
+    rng = np.random.default_rng([seed, 11])
+    shared, rest = theta[: parameters.n_shared].copy(), torch.from_numpy(theta[parameters.n_shared :])
+    equations = list(points.equations)
+    scale = torch.from_numpy(points.scale[equations])
+    moments = Moments.zero(len(shared))
+    of_a_point = len(_free_outputs(model, module, points.some(np.arange(1)), np.zeros(len(model.learnables))).neutral)
+    size = min(BATCH, len(points), EVALUATIONS // max(of_a_point, 1) + 1)
+    for i in range(REGRESSION_STEPS):
+        batch = points.some(rng.integers(0, len(points), size))
+        leaf = torch.from_numpy(shared).requires_grad_()
+        vector = torch.cat([leaf, rest])
+        constants = parameters.constants(vector)[torch.from_numpy(batch.trajectory)]
+        networks = module.torch_networks(parameters.weights(vector))
+        rhs = evaluate_rhs(model, module, batch, constants, networks)
+        r = (rhs[:, equations] - torch.from_numpy(batch.slope[:, equations])) / scale
+        loss = torch.nn.functional.huber_loss(r, torch.zeros_like(r), delta=0.1)
+        (gradient,) = torch.autograd.grad(loss, leaf)
+        if not bool(torch.isfinite(gradient).all()):
+            return theta
+        moments, step = moments.advance(gradient.numpy(), one_cycle(i + 1, REGRESSION_STEPS, PEAK_RATE))
+        shared = shared + step
+    return np.concatenate([shared, theta[parameters.n_shared :]])
