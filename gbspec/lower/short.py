@@ -13,8 +13,8 @@ from gbspec.lower.expressions import is_finite
 from gbspec.semantics import arrays
 from gbspec.semantics.checked import Checked
 from gbspec.semantics.expressions import walk
-from gbspec.semantics.merge import target_name
 from gbspec.syntax import ast
+from gbspec.syntax.statements.base import target_name
 
 Build = Callable[[ast.Expression, Mapping[str, Expr]], Expr]
 

@@ -22,12 +22,12 @@ from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
 from gbspec.semantics import unknowns
 from gbspec.semantics.checked import Checked
-from gbspec.semantics.merge import target_name
 from gbspec.semantics.numbers import default_start
 from gbspec.semantics.processes import Term
 from gbspec.semantics.sites import truth_parameters
-from gbspec.semantics.table import Kind
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.statements.base import target_name
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
@@ -165,14 +165,14 @@ class _Lowering:
             doses=tuple(self._dose(s) for s in self._checked.all(ast.DoseStatement)),
             claims=tuple(self._claim(s) for s in self._checked.all(ast.ConserveStatement)),
             truth_constants=tuple(
-                ir.TruthConstant(s.name.text, self._checked.truths[s.name.text])
+                ir.TruthConstant(s.target.text, self._checked.truths[s.target.text])
                 for s in self._checked.all(ast.TruthStatement)
-                if s.name.text in self._checked.truths
+                if s.target.text in self._checked.truths
             ),
             truth_functions=tuple(
                 self._truth(s)
                 for s in self._checked.all(ast.TruthStatement)
-                if self._table[s.name.text].kind is Kind.UNKNOWN
+                if self._table[s.target.text].kind is Kind.UNKNOWN
             ),
             text=self._text(),
             allowed=self._checked.allowed,
@@ -387,7 +387,7 @@ class _Lowering:
 
     def _truth(self, s: ast.TruthStatement) -> ir.TruthFunction:
         names, (value,) = self._closed(truth_parameters(s, self._table), [s.value], {})
-        return ir.TruthFunction(s.name.text, names, value)
+        return ir.TruthFunction(s.target.text, names, value)
 
     def _closed(
         self, parameters: Sequence[str], nodes: Sequence[ast.Expression], given: Mapping[str, Expr]

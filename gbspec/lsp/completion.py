@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from gbspec.diagnostics import Source
 from gbspec.lsp import words
-from gbspec.lsp.hover import ROLES, name
-from gbspec.lsp.index import DEFAULT_TIME, names_declared
+from gbspec.lsp.index import DEFAULT_TIME
 from gbspec.lsp.workspace import Parsed, Workspace
 from gbspec.semantics.vocabulary import ACTIVATIONS
 from gbspec.syntax import ast
 from gbspec.syntax.expected import Expected, expected
+from gbspec.syntax.kinds import VALUES, Kind
 from gbspec.syntax.tokens import inert, statement_before
 
-Kind = Literal["keyword", "name", "function", "unit", "value", "file"]
+Sort = Literal["keyword", "name", "function", "unit", "value", "file"]
 
 _WORD_BEFORE = re.compile(r"(?:[^\W\d]\w*)?\Z")
 _PARAMETERS = re.compile(r"\s*(?:function|truth|unknown)\s+[^(]*\(([^)]*)\)")
@@ -28,7 +28,8 @@ _EXTENDS = re.compile(r'\bextends\s+"([^"\n]*)\Z')
 _UNITS = ("s", "min", "h", "day", "g", "kg", "mg", "L", "mL", "m", "cm", "mol", "mmol", "K", "degC", "Pa", "bar", "J")
 """Units that are often written; every unit of pint is accepted."""
 
-_TARGETS = frozenset({"INITIAL", "DOSE", "OBSERVE"})
+_ABOUT = {s.entry.word.upper(): s.entry.about for s in ast.STATEMENTS if s.entry.about}
+"""Which names may follow a keyword, by its terminal in the grammar."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Candidate:
     """One word that may be written; `start` is where the word before the cursor begins, which it replaces."""
 
     text: str
-    kind: Kind
+    kind: Sort
     detail: str = ""
     documentation: str = ""
 
@@ -54,7 +55,7 @@ def completions(workspace: Workspace, path: str | Path, offset: int) -> tuple[in
     before = statement_before(source, start)
     chain = workspace.chain(path)
     if not before.strip():
-        return start, [*_statements(), *_names(chain, {ast.StateStatement})]
+        return start, [*_statements(), *_names(chain, {Kind.STATE})]
     what = expected(before)
     if what is None:
         return start, list(_expression(chain, before))
@@ -78,16 +79,13 @@ def _next(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Cand
             yield from _words(words.NETWORKS)
         elif _in_unit(what):
             yield from _units(chain)
-        elif first in _TARGETS and len(what.read) == 1:
-            measured = {ast.LetStatement} if first == "OBSERVE" else set()
-            yield from _names(chain, {ast.StateStatement, *measured})
-        elif first == "TRUTH" and len(what.read) == 1:
-            yield from _names(chain, {ast.LearnStatement, ast.UnknownStatement})
+        elif first in _ABOUT and len(what.read) == 1:
+            yield from _names(chain, _ABOUT[first])
         elif first == "WITHOUT":
             yield from (c for c in _statements() if len(what.read) == 1 and c.text not in ("model", "allow", "without"))
-            yield from _names(chain, set(ROLES))
+            yield from _names(chain, set(Kind))
         elif first == "ALLOW":
-            yield from _warnings() if len(what.read) == 1 else _names(chain, set(ROLES))
+            yield from _warnings() if len(what.read) == 1 else _names(chain, set(Kind))
         elif last == "IN" or last == "AT":
             yield from _formals(before)
         elif "ZERO" in what.terminals and last == "COMMA":
@@ -112,8 +110,7 @@ def _value(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Can
 def _expression(chain: Sequence[Parsed], before: str) -> Iterator[Candidate]:
     """Names with a value, functions, and the names of this statement alone."""
     yield from _formals(before)
-    kinds = set(ROLES) - {ast.ObserveStatement, ast.ConserveStatement}
-    yield from _names(chain, kinds)
+    yield from _names(chain, VALUES)
     if not any(isinstance(s, ast.TimeStatement) for parsed in chain for s in parsed.file.statements):
         yield Candidate(DEFAULT_TIME, "name", "the time")
     for function, (usage, meaning) in words.FUNCTIONS.items():
@@ -138,13 +135,13 @@ def _outputs(before: str) -> Iterator[Candidate]:
         yield from (Candidate(name.strip(), "function", "an output of this unknown") for name in found[1].split(","))
 
 
-def _names(chain: Sequence[Parsed], kinds: set[type[ast.Node]]) -> Iterator[Candidate]:
-    """The names that statements of those kinds declare, the nearest declaration of each."""
+def _names(chain: Sequence[Parsed], kinds: Container[Kind | None]) -> Iterator[Candidate]:
+    """The names of those kinds, the nearest declaration of each."""
     seen: set[str] = set()
     for parsed in chain:
         for statement in parsed.file.statements:
-            if type(statement) in kinds:
-                for declared in names_declared(statement):
+            if statement.entry.kind in kinds:
+                for declared in statement.declares():
                     if declared.text not in seen:
                         seen.add(declared.text)
                         yield _name(declared.text, statement)
@@ -154,7 +151,7 @@ def _name(text: str, statement: ast.Statement) -> Candidate:
     description = getattr(statement, "description", None)
     said = f": {description.value}" if isinstance(description, ast.Text) else ""
     function = isinstance(statement, ast.FunctionStatement | ast.UnknownStatement)
-    return Candidate(text, "function" if function else "name", ROLES[type(statement)].split(",")[0] + said)
+    return Candidate(text, "function" if function else "name", statement.entry.role.split(",")[0] + said)
 
 
 def _units(chain: Sequence[Parsed]) -> Iterator[Candidate]:
@@ -193,8 +190,3 @@ def _extended_files(source: Source, offset: int) -> tuple[int, list[Candidate]]:
     except OSError:
         return offset, []
     return found.start(1), [Candidate(file, "file") for file in names]
-
-
-def documented(workspace: Workspace, path: str | Path, text: str) -> str:
-    """What hover would show of a name: asked for when a candidate is selected."""
-    return name(workspace.chain(path), text, {})

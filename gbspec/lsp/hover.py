@@ -9,10 +9,10 @@ from textwrap import dedent
 
 from gbspec.diagnostics import Span, UserError
 from gbspec.lsp import words
-from gbspec.lsp.index import DEFAULT_TIME, Occurrence, Symbol, at, home, names_declared
+from gbspec.lsp.index import DEFAULT_TIME, Occurrence, Symbol, at, home
 from gbspec.lsp.workspace import Parsed, Workspace
-from gbspec.semantics.merge import keys, target_name
 from gbspec.syntax import ast
+from gbspec.syntax.statements.base import Key, target_name
 
 _MAX_LINES = 12
 
@@ -23,25 +23,6 @@ class Hover:
 
     markdown: str
     span: Span
-
-
-ROLES: dict[type[ast.Node], str] = {
-    ast.TimeStatement: "the time",
-    ast.StateStatement: "state, an unknown over time",
-    ast.ConditionStatement: "condition, known and constant within a trajectory",
-    ast.InputStatement: "input, a known signal of time",
-    ast.ConstStatement: "constant",
-    ast.LearnStatement: "learnable constant",
-    ast.LetStatement: "named expression",
-    ast.FunctionStatement: "known function",
-    ast.UnknownStatement: "unknown function, to be learned",
-    ast.ProcessStatement: "process; its name in an expression is its rate",
-    ast.ObserveStatement: "measured channel",
-    ast.ConserveStatement: "claim that a quantity is conserved",
-}
-"""What the names are that each kind of statement declares."""
-
-_ABOUT = ("balance", "initial", "observe", "dose", "truth")
 
 
 def hover(workspace: Workspace, path: str | Path, offset: int, values: Mapping[str, float]) -> Hover | None:
@@ -76,7 +57,7 @@ def name(chain: Sequence[Parsed], wanted: str, values: Mapping[str, float]) -> s
     if declaring is None:
         return f"`{wanted}`: the time" if wanted == DEFAULT_TIME else ""
     statement, parsed = declaring
-    parts = [declaration(statement, ROLES.get(type(statement), ""))]
+    parts = [declaration(statement, statement.entry.role)]
     if wanted in values:
         parts.append(f"value: {values[wanted]:.6g}")
     about = [_code(s) for s in _about(chain, wanted) if s is not statement]
@@ -133,35 +114,19 @@ def _word(workspace: Workspace, path: str | Path, offset: int) -> Hover | None:
 def _declaring(chain: Sequence[Parsed], wanted: str) -> tuple[ast.Statement, Parsed] | None:
     for parsed in chain:
         for statement in parsed.file.statements:
-            if any(n.text == wanted for n in names_declared(statement)):
+            if any(n.text == wanted for n in statement.declares()):
                 return statement, parsed
     return None
 
 
 def _about(chain: Sequence[Parsed], wanted: str) -> list[ast.Statement]:
     """The statements about a name (its balance, start, …), each from the nearest file that has it."""
-    found: dict[tuple[str, str], ast.Statement] = {}
+    found: dict[Key, ast.Statement] = {}
     for parsed in chain:
         for statement in parsed.file.statements:
-            for key in keys(statement):
-                if key[0] in _ABOUT and _target(statement) == wanted:
-                    found.setdefault(key, statement)
-    return [found[key] for key in sorted(found, key=lambda k: _ABOUT.index(k[0]))]
-
-
-def _target(statement: ast.Statement) -> str | None:
-    match statement:
-        case ast.TruthStatement(name=name):
-            return name.text
-        case (
-            ast.BalanceStatement(target=target)
-            | ast.InitialStatement(target=target)
-            | ast.ObserveStatement(target=target)
-            | ast.DoseStatement(target=target)
-        ):
-            return target_name(target).text
-        case _:
-            return None
+            if isinstance(statement, ast.About) and target_name(statement.target).text == wanted:
+                found.update({key: statement for key in statement.replaces() if key not in found})
+    return sorted(found.values(), key=lambda s: ast.STATEMENTS.index(type(s)))
 
 
 def _details(statement: ast.Statement) -> str:

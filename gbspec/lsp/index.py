@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gbspec.diagnostics import Span
-from gbspec.semantics.merge import declared
 from gbspec.syntax import ast
 from gbspec.syntax.names import FUNCTIONS
 from gbspec.syntax.walk import children, walk
@@ -74,7 +73,7 @@ def names_of(files: Sequence[ast.File]) -> Names:
     arguments: dict[str, tuple[str, tuple[str, ...]]] = {}
     for file in files:
         for statement in file.statements:
-            found.update(name.text for name in names_declared(statement))
+            found.update(name.text for name in statement.declares())
             match statement:
                 case ast.UnitStatement(name=name):
                     units.add(name.text)
@@ -86,17 +85,6 @@ def names_of(files: Sequence[ast.File]) -> Names:
     if not any(isinstance(s, ast.TimeStatement) for file in files for s in file.statements):
         found.add(DEFAULT_TIME)
     return Names(frozenset(found), frozenset(units), arguments, _bare(files, frozenset(arguments)), _lent(files))
-
-
-def names_declared(statement: ast.Statement) -> tuple[ast.Name, ...]:
-    """The names that a statement declares in the model: also the time's and a channel's own."""
-    match statement:
-        case ast.TimeStatement(name=name):
-            return (name,)
-        case ast.ObserveStatement(target=ast.Name() as name, value=value) if value is not None:
-            return (name,)
-        case _:
-            return declared(statement)
 
 
 def occurrences(file: ast.File, names: Names) -> tuple[Occurrence, ...]:
@@ -122,9 +110,9 @@ def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]
     for statement in (s for file in files for s in file.statements):
         if isinstance(statement, ast.AllowStatement | ast.WithoutStatement):
             continue
-        skipped = {id(name) for name in names_declared(statement)}
+        skipped = {id(name) for name in statement.declares()}
         if isinstance(statement, ast.TruthStatement):
-            skipped.add(id(statement.name))
+            skipped.add(id(statement.target))
         for node in walk(statement):
             match node:
                 case ast.Call(function=function):
@@ -189,7 +177,7 @@ class _Statement:
     def _parts(self) -> None:
         """The declared names, the statement's own names, and its expressions."""
         scope, formals = self._scope()
-        declaring = {id(name) for name in names_declared(self.statement)} | formals
+        declaring = {id(name) for name in self.statement.declares()} | formals
         for part in children(self.statement):
             if id(part) in formals and isinstance(part, ast.Name):
                 self._add(scope[part.text], part.span, declares=True)
@@ -205,7 +193,7 @@ class _Statement:
                 return self._arguments(home(self.statement), [a.name.text for a in arguments], outputs), set()
             case ast.TruthStatement(parameters=parameters) if parameters is not None:
                 return self._own(parameters), {id(p) for p in parameters}
-            case ast.TruthStatement(name=name) if name.text in self.names.arguments:
+            case ast.TruthStatement(target=name) if name.text in self.names.arguments:
                 return self._arguments(*self.names.arguments[name.text], (name,)), set()
             case (
                 ast.BalanceStatement(target=ast.Index(index=index))
@@ -230,7 +218,7 @@ class _Statement:
         statement = self.statement
         if isinstance(statement, ast.UnknownStatement):
             return any(part is p for p in (*statement.postulates, *statement.contracts))
-        return not (isinstance(statement, ast.TruthStatement) and part is statement.name)
+        return not (isinstance(statement, ast.TruthStatement) and part is statement.target)
 
     def _visit(self, root: ast.Node, scope: Scope, formals: Scope, declaring: set[int]) -> None:
         stack: list[ast.Node] = [root]

@@ -12,7 +12,6 @@ from gbspec.diagnostics import Diagnostic, Severity, Source, Span
 from gbspec.lsp.completion import Candidate
 from gbspec.lsp.outline import Group
 from gbspec.lsp.positions import Encoding, to_offset, to_range
-from gbspec.syntax import ast
 
 _MEANT = re.compile(r"did you mean `(\w+)`\?")
 
@@ -23,19 +22,6 @@ _COMPLETION = {
     "unit": types.CompletionItemKind.Unit,
     "value": types.CompletionItemKind.Value,
     "file": types.CompletionItemKind.File,
-}
-_SYMBOL: dict[type[ast.Node], types.SymbolKind] = {
-    ast.ModelStatement: types.SymbolKind.Module,
-    ast.UnitStatement: types.SymbolKind.EnumMember,
-    ast.ConstStatement: types.SymbolKind.Constant,
-    ast.LearnStatement: types.SymbolKind.Constant,
-    ast.ConditionStatement: types.SymbolKind.Constant,
-    ast.FunctionStatement: types.SymbolKind.Function,
-    ast.UnknownStatement: types.SymbolKind.Function,
-    ast.ProcessStatement: types.SymbolKind.Event,
-    ast.DoseStatement: types.SymbolKind.Event,
-    ast.ObserveStatement: types.SymbolKind.Field,
-    ast.BalanceStatement: types.SymbolKind.Operator,
 }
 
 
@@ -99,7 +85,7 @@ class Messages:
 
     def symbols(self, group: Group) -> types.DocumentSymbol:
         """A group of names with the names in it."""
-        kind = _SYMBOL.get(group.statement, types.SymbolKind.Variable)
+        kind = types.SymbolKind[group.statement.entry.symbol]
         below = [
             types.DocumentSymbol(
                 name=entry.name,

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gbspec.diagnostics import Span
-from gbspec.lsp.hover import ROLES
-from gbspec.lsp.index import names_declared
-from gbspec.semantics.merge import target_text
 from gbspec.syntax import ast
+from gbspec.syntax.statements.base import target_text
 
 
 @dataclass(frozen=True)
@@ -27,58 +24,33 @@ class Group:
     """The names of one kind, in the order of the text."""
 
     title: str
-    statement: type[ast.Node]
+    statement: type[ast.Statement]
     entries: tuple[Entry, ...]
-
-
-GROUPS: dict[type[ast.Node], str] = {
-    ast.ModelStatement: "model",
-    ast.TimeStatement: "time",
-    ast.UnitStatement: "units",
-    ast.StateStatement: "states",
-    ast.ConditionStatement: "conditions",
-    ast.InputStatement: "inputs",
-    ast.ConstStatement: "constants",
-    ast.LearnStatement: "learnable constants",
-    ast.LetStatement: "named expressions",
-    ast.FunctionStatement: "functions",
-    ast.UnknownStatement: "unknown functions",
-    ast.ProcessStatement: "processes",
-    ast.BalanceStatement: "balances",
-    ast.ClosureStatement: "ends of arrays",
-    ast.InitialStatement: "starts",
-    ast.DoseStatement: "doses",
-    ast.ObserveStatement: "measured channels",
-    ast.ConserveStatement: "claims",
-    ast.TruthStatement: "truths",
-}
-"""What each kind of statement is called when there are several, in the order in which they are listed."""
 
 
 def outline(file: ast.File) -> tuple[Group, ...]:
     """What a file declares and says, by kind; kinds that it does not have are left out."""
-    found: dict[type[ast.Node], list[Entry]] = {kind: [] for kind in GROUPS}
+    found: dict[type[ast.Statement], list[Entry]] = {kind: [] for kind in ast.STATEMENTS}
     for statement in file.statements:
-        if type(statement) in found:
-            found[type(statement)].extend(_entries(statement))
-    return tuple(Group(GROUPS[kind], kind, tuple(entries)) for kind, entries in found.items() if entries)
+        found[type(statement)].extend(_entries(statement))
+    return tuple(
+        Group(kind.entry.title, kind, tuple(entries))
+        for kind, entries in found.items()
+        if entries and kind.entry.title is not None
+    )
 
 
-def _entries(statement: ast.Statement) -> Iterable[Entry]:
+def _entries(statement: ast.Statement) -> list[Entry]:
     text = getattr(statement, "description", None) or getattr(statement, "title", None)
-    detail = text.value if isinstance(text, ast.Text) else ROLES.get(type(statement), "").split(",")[0]
+    detail = text.value if isinstance(text, ast.Text) else statement.entry.role.split(",")[0]
     match statement:
         case ast.BalanceStatement(target=target):
             named: tuple[tuple[str, Span], ...] = ((f"{target_text(target)}'", target.span),)
-        case (
-            ast.ClosureStatement(target=target)
-            | ast.InitialStatement(target=target)
-            | ast.DoseStatement(target=target)
-            | ast.ObserveStatement(target=target)
-        ):
+        case ast.About(target=target) | ast.ClosureStatement(target=target):
             named = ((target_text(target), target.span),)
-        case ast.ModelStatement(name=name) | ast.UnitStatement(name=name) | ast.TruthStatement(name=name):
-            named = ((name.text, name.span),)
+        case ast.Remark():
+            name = getattr(statement, "name", None)
+            named = ((name.text, name.span),) if isinstance(name, ast.Name) else ()
         case _:
-            named = tuple((name.text, name.span) for name in names_declared(statement))
+            named = tuple((name.text, name.span) for name in statement.declares())
     return [Entry(name, detail, statement.span, span) for name, span in named]

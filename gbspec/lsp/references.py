@@ -10,7 +10,7 @@ from gbspec.diagnostics import Span
 from gbspec.lsp.index import DEFAULT_TIME, Occurrence, Symbol, at
 from gbspec.lsp.workspace import Parsed, Workspace, key
 from gbspec.syntax import ast
-from gbspec.syntax.names import REFUSED, STATEMENTS, is_name, normalise
+from gbspec.syntax.names import REFUSED, is_name, normalise
 
 
 class Refused(Exception):  # noqa: N818 - a refusal, no fault
@@ -140,7 +140,7 @@ def _check_name(workspace: Workspace, family: Sequence[Parsed], symbol: Symbol, 
         return
     if new in REFUSED:
         raise Refused(f"`{new}` is a word of the language and cannot be a name")
-    if new in STATEMENTS and _is_state(family, symbol):
+    if new in ast.WORDS and _is_state(family, symbol):
         raise Refused(f"`{new}` begins a statement, so a state cannot be called that")
     if symbol.space == "name" and new != symbol.name:
         for parsed in family:

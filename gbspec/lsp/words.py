@@ -2,27 +2,9 @@
 
 from __future__ import annotations
 
-STATEMENTS: dict[str, str] = {
-    "model": "the model's name, a title, and the file that it extends",
-    "time": "names the time, its unit, and when every trajectory starts",
-    "unit": "a base unit of its own, so that grams of different things do not add up by accident",
-    "state": "an unknown over time; unit, plausible range and a guess of its start are optional",
-    "condition": "known and constant within a trajectory, a column of the data",
-    "input": "a known signal of time, a column of the data, `held` or `linear` between its rows",
-    "const": "a known number: an expression of other constants",
-    "learn": "a constant to be learned, with a start, bounds, a prior, or a value of its own for each trajectory",
-    "let": "a named intermediate expression",
-    "function": "a known function",
-    "unknown": "a function to be learned, with contracts, a postulate, and the network that stands for it",
-    "process": "a conversion of states at a rate; its name in an expression is its rate",
-    "initial": "the start of a state: an expression, or `learn` for one learned in each trajectory",
-    "observe": "a measured channel, a column of the data",
-    "dose": "the data add to this state at given times (column `dose_NAME`)",
-    "conserve": "a claim that this quantity's rate vanishes (or is the given one), proved or refuted at compile time",
-    "truth": "the reference for a learnable or an unknown: simulation and validation use it, training never sees it",
-    "allow": "accepts a named warning",
-    "without": "removes a declaration or statement of the extended file",
-}
+from gbspec.syntax import ast
+
+STATEMENTS: dict[str, str] = {s.entry.word: s.entry.meaning for s in ast.STATEMENTS if s.entry.spelled}
 """The words that begin a statement."""
 
 CLAUSES: dict[str, str] = {

@@ -15,9 +15,11 @@ from typing import cast
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
-from gbspec.semantics.merge import Item, Merged, declared
-from gbspec.semantics.rewriting import rebuilt
+from gbspec.semantics.merge import Item, Merged
+from gbspec.semantics.rewriting import rebuilt, with_expressions
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.statements.base import Place
 from gbspec.syntax.walk import children
 
 LARGEST = 2000
@@ -90,6 +92,11 @@ def _is_place(node: ast.Expression) -> bool:
     return isinstance(node, ast.Name | ast.Index) or _is_sum(node)
 
 
+def _variables(statement: ast.Statement) -> tuple[ast.Name, ...]:
+    """What a statement declares for use in expressions, the time apart."""
+    return () if statement.entry.kind in (Kind.TIME, Kind.CHANNEL) else statement.declares()
+
+
 class _Expansion:
     def __init__(self, merged: Merged, findings: Findings) -> None:
         self._merged = merged
@@ -102,7 +109,7 @@ class _Expansion:
             i.statement.name.text: i.statement for i in merged.items if isinstance(i.statement, ast.FunctionStatement)
         }
         self._values = self._constants()
-        self._declared = {n.text: n for i in merged.items for n in declared(i.statement)}
+        self._declared = {n.text: n for i in merged.items for n in _variables(i.statement)}
 
     def run(self, indexed: list[ast.StateStatement]) -> tuple[Merged, dict[str, Array]]:
         for statement in indexed:
@@ -210,8 +217,9 @@ class _Expansion:
             case ast.StateStatement(declarator=declarator) if declarator.first is not None:
                 array = self._arrays.get(declarator.name.text)
                 names = [array.element(i) for i in range(array.first, array.last + 1)] if array is not None else []
+                one = self._rewritten(self._item(item, declarator=ast.Declarator(declarator.span, declarator.name)), {})
                 return [
-                    self._item(item, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
+                    self._item(one, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
                     for n in names
                 ]
             case (
@@ -289,15 +297,11 @@ class _Expansion:
 
     def _rewritten(self, item: Item, values: Mapping[str, int]) -> Item:
         """The statement with indices resolved in all of its expressions; `values` are those of running indices."""
-        formals = _formals(item.statement)
-        changes: dict[str, object] = {}
-        for part in dataclasses.fields(item.statement):
-            value = getattr(item.statement, part.name)
-            if part.name in ("value", "rate", "consumed", "produced", "fraction", "lag") and value is not None:
-                changes[part.name] = self._expression(value, values, formals, ())
-            elif part.name == "postulates":
-                changes[part.name] = tuple(self._expression(p, values, formals, ()) for p in value)
-        return self._item(item, **changes) if changes else item
+
+        def put(place: Place) -> ast.Expression:
+            return self._expression(place.expression, values, place.formals, ())
+
+        return Item(with_expressions(item.statement, put), item.text)
 
     def _expression(
         self,
@@ -376,15 +380,3 @@ class _Expansion:
         for i in range(array.first + 1, array.last + 1):
             total = ast.Binary(node.span, "+", total, ast.Name(node.span, array.element(i)))
         return ast.Group(node.span, total)
-
-
-def _formals(statement: ast.Statement) -> frozenset[str]:
-    match statement:
-        case ast.FunctionStatement(parameters=parameters):
-            return frozenset(p.text for p in parameters)
-        case ast.UnknownStatement(arguments=arguments):
-            return frozenset(a.name.text for a in arguments)
-        case ast.TruthStatement(parameters=parameters):
-            return frozenset(p.text for p in parameters or ())
-        case _:
-            return frozenset()

@@ -6,11 +6,13 @@ from collections.abc import Iterable, Mapping
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.graph import Graph
-from gbspec.semantics.merge import Item, Merged, keys, target_name
-from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Declaration, Kind, Table
+from gbspec.semantics.merge import Item, Merged
+from gbspec.semantics.sites import Site, Sites
+from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.statements.base import Key, target_name
 
 _TWICE = {
     "balance": ("GB302", "`{0}` has two balances", "one of them is too many; add their right sides, or delete one"),
@@ -26,43 +28,28 @@ MEASURABLE = frozenset({Kind.STATE, Kind.LET, Kind.PROCESS})
 
 def once(items: Iterable[Item], findings: Findings) -> None:
     """Each kind of statement about a name occurs once."""
-    first: dict[tuple[str, str], ast.Statement] = {}
-    for item in items:
-        for key in keys(item.statement):
-            if key[0] not in _TWICE:
+    first: dict[Key, ast.About] = {}
+    for statement in (item.statement for item in items):
+        if not isinstance(statement, ast.About):
+            continue
+        for word, name in statement.replaces():
+            earlier = first.setdefault((word, name), statement)
+            if earlier is statement or _both_declare(earlier, statement):
                 continue
-            earlier = first.setdefault(key, item.statement)
-            if earlier is item.statement or _both_declare(earlier, item.statement):
-                continue
-            code, message, help_ = _TWICE[key[0]]
+            code, message, help_ = _TWICE[word]
             findings.error(
                 code,
-                message.format(key[1]),
-                _target_span(item.statement),
+                message.format(name),
+                statement.target.span,
                 label="again",
-                labels=[Label(_target_span(earlier), "the first")],
+                labels=[Label(earlier.target.span, "the first")],
                 help=help_,
             )
 
 
-def _both_declare(a: ast.Statement, b: ast.Statement) -> bool:
+def _both_declare(a: ast.About, b: ast.About) -> bool:
     """Two channels of one name are a name declared twice, which is told there."""
     return all(isinstance(s, ast.ObserveStatement) and s.value is not None for s in (a, b))
-
-
-def _target_span(statement: ast.Statement) -> Span:
-    match statement:
-        case (
-            ast.BalanceStatement(target=target)
-            | ast.InitialStatement(target=target)
-            | ast.ObserveStatement(target=target)
-            | ast.DoseStatement(target=target)
-        ):
-            return target.span
-        case ast.TruthStatement(name=name):
-            return name.span
-        case _:
-            return statement.span
 
 
 def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> None:
@@ -134,19 +121,18 @@ def coverage(
     items: Iterable[Item],
     table: Table,
     takers: Mapping[str, Iterable[str]],
-    sites: Iterable[Site],
+    sites: Sites,
     graph: Graph,
     findings: Findings,
     merged: Merged,
 ) -> None:
     """Every state has a balance or takes part in a process; a balance with processes has `net`; `net` is not empty."""
-    by_expression = {id(site.expression): site for site in sites}
     balanced: set[str] = set()
     for item in items:
         match item.statement:
             case ast.BalanceStatement(target=ast.Name(text=name), value=value) as balance:
                 balanced.add(name)
-                site = by_expression[id(value)]
+                site = sites[value]
                 if name in takers and site.references.complete and not _has_net(name, site, graph):
                     _net_omitted(balance, name, takers[name], table, findings)
             case ast.BalanceStatement(target=ast.Index(array=array)):
@@ -210,14 +196,13 @@ def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], find
                 )
 
 
-def start_cycles(items: Iterable[Item], sites: Iterable[Site], table: Table, findings: Findings) -> None:
+def start_cycles(items: Iterable[Item], sites: Sites, table: Table, findings: Findings) -> None:
     """No start may rest on itself through other states' starts."""
-    by_expression = {id(site.expression): site for site in sites}
     edges: dict[str, dict[str, Span]] = {}
     for item in items:
         match item.statement:
             case ast.InitialStatement(target=ast.Name(text=name), value=value) if value is not None:
-                site = by_expression[id(value)]
+                site = sites[value]
                 names = site.references.names if site.references.complete else {}
                 edges.setdefault(name, {n: s for n, s in names.items() if table[n].kind is Kind.STATE})
             case _:

@@ -24,9 +24,10 @@ from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.merge import Item, Load, Merged, merge, names_a_unit
 from gbspec.semantics.numbers import Numbers, constants, default_start, functions_of
 from gbspec.semantics.scope import Resolver
-from gbspec.semantics.sites import Site, sites
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.sites import Sites
+from gbspec.semantics.table import Table
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
 
 Terms = dict[str, tuple[tuple[bool, processes.Term], ...]]
 
@@ -57,7 +58,7 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
 
 def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Findings) -> Checked | None:
     items = merged.items
-    places_of = list(sites(items, names))
+    places_of = Sites(items, names)
     resolver = Resolver(names, findings)
     for site in places_of:
         resolver.resolve(site)
@@ -68,8 +69,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     places.enforce(places_of, names, rests, findings)
     size.check(places_of, rests, names, findings)
     values = constants(places_of, rests, names, findings)
-    numbers = Numbers(findings, Evaluator(values, functions_of(names)))
-    numbers.sound = {id(s.expression): s.references.complete for s in places_of}
+    numbers = Numbers(findings, Evaluator(values, functions_of(names)), places_of)
     numbers.check(items)
     unknowns.check(items, numbers, findings)
     terms = _terms(places_of, names, findings)
@@ -92,7 +92,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
 
 def _units(
     items: tuple[Item, ...],
-    places_of: list[Site],
+    places_of: Sites,
     names: Table,
     rests: graph.Graph,
     terms: Terms,
@@ -104,15 +104,13 @@ def _units(
         return
     from gbspec.semantics import unit_rules
 
-    sound = {id(s.expression): s.references.complete and rests.broken.isdisjoint(s.references.names) for s in places_of}
-
-    def usable(expression: ast.Expression | None) -> bool:
-        return sound.get(id(expression), False)
+    def usable(expression: ast.Expression) -> bool:
+        return places_of.complete(expression) and rests.broken.isdisjoint(places_of[expression].references.names)
 
     unit_rules.check(items, names, rests.order, terms, numbers.evaluate, usable, places_of, findings)
 
 
-def _takers(places_of: list[Site], names: Table) -> dict[str, list[str]]:
+def _takers(places_of: Sites, names: Table) -> dict[str, list[str]]:
     """The processes in which each state takes part."""
     takers: dict[str, list[str]] = {}
     for site in places_of:
@@ -123,7 +121,7 @@ def _takers(places_of: list[Site], names: Table) -> dict[str, list[str]]:
     return takers
 
 
-def _terms(places_of: list[Site], names: Table, findings: Findings) -> Terms:
+def _terms(places_of: Sites, names: Table, findings: Findings) -> Terms:
     """The terms of every process; which side a site is, its statement tells."""
     found: Terms = {}
     for site in places_of:
@@ -137,7 +135,7 @@ def _terms(places_of: list[Site], names: Table, findings: Findings) -> Terms:
 
 def _truths(
     items: tuple[Item, ...],
-    places_of: list[Site],
+    places_of: Sites,
     names: Table,
     values: dict[str, float],
     numbers: Numbers,
@@ -154,10 +152,9 @@ def _truths(
             if ends is not None:
                 bounds[statement.name.text] = ends
                 starts[statement.name.text] = start if start is not None else default_start(*ends)
-    by_expression = {id(site.expression): site for site in places_of}
-    known = truths.values(good, by_expression, names, values, starts, findings)
+    known = truths.values(good, places_of, names, values, starts, findings)
     for truth in good:
-        name = truth.name.text
+        name = truth.target.text
         if name in known and name in bounds and not bounds[name][0] <= known[name] <= bounds[name][1]:
             findings.warning(
                 "GB405",

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
-from gbspec.semantics.merge import Item, target_name
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.merge import Item
+from gbspec.semantics.table import Table
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.statements.base import target_name
 
 
 def check(items: Iterable[Item], table: Table, findings: Findings) -> None:
@@ -33,14 +36,18 @@ def _columns(items: Iterable[Item]) -> Iterator[tuple[str, str, Span]]:
             case (
                 ast.ConditionStatement(name=name, column=column)
                 | ast.InputStatement(name=name, column=column)
-                | ast.ObserveStatement(target=ast.Name() as name, column=column)
+                | ast.ObserveStatement(target=name, column=column)
             ):
-                yield _column(name, column)
+                yield _column(target_name(name), column)
             case ast.DoseStatement(target=target):
                 name = target_name(target)
                 yield f"dose_{name.text}", f"the dose into `{name.text}`", name.span
-            case _:
+            case ast.Remark() | ast.Formula() | ast.TimeStatement() | ast.StateStatement():
                 pass
+            case ast.LearnStatement() | ast.UnknownStatement():
+                pass
+            case _:
+                assert_never(item.statement)
 
 
 def _column(name: ast.Name, column: ast.Text | None) -> tuple[str, str, Span]:

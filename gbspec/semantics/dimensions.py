@@ -9,10 +9,11 @@ from fractions import Fraction
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import chain, fold, operands, walk
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.table import Table
 from gbspec.semantics.unification import Solution, factor_between
 from gbspec.semantics.units import ONE, Unit, read
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
 from gbspec.syntax.names import FUNCTIONS
 from gbspec.syntax.walk import ungrouped
 

@@ -12,31 +12,21 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from gbspec.diagnostics import Findings, Source, Span, UserError
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
+from gbspec.syntax.statements.base import Key
+from gbspec.syntax.walk import children
+
+_UNITS = (ast.UnitName, ast.UnitNumber, ast.UnitBinary)
 
 Load = Callable[[Path], Source]
-Key = tuple[str, str]
 N = TypeVar("N", bound=ast.Node)
 
-TARGETED = ("balance", "initial", "observe", "dose", "truth")
+TARGETED = frozenset(kind.entry.word for kind in ast.STATEMENTS if issubclass(kind, ast.About))
 """Kinds of statements that are about a name which another statement declares."""
-
-_DECLARING: dict[type[ast.Node], str] = {
-    ast.StateStatement: "state",
-    ast.ConditionStatement: "condition",
-    ast.InputStatement: "input",
-    ast.ConstStatement: "const",
-    ast.LearnStatement: "learn",
-    ast.LetStatement: "let",
-    ast.FunctionStatement: "function",
-    ast.UnknownStatement: "unknown",
-    ast.ProcessStatement: "process",
-    ast.ConserveStatement: "conserve",
-}
 
 
 @dataclass(frozen=True)
@@ -66,78 +56,14 @@ class Merged:
         return self.complete and name not in self.uncertain and name not in self.arrays
 
 
-def target_name(target: ast.Name | ast.Index) -> ast.Name:
-    """The name that a statement is about; of an element, its array."""
-    return target.array if isinstance(target, ast.Index) else target
-
-
-def target_text(target: ast.Name | ast.Index) -> str:
-    """The target as a key: `X`, or `c[3]` without blanks."""
-    return target.text if isinstance(target, ast.Name) else "".join(target.span.text.split())
-
-
-def declared(statement: ast.Statement) -> tuple[ast.Name, ...]:
-    """The names that a statement declares in the namespace of expressions (channels apart)."""
-    match statement:
-        case ast.StateStatement(declarator=declarator):
-            return (declarator.name,)
-        case ast.UnknownStatement(names=names):
-            return names
-        case (
-            ast.ConditionStatement(name=name)
-            | ast.InputStatement(name=name)
-            | ast.ConstStatement(name=name)
-            | ast.LearnStatement(name=name)
-            | ast.LetStatement(name=name)
-            | ast.FunctionStatement(name=name)
-            | ast.ProcessStatement(name=name)
-            | ast.ConserveStatement(name=name)
-        ):
-            return (name,)
-        case _:
-            return ()
-
-
-def keys(statement: ast.Statement) -> tuple[Key, ...]:
-    """What a statement replaces in a base, and is replaced by: kind and target."""
-    match statement:
-        case ast.ModelStatement():
-            return (("model", ""),)
-        case ast.TimeStatement():
-            return (("time", ""),)
-        case ast.UnitStatement(name=name):
-            return (("unit", name.text),)
-        case ast.BalanceStatement(target=target):
-            return (("balance", target_text(target)),)
-        case ast.ClosureStatement(target=target):
-            return (("closure", target_text(target)),)
-        case ast.InitialStatement(target=target):
-            return (("initial", target_text(target)),)
-        case ast.ObserveStatement(target=target):
-            return (("observe", target_text(target)),)
-        case ast.DoseStatement(target=target):
-            return (("dose", target_text(target)),)
-        case ast.TruthStatement(name=name):
-            return (("truth", name.text),)
-        case ast.AllowStatement() | ast.WithoutStatement():
-            return ()
-        case _:
-            return tuple(("name", name.text) for name in declared(statement))
-
-
 def names_a_unit(items: Iterable[Item]) -> bool:
     """Whether a model says anything about units."""
-    for item in items:
-        statement: Any = item.statement
-        if (
-            isinstance(statement, ast.UnitStatement)
-            or getattr(statement, "unit", None)
-            or getattr(statement, "units", ())
-        ):
-            return True
-        if isinstance(statement, ast.UnknownStatement) and any(a.unit for a in statement.arguments):
-            return True
-    return False
+    return any(
+        isinstance(item.statement, ast.UnitStatement)
+        or any(isinstance(part, _UNITS) for part in children(item.statement))
+        or (isinstance(item.statement, ast.UnknownStatement) and any(a.unit for a in item.statement.arguments))
+        for item in items
+    )
 
 
 def merge(file: ast.File, findings: Findings, load: Load) -> Merged:
@@ -244,12 +170,12 @@ def _replaced(base: Sequence[Item], own: Sequence[Item]) -> list[Item]:
     """The base with what `own` says anew put in its place, then the rest of `own`."""
     newest: dict[Key, list[int]] = {}
     for i, item in enumerate(own):
-        for key in keys(item.statement):
+        for key in item.statement.replaces():
             newest.setdefault(key, []).append(i)
     placed: set[int] = set()
     result: list[Item] = []
     for item in base:
-        theirs = keys(item.statement)
+        theirs = item.statement.replaces()
         gone = [key for key in theirs if key in newest]
         if not gone:
             result.append(item)
@@ -289,11 +215,11 @@ def _remove(base: list[Item], removal: ast.WithoutStatement) -> list[Item] | Non
     kept: list[Item] = []
     for item in base:
         statement = item.statement
-        own = keys(statement)
+        own = statement.replaces()
         about = any(k in TARGETED and target.split("[")[0] == name for k, target in own)
         if kind in TARGETED or kind == "time":
             hit = any(k == kind and (target == name or kind == "time") for k, target in own)
-        elif ("name", name) in own and kind in (None, _DECLARING.get(type(statement))):
+        elif ("name", name) in own and kind in (None, statement.entry.word):
             hit = True
             if len(own) > 1:
                 kept.append(_cut_outputs(item, {name}))
@@ -323,7 +249,7 @@ def _nothing_to_remove(
             help='`without` removes what comes from a base: `model NAME extends "base.gb"`; here, delete the statement',
         )
         return
-    names = [target for item in base for _, target in keys(item.statement)]
+    names = [target for item in base for _, target in item.statement.replaces()]
     findings.error(
         "GB212",
         f"there is nothing that `without {what}` could remove",

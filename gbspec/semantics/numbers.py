@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.graph import Graph
 from gbspec.semantics.merge import Item
-from gbspec.semantics.rules import CONST_VALUE
-from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.sites import Site, Sites
+from gbspec.semantics.table import Table
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.rules import CONST_VALUE
 
 GEOMETRIC_FROM = 100.0
 """From this ratio of positive bounds on, the start of a learnable without one is the geometric mean of its bounds."""
@@ -73,12 +75,11 @@ class Numbers:
 
     findings: Findings
     evaluate: Evaluator
-    sound: dict[int, bool] = field(default_factory=dict)
-    """By `id` of an expression: whether nothing in it was reported."""
+    sites: Sites
 
     def value(self, node: ast.Expression | None) -> float | None:
         """The value of an expression of constants; None where there is none or a mistake in it was told."""
-        return None if node is None or not self.sound.get(id(node), False) else self.evaluate(node)
+        return None if node is None or not self.sites.complete(node) else self.evaluate(node)
 
     def check(self, items: Iterable[Item]) -> None:
         """Ranges ordered, starts and defaults in them, noise and priors of a known kind with positive scales."""
@@ -94,13 +95,16 @@ class Numbers:
                         self._interpolation(statement)
                 case ast.LearnStatement() as statement:
                     self._learnable(statement)
-                case ast.ObserveStatement(noise=ast.Distribution() as noise):
-                    self._distribution(noise, "noise", 1, "the standard deviation", "the coefficient of variation")
+                case ast.ObserveStatement(noise=noise):
+                    if noise is not None:
+                        self._distribution(noise, "noise", 1, "the standard deviation", "the coefficient of variation")
                 case ast.UnknownStatement(arguments=arguments):
                     for argument in arguments:
                         self.interval(argument.range)
-                case _:
+                case ast.Remark() | ast.Formula() | ast.TimeStatement() | ast.DoseStatement():
                     pass
+                case _:
+                    assert_never(item.statement)
 
     def interval(self, interval: ast.Interval | None) -> tuple[float, float] | None:
         """The ends of a range; an error where they are not in order."""

@@ -6,9 +6,10 @@ from collections.abc import Iterable
 
 from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.graph import NODES, Graph
-from gbspec.semantics.rules import ANY
 from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.table import Table
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.rules import ANY
 
 
 def enforce(sites: Iterable[Site], table: Table, graph: Graph, findings: Findings) -> None:

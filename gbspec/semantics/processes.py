@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from gbspec.diagnostics import Findings, Span
 from gbspec.semantics.expressions import ADDITIVE, chain, walk
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.table import Table
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import cast
 
 from gbspec.syntax import ast
+from gbspec.syntax.statements.base import Place
 
 
 def rebuilt(
@@ -31,6 +33,25 @@ def rebuilt(
             same = all(new is old for new, old in zip(parts, _operands(node), strict=True))
             results.append(node if same else _with_operands(node, parts))
     return results[0]
+
+
+def with_expressions(statement: ast.Statement, change: Callable[[Place], ast.Expression]) -> ast.Statement:
+    """The statement with what `change` makes of each of its expressions; unchanged parts are shared."""
+    changed = {id(place.expression): change(place) for place in statement.places()}
+
+    def put(part: object) -> object:
+        if id(part) in changed:
+            return changed[id(part)]
+        if isinstance(part, tuple):
+            parts = tuple(put(inner) for inner in part)
+            return part if all(new is old for new, old in zip(parts, part, strict=True)) else parts
+        if not isinstance(part, ast.Node) or isinstance(part, ast.Expression):
+            return part
+        new = {f.name: put(old) for f in dataclasses.fields(part) if (old := getattr(part, f.name)) is not part.span}
+        new = {name: value for name, value in new.items() if value is not getattr(part, name)}
+        return dataclasses.replace(part, **new) if new else part  # type: ignore[arg-type]  # fields by name
+
+    return cast(ast.Statement, put(statement))
 
 
 def _operands(node: ast.Expression) -> tuple[ast.Expression, ...]:

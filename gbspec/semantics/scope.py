@@ -8,9 +8,10 @@ from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.expressions import operands
 from gbspec.semantics.merge import Merged
 from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Declaration, Kind, Table
+from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
 from gbspec.syntax.names import FUNCTIONS
 
 _SUGGESTIONS = 20

@@ -3,32 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.merge import Item
 from gbspec.syntax import ast
-
-
-class Kind(Enum):
-    """What a name stands for; the value is how a person would call it."""
-
-    TIME = "the time"
-    STATE = "a state"
-    CONDITION = "a condition"
-    INPUT = "an input"
-    CONST = "a constant"
-    LEARN = "a learnable constant"
-    LET = "a `let`"
-    FUNCTION = "a function"
-    UNKNOWN = "an unknown function"
-    PROCESS = "a process"
-    CHANNEL = "a measured channel"
-    CLAIM = "a `conserve` claim"
-
-
-VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM}
-"""What may stand in an expression."""
+from gbspec.syntax.kinds import Kind
 
 
 @dataclass(frozen=True)
@@ -44,19 +23,6 @@ class Declaration:
 
 
 Table = dict[str, Declaration]
-
-_KINDS: dict[type[ast.Node], Kind] = {
-    ast.StateStatement: Kind.STATE,
-    ast.ConditionStatement: Kind.CONDITION,
-    ast.InputStatement: Kind.INPUT,
-    ast.ConstStatement: Kind.CONST,
-    ast.LearnStatement: Kind.LEARN,
-    ast.LetStatement: Kind.LET,
-    ast.FunctionStatement: Kind.FUNCTION,
-    ast.UnknownStatement: Kind.UNKNOWN,
-    ast.ProcessStatement: Kind.PROCESS,
-    ast.ConserveStatement: Kind.CLAIM,
-}
 
 
 def build(items: tuple[Item, ...], findings: Findings) -> Table:
@@ -78,26 +44,11 @@ def build(items: tuple[Item, ...], findings: Findings) -> Table:
 
 
 def _declarations(statement: ast.Statement) -> list[tuple[Declaration, ast.Name]]:
-    match statement:
-        case ast.UnknownStatement(names=names):
-            return [(Declaration(n.text, Kind.UNKNOWN, statement, n.span, i), n) for i, n in enumerate(names)]
-        case ast.ObserveStatement(target=ast.Name() as name, value=value) if value is not None:
-            return [(Declaration(name.text, Kind.CHANNEL, statement, name.span), name)]
-        case ast.StateStatement(declarator=declarator):
-            return [(Declaration(declarator.name.text, Kind.STATE, statement, declarator.name.span), declarator.name)]
-        case (
-            ast.ConditionStatement(name=name)
-            | ast.InputStatement(name=name)
-            | ast.ConstStatement(name=name)
-            | ast.LearnStatement(name=name)
-            | ast.LetStatement(name=name)
-            | ast.FunctionStatement(name=name)
-            | ast.ProcessStatement(name=name)
-            | ast.ConserveStatement(name=name)
-        ):
-            return [(Declaration(name.text, _KINDS[type(statement)], statement, name.span), name)]
-        case _:
-            return []
+    """What a statement declares, the time apart, which is declared before all else."""
+    kind = statement.entry.kind
+    if kind is None or kind is Kind.TIME:
+        return []
+    return [(Declaration(n.text, kind, statement, n.span, i), n) for i, n in enumerate(statement.declares())]
 
 
 def _duplicate(name: ast.Name, first: Declaration, findings: Findings) -> None:

@@ -8,10 +8,11 @@ from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.numbers import functions_of
-from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Declaration, Kind, Table
+from gbspec.semantics.sites import Sites
+from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
 
 
 def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> list[ast.TruthStatement]:
@@ -20,9 +21,9 @@ def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merge
     for item in items:
         if isinstance(item.statement, ast.TruthStatement):
             truth = item.statement
-            declaration = table.get(truth.name.text)
+            declaration = table.get(truth.target.text)
             if declaration is None:
-                if merged.lacks(truth.name.text):
+                if merged.lacks(truth.target.text):
                     _missing(truth, table, findings)
             elif declaration.kind not in (Kind.LEARN, Kind.UNKNOWN):
                 _known(truth, declaration, findings)
@@ -35,20 +36,20 @@ def _missing(truth: ast.TruthStatement, table: Table, findings: Findings) -> Non
     pool = [n for n, d in table.items() if d.kind in (Kind.LEARN, Kind.UNKNOWN)]
     findings.error(
         "GB219",
-        f"a truth for `{truth.name.text}`, which nothing declares",
-        truth.name.span,
+        f"a truth for `{truth.target.text}`, which nothing declares",
+        truth.target.span,
         label="not declared",
-        help=suggestion(truth.name.text, pool) or "a truth is for a `learn` or an `unknown` of this model",
-        subject=truth.name.text,
+        help=suggestion(truth.target.text, pool) or "a truth is for a `learn` or an `unknown` of this model",
+        subject=truth.target.text,
     )
 
 
 def _known(truth: ast.TruthStatement, declaration: Declaration, findings: Findings) -> None:
-    name = truth.name.text
+    name = truth.target.text
     findings.error(
         "GB219",
         f"a truth for `{name}`, which is {declaration.kind.value}",
-        truth.name.span,
+        truth.target.span,
         labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
         help="a truth is for what is learned; delete it"
         + (f", or declare `learn {name}`" if declaration.kind is Kind.CONST else "")
@@ -63,30 +64,29 @@ def _same_arguments(truth: ast.TruthStatement, declaration: Declaration, finding
         return True
     labels = [Label(declaration.span, "declared here")] if declaration.span is not None else []
     if unknown is None:
-        message, help_ = f"`{truth.name.text}` is a learnable constant and has no arguments", "leave the arguments out"
+        message, help_ = (
+            f"`{truth.target.text}` is a learnable constant and has no arguments",
+            "leave the arguments out",
+        )
     else:
         names = ", ".join(a.name.text for a in unknown.arguments)
         count = f"{len(truth.parameters)} argument{'' if len(truth.parameters) == 1 else 's'}"
-        message = f"the truth of `{truth.name.text}` has {count}, its declaration {expected}"
-        help_ = f"write `truth {truth.name.text}({names}) = …`"
-    findings.error("GB220", message, truth.name.span, labels=labels, help=help_)
+        message = f"the truth of `{truth.target.text}` has {count}, its declaration {expected}"
+        help_ = f"write `truth {truth.target.text}({names}) = …`"
+    findings.error("GB220", message, truth.target.span, labels=labels, help=help_)
     return False
 
 
 def values(
     truths: Iterable[ast.TruthStatement],
-    sites: Mapping[int, Site],
+    sites: Sites,
     table: Table,
     constants: Mapping[str, float],
     starts: Mapping[str, float],
     findings: Findings,
 ) -> dict[str, float]:
     """Values of the truths of learnables; one that names another learnable means its truth, else its start."""
-    waiting = {
-        t.name.text: t
-        for t in truths
-        if table[t.name.text].kind is Kind.LEARN and sites[id(t.value)].references.complete
-    }
+    waiting = {t.target.text: t for t in truths if table[t.target.text].kind is Kind.LEARN and sites.complete(t.value)}
     known: dict[str, float] = {}
     while waiting:
         ready = [n for n, t in waiting.items() if not any(o in waiting for o in _learnables(t, sites, table))]
@@ -103,8 +103,8 @@ def values(
     return known
 
 
-def _learnables(truth: ast.TruthStatement, sites: Mapping[int, Site], table: Table) -> list[str]:
-    names = sites[id(truth.value)].references.names
+def _learnables(truth: ast.TruthStatement, sites: Sites, table: Table) -> list[str]:
+    names = sites[truth.value].references.names
     return [n for n in names if table[n].kind is Kind.LEARN]
 
 
@@ -114,7 +114,7 @@ def _circle(waiting: Mapping[str, ast.TruthStatement], findings: Findings) -> No
     findings.error(
         "GB208",
         f"truths depend on each other in a circle: {names}",
-        first.name.span,
-        labels=[Label(t.name.span, "and this") for t in list(waiting.values())[1:5]],
+        first.target.span,
+        labels=[Label(t.target.span, "and this") for t in list(waiting.values())[1:5]],
         help="write the number of one of them",
     )

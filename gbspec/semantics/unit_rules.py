@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, assert_never
 
 from gbspec.diagnostics import Findings, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.dimensions import NEEDS_UNIT, Units
-from gbspec.semantics.merge import Item, target_name
+from gbspec.semantics.merge import Item
 from gbspec.semantics.processes import Term
 from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.table import Table
 from gbspec.semantics.unification import Solution
 from gbspec.semantics.units import ONE, Namespace, Unit
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.statements.base import target_name
 
 Terms = Mapping[str, Sequence[tuple[bool, Term]]]
-Usable = Callable[[ast.Expression | None], bool]
+Usable = Callable[[ast.Expression], bool]
 
 
 def check(
@@ -28,7 +30,7 @@ def check(
     terms: Terms,
     evaluate: Evaluator,
     usable: Usable,
-    sites: Sequence[Site],
+    sites: Iterable[Site],
     findings: Findings,
 ) -> None:
     """Checks the units of a model that names any.
@@ -92,8 +94,12 @@ class _Rules:
                 ]
                 for name in names[1:]:
                     units.arguments[name.text] = units.arguments[names[0].text]
+            case ast.FunctionStatement() | ast.ProcessStatement() | ast.ConserveStatement() | ast.Remark():
+                pass  # declare no unit
+            case ast.About() | ast.ClosureStatement():
+                pass  # speak of the units that others declare
             case _:
-                pass
+                assert_never(statement)
 
     def named(self, statement: ast.Statement | None) -> None:
         """Constants, functions, `let`s and rates, each after what it depends on."""
@@ -114,10 +120,12 @@ class _Rules:
         """Everything else."""
         units = self._units
         match statement:
-            case ast.BalanceStatement(target=ast.Name() as target, value=value) if self._usable(value):
-                units.agrees(value, units.rate_of(target.text), f"the rate of change of `{target.text}`", target.span)
-            case ast.InitialStatement(target=ast.Name() as target, value=value) if value and self._usable(value):
-                units.carries(value, units.of(target.text), f"`{target.text}`", target.span)
+            case ast.BalanceStatement(target=target, value=value):
+                name = target_name(target)
+                if self._usable(value):
+                    units.agrees(value, units.rate_of(name.text), f"the rate of change of `{name.text}`", name.span)
+            case ast.InitialStatement(target=target, value=start):
+                self._ranged(target_name(target), None, start)
             case ast.ProcessStatement(name=name):
                 self._process(name)
             case ast.UnknownStatement():
@@ -126,13 +134,25 @@ class _Rules:
                 self._channel(target_name(target), value, unit)
             case ast.DoseStatement(fraction=fraction, lag=lag):
                 self._dose(fraction, lag)
-            case ast.ConserveStatement(value=value, rate=rate) if self._usable(value):
-                whole = units.expression(value)
-                if rate is not None and self._usable(rate):
-                    per_time = whole.times(self._time(), Fraction(-1))
-                    units.agrees(rate, per_time, "the rate of change of this quantity", value.span)
+            case ast.ConserveStatement(value=value, rate=rate):
+                self._claim(value, rate)
+            case ast.StateStatement(declarator=declarator, range=interval, start=start):
+                self._ranged(declarator.name, interval, start)
+            case (
+                ast.ConditionStatement(name=name, range=interval, default=default)
+                | ast.InputStatement(name=name, range=interval, default=default)
+            ):
+                self._ranged(name, interval, default)
+            case ast.LearnStatement(name=name, range=interval, bounds=bounds, start=start):
+                self._ranged(name, interval, start, *(bound.value for bound in bounds))
+            case ast.TimeStatement(name=name, start=start):
+                self._ranged(name, None, start)
+            case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():
+                pass  # `named` has them
+            case ast.TruthStatement() | ast.ClosureStatement() | ast.Remark():
+                pass
             case _:
-                self._numbers(statement)
+                assert_never(statement)
 
     def _time(self) -> Unit:
         return self._units.of(next(d.name for d in self._units.table.values() if d.kind is Kind.TIME))
@@ -195,27 +215,19 @@ class _Rules:
         if lag is not None and self._usable(lag):
             self._units.carries(lag, self._time(), "a lag", lag.span)
 
-    def _numbers(self, statement: ast.Statement) -> None:
+    def _claim(self, value: ast.Expression, rate: ast.Expression | None) -> None:
+        if not self._usable(value):
+            return
+        whole = self._units.expression(value)
+        if rate is not None and self._usable(rate):
+            per_time = whole.times(self._time(), Fraction(-1))
+            self._units.agrees(rate, per_time, "the rate of change of this quantity", value.span)
+
+    def _ranged(self, name: ast.Name, interval: ast.Interval | None, *values: ast.Expression | None) -> None:
         """Ranges, starts, bounds and defaults: pure numbers there carry the declared unit."""
-        units = self._units
-        match statement:
-            case ast.StateStatement(declarator=declarator, range=interval, start=start):
-                self._interval(interval, units.of(declarator.name.text), declarator.name)
-                self._number(start, declarator.name)
-            case (
-                ast.ConditionStatement(name=name, range=interval, default=value)
-                | ast.InputStatement(name=name, range=interval, default=value)
-            ):
-                self._interval(interval, units.of(name.text), name)
-                self._number(value, name)
-            case ast.LearnStatement(name=name, range=interval, bounds=bounds, start=value):
-                self._interval(interval, units.of(name.text), name)
-                for part in (value, *(bound.value for bound in bounds)):
-                    self._number(part, name)
-            case ast.TimeStatement(name=name, start=value):
-                self._number(value, name)
-            case _:
-                pass
+        self._interval(interval, self._units.of(name.text), name)
+        for value in values:
+            self._number(value, name)
 
     def _number(self, value: ast.Expression | None, name: ast.Name) -> None:
         if value is not None and self._usable(value):
@@ -227,7 +239,7 @@ class _Rules:
                 self._units.carries(end, unit, f"`{name.text}`", name.span)
 
 
-def _undetermined(units: Units, sites: Sequence[Site], findings: Findings) -> None:
+def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> None:
     used = {name for site in sites for name in site.references.names}
     used.update(d.name for d in units.table.values() if d.kind is Kind.STATE)
     if any(d.kind is Kind.STATE for d in units.table.values()):

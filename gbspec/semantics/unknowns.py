@@ -26,7 +26,7 @@ def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
         match item.statement:
             case ast.FunctionStatement(parameters=parameters, name=name):
                 _parameters(parameters, name, findings)
-            case ast.TruthStatement(parameters=parameters, name=name) if parameters is not None:
+            case ast.TruthStatement(parameters=parameters, target=name) if parameters is not None:
                 _parameters(parameters, name, findings, empty=True)
             case ast.UnknownStatement() as unknown:
                 _parameters([a.name for a in unknown.arguments], unknown.names[0], findings)

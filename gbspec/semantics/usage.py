@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.merge import Item
-from gbspec.semantics.sites import Site
-from gbspec.semantics.table import Kind, Table
+from gbspec.semantics.sites import Site, Sites
+from gbspec.semantics.table import Table
 from gbspec.syntax import ast
+from gbspec.syntax.kinds import Kind
 
 _USELESS = {
     Kind.CONDITION: "it would be asked of the data for nothing",
@@ -57,7 +58,7 @@ def observed_names(items: Iterable[Item]) -> set[str]:
     }
 
 
-def only_compared(sites: Sequence[Site], observed: set[str], table: Table, findings: Findings) -> None:
+def only_compared(sites: Sites, observed: set[str], table: Table, findings: Findings) -> None:
     """A learnable that decides between branches but enters no value has no gradient, so it cannot be learned."""
     values = {site.owner: site for site in sites if site.owner is not None}
     reached: dict[bool, set[str]] = {True: set(), False: set()}

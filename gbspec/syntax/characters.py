@@ -10,7 +10,7 @@ import re
 import unicodedata
 
 from gbspec.diagnostics import Diagnostic, Label, Span
-from gbspec.syntax.statements import Chunk
+from gbspec.syntax.chunks import Chunk
 
 _PIECE = re.compile(
     r'(?P<string>"[^"\n]*")|(?P<curly>[“”„«»][^“”„«»"\n]*[“”„«»"])|(?P<open>"[^\n]*)|(?P<comment>#[^\n]*)'

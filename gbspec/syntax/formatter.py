@@ -13,16 +13,16 @@ from itertools import pairwise
 from gbspec.diagnostics import Defect, Findings, Source
 from gbspec.syntax import ast
 from gbspec.syntax.characters import clean
+from gbspec.syntax.chunks import split
 from gbspec.syntax.parser import Parsed, parse, parse_statements
 from gbspec.syntax.spacing import Piece, pieces
-from gbspec.syntax.statements import split
 from gbspec.syntax.transformer import Clause
 from gbspec.syntax.walk import same
 
 WIDTH = 100
 _INDENT = 4
 _ORDER = (
-    *("unit", "from", "consumed", "produced", "contracts", "start", "range", "bound", "postulates", "value", "learned"),
+    *("unit", "from", "consumed", "produced", "contracts", "range", "bound", "postulates", "value", "learned"),
     *(
         "interpolation",
         "prior",
@@ -132,8 +132,8 @@ def _groups(found: list[Piece]) -> list[list[Piece]]:
 
 def _ordered(groups: list[list[Piece]], clauses: Sequence[Clause], statement: ast.Statement) -> list[list[Piece]]:
     """The groups in canonical order, contracts joined by commas; the sides of a process stay with its head."""
-    if isinstance(statement, ast.ProcessStatement):
-        fixed = sum(1 for clause in clauses if clause.kind in ("consumed", "produced"))
+    fixed = sum(clause.kind in ("consumed", "produced") for clause in clauses)
+    if fixed:
         groups = [[piece for group in groups[: fixed + 1] for piece in group], *groups[fixed + 1 :]]
     head, rest = groups[0], groups[1:]
     rest = sorted(rest, key=lambda group: _rank(clauses[group[0].clause or 0].kind, statement))
@@ -145,13 +145,10 @@ def _ordered(groups: list[list[Piece]], clauses: Sequence[Clause], statement: as
     return [head, *rest]
 
 
-def _rank(kind: str, statement: ast.Statement) -> int:
-    """The place of a clause in its statement: a learnable's and a model's differ from the others'."""
-    if kind == "value" and isinstance(statement, ast.LearnStatement):
-        return _RANK["start"]
-    if kind == "rate" and isinstance(statement, ast.ConserveStatement):
-        return _RANK["value"] + 1
-    return _RANK[kind]
+def _rank(kind: str, statement: ast.Statement) -> float:
+    """The place of a clause in its statement; some statements have one of theirs right after another."""
+    after = statement.entry.after.get(kind)
+    return _RANK[kind] if after is None else _RANK[after] + 0.5
 
 
 def _joined(line: Sequence[Piece]) -> str:

@@ -21,9 +21,10 @@ from lark import Lark, Token
 from lark.exceptions import UnexpectedInput, UnexpectedToken
 
 from gbspec.diagnostics import Diagnostic, Label, Span
+from gbspec.syntax.ast import WORDS
+from gbspec.syntax.chunks import Chunk
 from gbspec.syntax.grammar import grammar_file
-from gbspec.syntax.names import STATEMENTS, normalise
-from gbspec.syntax.statements import Chunk
+from gbspec.syntax.names import normalise
 
 _WORD = re.compile(r"[^\W\d]\w*")
 _LAST = re.compile(r'("[^"\n]*"|\w+(?:\.\w+)*|[^\w\s])\s*\Z')
@@ -31,7 +32,7 @@ _WINDOW = 500  # how many characters before the offending token, and at the stat
 _OPERAND = frozenset({"NAME", "NUMBER", "PLUS", "MINUS", "LPAR"})
 _KEYWORDS = frozenset(
     {
-        *STATEMENTS,
+        *WORDS,
         *(
             "extends",
             "from",
@@ -288,7 +289,7 @@ def _meant_statements(word: str) -> tuple[str, ...]:
     lower = word.lower()
     if lower in words:
         return tuple(words[lower].split())
-    return tuple(get_close_matches(lower, STATEMENTS, n=1, cutoff=0.7))
+    return tuple(get_close_matches(lower, WORDS, n=1, cutoff=0.7))
 
 
 # ---------------------------------------------------------------------------------------------------- what it says

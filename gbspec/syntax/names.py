@@ -12,12 +12,6 @@ FUNCTIONS: dict[str, int] = {
 }
 """The functions of the language and how many arguments each takes (`min` and `max`: at least that many)."""
 
-STATEMENTS: tuple[str, ...] = (
-    *("model", "time", "unit", "state", "condition", "input", "const", "learn", "let", "function", "unknown"),
-    *("process", "initial", "observe", "dose", "conserve", "truth", "allow", "without"),
-)
-"""The words that begin a statement."""
-
 REFUSED: frozenset[str] = frozenset({"pi", "if", "and", "or", "not", "net", "nn", *FUNCTIONS})
 """Names that nothing may be declared as."""
 

@@ -15,20 +15,21 @@ from lark.exceptions import UnexpectedInput, UnexpectedToken
 from gbspec.diagnostics import Diagnostic, Findings, Label, Source, Span
 from gbspec.syntax import ast
 from gbspec.syntax.characters import clean
+from gbspec.syntax.chunks import Chunk, Comment, split
 from gbspec.syntax.grammar import engine
+from gbspec.syntax.kinds import Kind
 from gbspec.syntax.mistakes import Slip, explain_slip, where
-from gbspec.syntax.names import STATEMENTS, normalise
+from gbspec.syntax.names import normalise
 from gbspec.syntax.reading import read_source
-from gbspec.syntax.statements import Chunk, Comment, split
 from gbspec.syntax.transformer import Clause
 
 __all__ = ["Parsed", "parse", "parse_expression", "parse_statements", "read_source"]
 
 _WORD = re.compile(r"[^\W\d]\w*")
-_HEAD = re.compile(rf"\s*({'|'.join(STATEMENTS)})\s+([^\W\d]\w*)")
-_BEGINS_STATEMENT = re.compile(rf"({'|'.join(STATEMENTS)})[ \t]+[^\W\d]|[^\W\d]\w*[ \t]*(\[[^\]\n]*\][ \t]*)?'[ \t]*=")
+_HEAD = re.compile(rf"\s*({'|'.join(ast.WORDS)})\s+([^\W\d]\w*)")
+_BEGINS_STATEMENT = re.compile(rf"({'|'.join(ast.WORDS)})[ \t]+[^\W\d]|[^\W\d]\w*[ \t]*(\[[^\]\n]*\][ \t]*)?'[ \t]*=")
 _BRACKET = re.compile(r'"[^"\n]*"|[()\[\]]')
-_DECLARING = frozenset(STATEMENTS) - {"model", "unit", "initial", "observe", "dose", "truth", "allow", "without"}
+_DECLARING = frozenset(s.entry.word for s in ast.STATEMENTS if s.entry.kind not in (None, Kind.CHANNEL))
 _MAX_JOINED = 20  # lines that are joined one by one; lines inside open brackets are joined at once
 _MAX_INSIDE = 500
 

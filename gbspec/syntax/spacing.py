@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
+from gbspec.syntax.chunks import Comment
 from gbspec.syntax.names import normalise
-from gbspec.syntax.statements import Comment
 from gbspec.syntax.transformer import Clause
 
 _TOKEN = re.compile(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from gbspec.diagnostics import Source, Span
-from gbspec.syntax.statements import Chunk, split
+from gbspec.syntax.chunks import Chunk, split
 
 _WORD = re.compile(r"[^\W\d]\w*")
 _STRING = re.compile(r'"[^"\n]*("|$)', re.MULTILINE)

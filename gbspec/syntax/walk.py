@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields
 from typing import Any, TypeVar
 
-from gbspec.syntax import ast
+from gbspec.syntax import nodes as ast
 
 Result = TypeVar("Result")
 

@@ -9,7 +9,7 @@ import pytest
 
 from gbspec import driver
 from gbspec.diagnostics import Findings, Severity, UserError
-from gbspec.syntax.names import STATEMENTS
+from gbspec.syntax.ast import WORDS as STATEMENTS
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "language.md"
 BLOCKS = re.findall(r"^```gb(?: file=(\S+))?\n(.*?)^```$", REFERENCE.read_text(encoding="utf-8"), re.S | re.M)

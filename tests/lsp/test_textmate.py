@@ -13,8 +13,9 @@ import pytest
 from gbspec.data.shipped import shipped_models
 from gbspec.lsp import words
 from gbspec.semantics.vocabulary import ACTIVATIONS
+from gbspec.syntax.ast import WORDS as STATEMENTS
 from gbspec.syntax.grammar import grammar_file
-from gbspec.syntax.names import FUNCTIONS, STATEMENTS
+from gbspec.syntax.names import FUNCTIONS
 
 FILE = grammar_file("gb.lark").parent / "gb.tmLanguage.json"
 GRAMMAR: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))

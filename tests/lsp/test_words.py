@@ -8,10 +8,8 @@ import pytest
 
 from gbspec.diagnostics.catalogue import explain
 from gbspec.lsp import words
-from gbspec.lsp.hover import ROLES
 from gbspec.lsp.messages import UNUSED
-from gbspec.lsp.outline import GROUPS
-from gbspec.syntax import ast, names
+from gbspec.syntax import names
 from gbspec.syntax.expected import Expected, expected
 from gbspec.syntax.grammar import engine
 
@@ -24,7 +22,6 @@ def keywords() -> set[str]:
 
 def test_every_keyword_of_the_grammar_is_explained() -> None:
     assert keywords() == {*words.STATEMENTS, *words.CLAUSES, *words.OPERATORS}
-    assert tuple(words.STATEMENTS) == names.STATEMENTS
 
 
 def test_every_function_is_explained_and_written_with_its_arguments() -> None:
@@ -35,12 +32,6 @@ def test_every_function_is_explained_and_written_with_its_arguments() -> None:
         assert inside is not None
         given = [a for a in inside[1].split(", ") if a != "…"]
         assert len(given) == names.FUNCTIONS.get(function, 1)
-
-
-def test_every_statement_has_a_place_in_the_outline_or_declares_nothing() -> None:
-    without = {ast.AllowStatement, ast.WithoutStatement}
-    assert set(GROUPS) | without == set(ast.Statement.__args__)
-    assert set(ROLES) <= set(GROUPS)
 
 
 def test_the_code_that_is_shown_faded_is_that_of_unused_names() -> None:

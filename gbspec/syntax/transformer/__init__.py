@@ -1,9 +1,9 @@
 """From the parser's reductions to nodes: one method a rule of the grammar, called bottom up with what the rule matched.
 
 What a rule cannot say (a clause twice, a comparison used as a number, a refused name) is found here, with its place.
+The rules of statements are read by the statements' own classes.
 """
 
 from gbspec.syntax.transformer.parts import Clause
-from gbspec.syntax.transformer.statements import Builder
 
-__all__ = ["Builder", "Clause"]
+__all__ = ["Clause"]

@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 from lark import Token
 
 from gbspec.diagnostics import Diagnostic, Label
-from gbspec.syntax import ast
+from gbspec.syntax import nodes as ast
 from gbspec.syntax.transformer.expressions import ExpressionRules
 from gbspec.syntax.transformer.parts import CLAUSE_WORDS, Children, Clause, Names, nodes, tokens
 
@@ -155,6 +155,14 @@ class ClauseRules(ExpressionRules):
     def argument(self, children: Children) -> ast.Argument:
         found = self.gather(children, "an argument")
         return ast.Argument(self.over(children), self.declared(children[0]), found.get("unit"), found.get("range"))
+
+    def required(self, children: Children, found: dict[str, Any], kind: str, message: str, help: str) -> Any:
+        """A clause that the statement cannot do without."""
+        if kind in found:
+            return found[kind]
+        span = self.over(children)
+        self.problem("GB129", message, span, help=help)
+        return ast.Number(span, "0")
 
     def gather(self, children: Children, of: str) -> dict[str, Any]:
         """The clauses among what a rule matched, by kind; a clause given twice is a finding."""

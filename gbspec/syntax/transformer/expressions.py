@@ -8,7 +8,7 @@ import math
 from dataclasses import replace
 from typing import Literal, cast
 
-from gbspec.syntax import ast
+from gbspec.syntax import nodes as ast
 from gbspec.syntax.transformer.parts import Children, Parts, nodes
 
 

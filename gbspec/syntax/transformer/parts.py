@@ -9,7 +9,7 @@ from typing import Any, cast
 from lark import Token
 
 from gbspec.diagnostics import Diagnostic, Source, Span
-from gbspec.syntax import ast
+from gbspec.syntax import nodes as ast
 from gbspec.syntax.names import REFUSED, is_name, normalise
 from gbspec.syntax.walk import ungrouped
 
@@ -60,9 +60,13 @@ MAX_PROBLEMS = 20
 
 
 class Parts:
-    """Places, names and checks that the rules share; the state of one statement being built."""
+    """Places, names and checks that the rules share; the state of one statement being built.
 
-    def __init__(self) -> None:
+    `words` are those that begin a statement.
+    """
+
+    def __init__(self, words: frozenset[str] = frozenset()) -> None:
+        self.words = words
         self.begin(Source("", ""), 0)
 
     def begin(self, source: Source, offset: int) -> None:

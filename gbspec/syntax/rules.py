@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gbspec.semantics.table import VALUES, Kind
+from gbspec.syntax.kinds import VALUES, Kind
 
 
 @dataclass(frozen=True)

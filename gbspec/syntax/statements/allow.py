@@ -1,0 +1,30 @@
+"""`allow`: a warning that the author of the model accepts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax.nodes import Name
+from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class AllowStatement(Remark):
+    """`allow GB401 NAME`."""
+
+    entry = Entry(word="allow", meaning="accepts a named warning", example="allow GB401 k", title=None)
+    code: Name
+    name: Name | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `allow CODE NAME`."""
+        code, *name = (reader.name_at(token) for token in children[1:])
+        return cls(reader.over(children), code, name[0] if name else None)
+
+    def replaces(self) -> tuple[Key, ...]:
+        """Each stands beside the others."""
+        return ()

@@ -1,0 +1,39 @@
+"""A balance: how a state changes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax import rules
+from gbspec.syntax.nodes import Expression, Text
+from gbspec.syntax.statements.base import About, Entry, Formula, Place
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class BalanceStatement(About, Formula):
+    """`X' = net(X) - D*X`, or `c[i]' = …` for every i."""
+
+    entry = Entry(
+        word="balance",
+        meaning="the rate of change of a state",
+        example="X' = net(X) - D*X",
+        title="balances",
+        symbol="Operator",
+        spelled=False,
+    )
+    value: Expression
+    description: Text | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `target'` and its clauses."""
+        found = reader.gather(children, "a balance")
+        return cls(reader.over(children), children[0], found["value"], found.get("text"))
+
+    def places(self) -> Iterator[Place]:
+        """The right side."""
+        yield Place(self.value, rules.ANY)

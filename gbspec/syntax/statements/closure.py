@@ -1,0 +1,46 @@
+"""The equation that closes an end of an array."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax import rules
+from gbspec.syntax.nodes import Expression, Index, Name
+from gbspec.syntax.statements.base import Entry, Formula, Key, Place, target_text
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class ClosureStatement(Formula):
+    """`c[0] = cin`: an end of an array of states."""
+
+    entry = Entry(
+        word="closure",
+        meaning="what stands for an element beyond the end of an array",
+        example="c[0] = cin",
+        title="ends of arrays",
+        spelled=False,
+    )
+    target: Index
+    value: Expression
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `array[index] = value`."""
+        found = reader.gather(children, "the end of an array")
+        return cls(reader.over(children), children[0], found["value"])
+
+    def declares(self) -> tuple[Name, ...]:
+        """Nothing."""
+        return ()
+
+    def replaces(self) -> tuple[Key, ...]:
+        """The end that it closes."""
+        return (("closure", target_text(self.target)),)
+
+    def places(self) -> Iterator[Place]:
+        """The right side."""
+        yield Place(self.value, rules.ANY)

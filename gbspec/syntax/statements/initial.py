@@ -1,0 +1,48 @@
+"""`initial`: the start of a state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax import rules
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.nodes import Expression, Index, Name, Text
+from gbspec.syntax.statements.base import About, Entry, Formula, Place
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class InitialStatement(About, Formula):
+    """`initial X = expr`; `initial X learn` has no value."""
+
+    entry = Entry(
+        word="initial",
+        meaning="the start of a state: an expression, or `learn` for one learned in each trajectory",
+        example="initial X = X0",
+        title="starts",
+        about=frozenset({Kind.STATE}),
+    )
+    value: Expression | None = None
+    description: Text | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `initial target` and its clauses."""
+        found = reader.gather(children, "`initial`")
+        target: Name | Index = children[1]
+        if ("value" in found) == ("learned" in found):
+            reader.problem(
+                "GB129",
+                f"`initial {target.span.text}` needs either `= …` or `learn`",
+                reader.over(children),
+                help=f"write `initial {target.span.text} = …` where the start is known, else `… learn`",
+            )
+        return cls(reader.over(children), target, found.get("value"), found.get("text"))
+
+    def places(self) -> Iterator[Place]:
+        """The start, unless it is learned."""
+        if self.value is not None:
+            yield Place(self.value, rules.START)

@@ -1,0 +1,58 @@
+"""`learn`: a constant that training finds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.nodes import Bound, Distribution, Expression, Interval, Text, UnitExpression
+from gbspec.syntax.statements.base import Entry, Named, Place, ends, fixed, parameters
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class LearnStatement(Named):
+    """`learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory`."""
+
+    entry = Entry(
+        word="learn",
+        meaning="a constant to be learned, with a start, bounds, a prior, or a value of its own for each trajectory",
+        example='learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory "cooling"',
+        title="learnable constants",
+        symbol="Constant",
+        kind=Kind.LEARN,
+        role="learnable constant",
+        after={"value": "contracts"},  # the start, before the bounds
+    )
+    unit: UnitExpression | None = None
+    start: Expression | None = None
+    range: Interval | None = None
+    bounds: tuple[Bound, ...] = ()
+    prior: Distribution | None = None
+    per_trajectory: bool = False
+    description: Text | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `learn NAME` and its clauses."""
+        found = reader.gather(children, "a learnable constant")
+        return cls(
+            reader.over(children),
+            reader.declared(children[1]),
+            found.get("unit"),
+            found.get("value"),
+            found.get("range"),
+            found["bounds"],
+            found.get("prior"),
+            found.get("per_trajectory", False),
+            found.get("text"),
+        )
+
+    def places(self) -> Iterator[Place]:
+        """The start, the bounds and the numbers of the prior."""
+        yield from fixed(self.start, *(bound.value for bound in self.bounds))
+        yield from ends(self.range)
+        yield from parameters(self.prior)

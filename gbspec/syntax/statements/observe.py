@@ -1,0 +1,52 @@
+"""`observe`: a measured channel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax import rules
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.nodes import Distribution, Expression, Name, Text, UnitExpression
+from gbspec.syntax.statements.base import About, Entry, Place, parameters
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class ObserveStatement(About):
+    """`observe y = expr : unit noise normal(0.05) as "OD 600"`; `observe X` and `observe c[3]` have no value."""
+
+    entry = Entry(
+        word="observe",
+        meaning="a measured channel, a column of the data",
+        example='observe y = X + S noise normal(0.05) as "OD 600" "turbidity"',
+        title="measured channels",
+        symbol="Field",
+        kind=Kind.CHANNEL,
+        role="measured channel",
+        about=frozenset({Kind.STATE, Kind.LET}),
+    )
+    value: Expression | None = None
+    unit: UnitExpression | None = None
+    noise: Distribution | None = None
+    column: Text | None = None
+    description: Text | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `observe target` and its clauses."""
+        found = reader.gather(children, "a channel")
+        clauses = (found.get(kind) for kind in ("value", "unit", "noise", "column", "text"))
+        return cls(reader.over(children), children[1], *clauses)
+
+    def declares(self) -> tuple[Name, ...]:
+        """The channel, where it has an expression and so a name of its own."""
+        return (self.target,) if isinstance(self.target, Name) and self.value is not None else ()
+
+    def places(self) -> Iterator[Place]:
+        """What is measured and the numbers of its noise."""
+        if self.value is not None:
+            yield Place(self.value, rules.ANY)
+        yield from parameters(self.noise)

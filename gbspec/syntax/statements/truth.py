@@ -1,0 +1,42 @@
+"""`truth`: the reference for something that is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax import rules
+from gbspec.syntax.kinds import Kind
+from gbspec.syntax.nodes import Expression, Name
+from gbspec.syntax.statements.base import About, Entry, Formula, Place
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children, Names
+
+
+@dataclass(frozen=True)
+class TruthStatement(About, Formula):
+    """`truth beta = 3`, `truth phi(x1, x2, Da) = …` (parameters None where there are no parentheses)."""
+
+    entry = Entry(
+        word="truth",
+        meaning="the reference for a learnable or an unknown: simulation and validation use it, training never sees it",
+        example="truth mu(u, g) = u/(1 + u)",
+        title="truths",
+        about=frozenset({Kind.LEARN, Kind.UNKNOWN}),
+    )
+    target: Name
+    value: Expression
+    parameters: tuple[Name, ...] | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `truth NAME(names) = value`."""
+        found = reader.gather(children, "a truth")
+        formals = next((child.items for child in children if isinstance(child, Names)), None)
+        return cls(reader.over(children), reader.name_at(children[1]), found["value"], formals)
+
+    def places(self) -> Iterator[Place]:
+        """The value, as far as this statement alone tells what it is the truth of."""
+        formals = frozenset(parameter.text for parameter in self.parameters or ())
+        yield Place(self.value, rules.TRUTH, None, formals, counts=False)

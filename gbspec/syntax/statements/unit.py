@@ -1,0 +1,36 @@
+"""`unit`: a base unit of the model's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax.nodes import Name, Text
+from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class UnitStatement(Remark):
+    """`unit gX "gram of biomass"`."""
+
+    entry = Entry(
+        word="unit",
+        meaning="a base unit of its own, so that grams of different things do not add up by accident",
+        example='unit gX "gram of biomass"',
+        title="units",
+        symbol="EnumMember",
+    )
+    name: Name
+    description: Text | None = None
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `unit NAME` and its description."""
+        found = reader.gather(children, "`unit`")
+        return cls(reader.over(children), reader.name_at(children[1]), found.get("text"))
+
+    def replaces(self) -> tuple[Key, ...]:
+        """Units are names apart from those in expressions."""
+        return (("unit", self.name.text),)

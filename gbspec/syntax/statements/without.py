@@ -1,0 +1,44 @@
+"""`without`: what a model drops of the file that it extends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+from gbspec.syntax.nodes import Name
+from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.transformer.clauses import ClauseRules
+from gbspec.syntax.transformer.parts import Children
+
+
+@dataclass(frozen=True)
+class WithoutStatement(Remark):
+    """`without observe x2` (kind "observe"), `without k` (kind None: the declaration of that name)."""
+
+    entry = Entry(
+        word="without",
+        meaning="removes a declaration or statement of the extended file",
+        example="without observe x2",
+        title=None,
+    )
+    kind: Name | None
+    name: Name
+
+    @classmethod
+    def read(cls, reader: ClauseRules, children: Children) -> Self:
+        """From `without KIND NAME`."""
+        first, *second = (reader.name_at(token) for token in children[1:])
+        if not second:
+            return cls(reader.over(children), None, first)
+        if first.text not in reader.words:
+            reader.problem(
+                "GB102",
+                f"there is no statement `{first.text}` that `without` could remove",
+                first.span,
+                help="write `without observe x`, `without initial x`, …, or `without NAME` for what declares a name",
+            )
+        return cls(reader.over(children), first, second[0])
+
+    def replaces(self) -> tuple[Key, ...]:
+        """It is carried out, and replaces nothing."""
+        return ()
