@@ -63,7 +63,8 @@ def completions(workspace: Workspace, path: str | Path, offset: int) -> tuple[in
 
 
 def _statements() -> list[Candidate]:
-    return [Candidate(word, "keyword", meaning) for word, meaning in words.STATEMENTS.items()]
+    entries = (kind.entry for kind in ast.STATEMENTS if kind.entry.spelled)
+    return [Candidate(entry.word, "keyword", entry.meaning, entry.example) for entry in entries]
 
 
 def _next(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Candidate]:

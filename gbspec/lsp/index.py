@@ -74,14 +74,12 @@ def names_of(files: Sequence[ast.File]) -> Names:
     for file in files:
         for statement in file.statements:
             found.update(name.text for name in statement.declares())
-            match statement:
-                case ast.UnitStatement(name=name):
-                    units.add(name.text)
-                case ast.UnknownStatement(names=outputs, arguments=formals):
-                    for name in outputs:
-                        arguments.setdefault(name.text, (home(statement), tuple(a.name.text for a in formals)))
-                case _:
-                    pass
+            if isinstance(statement, ast.UnitStatement):
+                units.add(statement.name.text)
+            elif isinstance(statement, ast.UnknownStatement):
+                formals = tuple(a.name.text for a in statement.arguments)
+                for name in statement.names:
+                    arguments.setdefault(name.text, (home(statement), formals))
     if not any(isinstance(s, ast.TimeStatement) for file in files for s in file.statements):
         found.add(DEFAULT_TIME)
     return Names(frozenset(found), frozenset(units), arguments, _bare(files, frozenset(arguments)), _lent(files))

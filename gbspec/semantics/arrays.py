@@ -222,12 +222,7 @@ class _Expansion:
                     self._item(one, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
                     for n in names
                 ]
-            case (
-                ast.BalanceStatement(target=target)
-                | ast.InitialStatement(target=target)
-                | ast.ObserveStatement(target=target)
-                | ast.DoseStatement(target=target)
-            ):
+            case ast.About(target=target) if not isinstance(statement, ast.TruthStatement):
                 return self._about(item, target)
             case _:
                 return [self._rewritten(item, {})]

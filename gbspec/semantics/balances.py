@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.graph import Graph
@@ -54,18 +55,23 @@ def _both_declare(a: ast.About, b: ast.About) -> bool:
 
 def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> None:
     """Balances, starts and doses are of states; what is observed by name alone can be measured."""
-    for item in items:
-        match item.statement:
+    for statement in (item.statement for item in items):
+        if not isinstance(statement, ast.About):
+            continue
+        match statement:
             case ast.BalanceStatement(target=target):
                 _state(target, table, findings, "GB303", "a balance is of a state", merged)
             case ast.InitialStatement(target=target):
                 _state(target, table, findings, "GB309", "only a state has a start", merged)
             case ast.DoseStatement(target=target):
                 _state(target, table, findings, "GB313", "a dose adds to a state", merged)
-            case ast.ObserveStatement(target=ast.Name() as target, value=None):
-                _measurable(target, table, findings, merged)
+            case ast.ObserveStatement(target=target, value=value):
+                if value is None and isinstance(target, ast.Name):
+                    _measurable(target, table, findings, merged)
+            case ast.TruthStatement():
+                pass  # see truths.py
             case _:
-                pass
+                assert_never(statement)
 
 
 def _state(
@@ -128,17 +134,13 @@ def coverage(
 ) -> None:
     """Every state has a balance or takes part in a process; a balance with processes has `net`; `net` is not empty."""
     balanced: set[str] = set()
-    for item in items:
-        match item.statement:
-            case ast.BalanceStatement(target=ast.Name(text=name), value=value) as balance:
-                balanced.add(name)
-                site = sites[value]
-                if name in takers and site.references.complete and not _has_net(name, site, graph):
-                    _net_omitted(balance, name, takers[name], table, findings)
-            case ast.BalanceStatement(target=ast.Index(array=array)):
-                balanced.add(array.text)
-            case _:
-                pass
+    for balance in (item.statement for item in items):
+        if isinstance(balance, ast.BalanceStatement):
+            name = target_name(balance.target).text
+            balanced.add(name)
+            site = sites[balance.value]
+            if name in takers and site.references.complete and not _has_net(name, site, graph):
+                _net_omitted(balance, name, takers[name], table, findings)
     bare = [d for d in table.values() if d.kind is Kind.STATE and d.name not in balanced and d.name not in takers]
     _no_balance([d for d in bare if merged.lacks(d.name)], findings)
     _empty_nets(sites, takers, findings, merged)
@@ -199,14 +201,12 @@ def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], find
 def start_cycles(items: Iterable[Item], sites: Sites, table: Table, findings: Findings) -> None:
     """No start may rest on itself through other states' starts."""
     edges: dict[str, dict[str, Span]] = {}
-    for item in items:
-        match item.statement:
-            case ast.InitialStatement(target=ast.Name(text=name), value=value) if value is not None:
-                site = sites[value]
-                names = site.references.names if site.references.complete else {}
-                edges.setdefault(name, {n: s for n, s in names.items() if table[n].kind is Kind.STATE})
-            case _:
-                pass
+    for start in (item.statement for item in items):
+        if isinstance(start, ast.InitialStatement) and start.value is not None:
+            site = sites[start.value]
+            names = site.references.names if site.references.complete else {}
+            states = {n: s for n, s in names.items() if table[n].kind is Kind.STATE}
+            edges.setdefault(target_name(start.target).text, states)
     done: set[str] = set()
     for root in edges:
         path: list[str] = []

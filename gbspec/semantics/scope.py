@@ -265,8 +265,6 @@ class Resolver:
             help=f"write `{_usage(declaration)}`" if declaration else "",
         )
 
-    # ------------------------------------------------------------------------------------------------------ refusals
-
 
 def _usage(declaration: Declaration) -> str:
     """How a function is written with the arguments of its declaration."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, assert_never
 
-from gbspec.diagnostics import Findings, Span
+from gbspec.diagnostics import Defect, Findings, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.dimensions import NEEDS_UNIT, Units
 from gbspec.semantics.merge import Item
@@ -105,16 +105,19 @@ class _Rules:
         """Constants, functions, `let`s and rates, each after what it depends on."""
         units = self._units
         match statement:
-            case ast.ConstStatement(name=name, value=value) if self._usable(value):
-                units.carries(value, units.of(name.text), f"`{name.text}`", name.span)
-            case ast.LetStatement(name=name, value=value) if self._usable(value):
-                units.agrees(value, units.of(name.text), f"`{name.text}`", name.span)
-            case ast.FunctionStatement(parameters=parameters, value=value) if self._usable(value):
-                units.expression(value, {p.text: units.solution.fresh() for p in parameters})
-            case ast.ProcessStatement(name=name, rate=rate) if self._usable(rate):
-                units.agrees(rate, units.of(name.text), f"the rate of `{name.text}`", name.span)
+            case ast.ConstStatement(name=name, value=value):
+                self._number(value, name)
+            case ast.LetStatement(name=name, value=value):
+                if self._usable(value):
+                    units.agrees(value, units.of(name.text), f"`{name.text}`", name.span)
+            case ast.FunctionStatement(parameters=parameters, value=value):
+                if self._usable(value):
+                    units.expression(value, {p.text: units.solution.fresh() for p in parameters})
+            case ast.ProcessStatement(name=name, rate=rate):
+                if self._usable(rate):
+                    units.agrees(rate, units.of(name.text), f"the rate of `{name.text}`", name.span)
             case _:
-                pass
+                raise Defect("a name with a value whose statement has no rule for units")
 
     def statement(self, statement: ast.Statement) -> None:
         """Everything else."""
@@ -190,16 +193,20 @@ class _Rules:
         names = [contract.name] if contract.name is not None else statement.names
         for name in names:
             match contract:
-                case ast.Bound(value=value) if self._usable(value):
-                    units.carries(value, units.of(name.text), f"`{name.text}`", name.span, formals)
+                case ast.Bound(value=value):
+                    if self._usable(value):
+                        units.carries(value, units.of(name.text), f"`{name.text}`", name.span, formals)
                 case ast.RangeContract(interval=interval):
                     for end in (interval.low, interval.high):
                         if self._usable(end):
                             units.carries(end, units.of(name.text), f"`{name.text}`", name.span, formals)
-                case ast.ZeroAt(argument=argument, value=value) if self._usable(value) and argument.text in formals:
-                    units.carries(value, formals[argument.text], f"`{argument.text}`", argument.span, formals)
-                case _:
+                case ast.ZeroAt(argument=argument, value=value):
+                    if self._usable(value) and argument.text in formals:
+                        units.carries(value, formals[argument.text], f"`{argument.text}`", argument.span, formals)
+                case ast.Monotone():
                     pass
+                case _:
+                    assert_never(contract)
 
     def _channel(self, name: ast.Name, value: ast.Expression | None, unit: ast.UnitExpression | None) -> None:
         units = self._units

@@ -22,21 +22,18 @@ DEFAULT_ACTIVATION = "silu"
 
 def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
     """Everything that can be said of unknowns and of parameter lists by themselves."""
-    for item in items:
-        match item.statement:
-            case ast.FunctionStatement(parameters=parameters, name=name):
-                _parameters(parameters, name, findings)
-            case ast.TruthStatement(parameters=parameters, target=name) if parameters is not None:
-                _parameters(parameters, name, findings, empty=True)
-            case ast.UnknownStatement() as unknown:
-                _parameters([a.name for a in unknown.arguments], unknown.names[0], findings)
-                _counts(unknown, findings)
-                _postulates(unknown, findings)
-                contracts.check(unknown, findings)
-                if unknown.network is not None:
-                    _network(unknown.network, numbers, findings)
-            case _:
-                pass
+    for statement in (item.statement for item in items):
+        if isinstance(statement, ast.FunctionStatement):
+            _parameters(statement.parameters, statement.name, findings)
+        elif isinstance(statement, ast.TruthStatement) and statement.parameters is not None:
+            _parameters(statement.parameters, statement.target, findings, empty=True)
+        elif isinstance(statement, ast.UnknownStatement):
+            _parameters([a.name for a in statement.arguments], statement.names[0], findings)
+            _counts(statement, findings)
+            _postulates(statement, findings)
+            contracts.check(statement, findings)
+            if statement.network is not None:
+                _network(statement.network, numbers, findings)
 
 
 def _parameters(names: Sequence[ast.Name], owner: ast.Name, findings: Findings, *, empty: bool = False) -> None:

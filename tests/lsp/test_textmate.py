@@ -12,14 +12,14 @@ import pytest
 
 from gbspec.data.shipped import shipped_models
 from gbspec.lsp import words
+from gbspec.lsp.textmate import FILES, grammar
 from gbspec.semantics.vocabulary import ACTIVATIONS
 from gbspec.syntax.ast import WORDS as STATEMENTS
 from gbspec.syntax.grammar import grammar_file
 from gbspec.syntax.names import FUNCTIONS
 
-FILE = grammar_file("gb.lark").parent / "gb.tmLanguage.json"
-GRAMMAR: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
-VSCODE = FILE.parent / "vscode"
+GRAMMAR: dict[str, Any] = json.loads(grammar())
+VSCODE = grammar_file("gb.lark").parent / "vscode"
 
 # Oniguruma, which editors use, and Python agree on what these are made of; whatever else would come in fails here.
 PLAIN = re.compile(r"\(\?(?!:|=|!|<=|<!)|\\[pPhHRXKGg]|[*+?]\+|\(\?>")
@@ -105,6 +105,12 @@ def test_activations_are_highlighted(word: str) -> None:
     assert (word, "support.constant.gb") in tokens(f"unknown f(x) by mlp(3, activation={word})")
 
 
+def test_the_files_are_those_that_the_words_of_the_language_give() -> None:
+    for name in FILES:
+        again = "write it anew: python -m gbspec.lsp.textmate"
+        assert (VSCODE.parent / name).read_text(encoding="utf-8") == grammar(), again
+
+
 def test_a_line_is_read_as_a_person_reads_it() -> None:
     assert tokens('learn β = 1.5e-3 in [0, 10] "cooling # coefficient" # a comment') == [
         ("learn", "keyword.control.statement.gb"),
@@ -143,6 +149,5 @@ def test_the_extension_names_files_that_are_there_and_starts_the_server() -> Non
     assert all((VSCODE / name).is_file() for name in named)
     assert package["contributes"]["configuration"]["properties"]["gbspec.command"]["default"] == ["gbspec", "lsp"]
     assert package["contributes"]["grammars"][0]["scopeName"] == GRAMMAR["scopeName"]
-    assert (VSCODE / "gb.tmLanguage.json").read_text() == FILE.read_text()
     configuration = json.loads((VSCODE / "language-configuration.json").read_text())
     assert configuration["comments"] == {"lineComment": "#"}

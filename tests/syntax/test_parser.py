@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 
@@ -34,12 +33,6 @@ def codes(text: str) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------------------------- statements
-
-
-def test_every_statement_of_the_language_is_read() -> None:
-    text = (Path(__file__).parent / "every_statement.gb").read_text(encoding="utf-8")
-    kinds = {type(statement) for statement in read(text)}
-    assert kinds == set(ast.Statement.__args__)
 
 
 def test_state_with_all_clauses() -> None:
