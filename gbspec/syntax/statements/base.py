@@ -63,7 +63,6 @@ class Place:
     """Whether naming something here uses it (a truth uses no learnable)."""
 
 
-@dataclass(frozen=True)
 class StatementNode(Node, ABC):
     """A statement: what it is called and how it is read, what it declares and replaces, and its expressions."""
 
@@ -87,7 +86,6 @@ class StatementNode(Node, ABC):
         """All its expressions; the index of a target is none."""
 
 
-@dataclass(frozen=True)
 class Declaration(StatementNode):
     """A statement that declares names in the namespace of expressions, and replaces what declared them before."""
 
@@ -122,12 +120,10 @@ class About(StatementNode):
         return ((self.entry.word, target_text(self.target)),)
 
 
-@dataclass(frozen=True)
 class Formula(StatementNode):
     """A statement that has no numbers besides its expressions, and reads no column of the data."""
 
 
-@dataclass(frozen=True)
 class Remark(StatementNode):
     """A statement without expressions, units and columns."""
 
