@@ -33,8 +33,8 @@ from benchmarks.variants import prepare_jax
 from benchmarks.workload import MAX_STEP, REGION, Array, Size, Workload, of_data
 from gbspec.analysis.prediction.metrics import norms
 from gbspec.data.trajectories import Trajectories
+from gbspec.training.problem.forcing import measured_states
 from gbspec.training.problem.packing import pack
-from gbspec.training.problem.problem import measured_states
 
 FITS = {
     "gbspec": ("**gbspec train**", "", ""),

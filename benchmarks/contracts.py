@@ -28,8 +28,7 @@ from gbspec.lower import lower
 from gbspec.passes.contracts import with_contracts
 from gbspec.semantics import check
 from gbspec.syntax.parser import parse
-from gbspec.training.engines.objective import objective
-from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.objective import linearise, objective
 from gbspec.training.options import TrainOptions
 from gbspec.training.recipe.context import build_context
 
@@ -111,12 +110,12 @@ def steps(model: Model, trajectories: Trajectories) -> tuple[Callable[[], object
     problem = context.problem()
     theta = parameters.vector(context.module.weights)
     few = np.arange(max(1, len(trajectories) // 10))
-    small, part = problem.take(few), parameters.take(few)
+    small = context.choice.engine(problem.take(few), parameters.take(few))
     kernel, graph = (objective(problem, parameters, backend) for backend in ("native", "torch"))
     return (
         lambda: kernel(theta),
         lambda: graph(theta),
-        lambda: linearise(small, part, parameters.take_vector(theta, few)),
+        lambda: linearise(small, parameters.take_vector(theta, few)),
     )
 
 

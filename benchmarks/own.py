@@ -4,43 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Literal
 
 import torch
 
 from benchmarks.workload import Array, Workload
-from gbspec.training.engines.native.kernel import _spaces, half_squares, kernel_of
-from gbspec.training.engines.torch.unroll import measured_residuals, unroll
+from gbspec.training.engines.native.kernel import _spaces
+from gbspec.training.engines.objective import objective
 
 Step = Callable[[], tuple[float, Array]]
 
 
+def precision_of(dtype: torch.dtype) -> Literal["float64", "float32"]:
+    """The name of a torch type."""
+    return "float64" if dtype == torch.float64 else "float32"
+
+
 def graph(work: Workload, dtype: torch.dtype) -> Step:
     """The generated module unrolled as a torch graph."""
-    vector = torch.from_numpy(work.theta).to(dtype)
-
-    def run() -> tuple[float, Array]:
-        theta = vector.requires_grad_()
-        residuals = measured_residuals(work.problem, unroll(work.problem, work.parameters, theta).residuals)
-        loss = 0.5 * (residuals**2).mean()
-        return float(loss.detach()), torch.autograd.grad(loss, theta)[0].numpy()
-
-    return run
+    function = objective(work.problem, work.parameters, "torch", precision_of(dtype))
+    return lambda: function(work.theta)
 
 
 def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
     """The generated native kernel; raises ImportError where it cannot be had."""
-    precision = "float64" if dtype == torch.float64 else "float32"
-    kernel = kernel_of(work.problem.model, type(work.problem.module), precision)
-    if isinstance(kernel, str):
-        raise ImportError(kernel)
+    try:
+        function = objective(work.problem, work.parameters, "native", precision_of(dtype))
+    except ValueError as error:
+        raise ImportError(str(error)) from None
 
     def run() -> tuple[float, Array]:
         torch.set_num_threads(threads)
         try:
-            loss, gradient = half_squares(kernel, work.problem, work.parameters, work.theta)
+            return function(work.theta)
         finally:
             torch.set_num_threads(1)
-        return loss / work.measured, gradient / work.measured
 
     return run
 

@@ -10,25 +10,25 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import torch
 
 from benchmarks.harness import busyness, interleaved, markdown, parser, say, write
 from benchmarks.workload import Size, Workload, make
-from gbspec.training.engines.native.kernel import kernel_of
-from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.choice import native_engine, torch_engine
+from gbspec.training.engines.engine import Engine
+from gbspec.training.engines.objective import linearise
 from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.optimise.normal_equations import NormalEquations
-from gbspec.training.recipe.stages import State
+from gbspec.training.optimise.stage import State
 
 ITERATIONS = 4
 
 
-def fitted(work: Workload) -> State:
+def fitted(work: Workload, engine: Engine) -> State:
     """The state of the second-order stage after some iterations."""
-    stage = LevenbergMarquardt("fit", ITERATIONS, lambda i: work.problem, work.parameters, LevenbergOptions())
+    stage = LevenbergMarquardt("fit", ITERATIONS, lambda i: engine, LevenbergOptions())
     state = stage.begin(work.theta)
     for i in range(ITERATIONS):
         state = stage.step(state, i).state
@@ -37,18 +37,19 @@ def fitted(work: Workload) -> State:
 
 def variants(work: Workload) -> dict[str, Callable[[], object]]:
     """What is timed; stops unless they agree."""
-    kernel = kernel_of(work.problem.model, type(work.problem.module))
-    if isinstance(kernel, str):
-        raise SystemExit(kernel)
-    problems = {"kernel": replace(work.problem, kernel=kernel), "graph": replace(work.problem, kernel=None)}
-    state = fitted(replace(work, problem=problems["kernel"]))
+    try:
+        native = native_engine(work.problem, work.parameters)
+    except ValueError as error:
+        raise SystemExit(str(error)) from None
+    engines: dict[str, Engine] = {"kernel": native, "graph": torch_engine(work.problem, work.parameters)}
+    state = fitted(work, native)
     theta, damping = state["theta"], float(state["damping"])
 
     def jacobian(name: str) -> Callable[[], object]:
-        return lambda: linearise(problems[name], work.parameters, theta)
+        return lambda: linearise(engines[name], theta)
 
     def step(sketched: bool) -> Callable[[], object]:
-        system = linearise(problems["kernel"], work.parameters, theta)
+        system = linearise(native, theta)
         ones = np.ones(len(system.residuals))
 
         def run() -> object:
@@ -59,7 +60,7 @@ def variants(work: Workload) -> dict[str, Callable[[], object]]:
 
         return run
 
-    one, other = (linearise(problem, work.parameters, theta).shared for problem in problems.values())
+    one, other = (linearise(engine, theta).shared for engine in engines.values())
     if float((one - other).abs().max()) > 1e-10 * float(other.abs().max()):
         raise SystemExit("kernel and graph have different Jacobians")
     a, b = (np.asarray(step(sketched)()) for sketched in (True, False))

@@ -12,7 +12,7 @@ import torch
 
 from benchmarks.harness import pinned
 from benchmarks.workload import Array, Workload
-from gbspec.training.engines.torch.unroll import measured_residuals, unroll
+from gbspec.training.engines.objective import objective
 
 Dtype = Literal["float32", "float64"]
 
@@ -113,11 +113,8 @@ def natural(name: str, work: Workload, result: Any) -> tuple[float, Array]:
 
 def reference(work: Workload) -> tuple[float, Array]:
     """Loss and gradient by the generated module's torch graph in float64."""
-    theta = torch.from_numpy(work.theta).requires_grad_()
-    residuals = measured_residuals(work.problem, unroll(work.problem, work.parameters, theta).residuals)
-    loss = 0.5 * (residuals**2).mean()
-    (gradient,) = torch.autograd.grad(loss, theta)
-    return float(loss.detach()), work.natural(gradient.numpy())
+    loss, gradient = objective(work.problem, work.parameters, "torch")(work.theta)
+    return loss, work.natural(gradient)
 
 
 class DisagreementError(AssertionError):

@@ -23,9 +23,11 @@ import gbspec
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
+from gbspec.training.problem.forcing import teacher_forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem, scaling_of, teacher_forcing
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.scaling import scaling_of
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

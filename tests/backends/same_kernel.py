@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 
+from gbspec.training.engines.native.engine import NativeEngine
 from gbspec.training.engines.native.kernel import Kernel, kernel_of
-from gbspec.training.engines.objective import objective
-from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.objective import linearise, objective
+from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 
@@ -32,7 +31,8 @@ def compare_jacobians(problem: Problem, parameters: Parameters, theta: np.ndarra
     """The Jacobian of the residuals by the kernel against that by the graph, relative to the largest entry."""
     kernel = kernel_of(problem.model, type(problem.module))
     assert isinstance(kernel, Kernel)
-    graph, ours = (linearise(replace(problem, kernel=k), parameters, theta) for k in (None, kernel))
+    engines = TorchEngine(problem, parameters), NativeEngine(problem, parameters, kernel)
+    graph, ours = (linearise(engine, theta) for engine in engines)
     for of_graph, of_kernel in ((graph.shared, ours.shared), (graph.local, ours.local)):
         assert of_graph.shape == of_kernel.shape
         if of_graph.numel():

@@ -21,14 +21,18 @@ from gbspec.backends.native import compiler as compiling
 from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.ir.model import Model
-from gbspec.training.engines.native.kernel import Kernel, Natural, _shared_out, half_squares
+from gbspec.training.engines.native.engine import NativeEngine
+from gbspec.training.engines.native.kernel import Kernel, Natural, _shared_out
 from gbspec.training.engines.objective import objective
+from gbspec.training.problem.forcing import Forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Forcing, Problem, scaling_of
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.scaling import scaling_of
 from tests import strategies
 from tests.backends.same_kernel import compare, compare_jacobians
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, urp_data
+from tests.training.reference import half_squares
 
 try:
     find_compiler()
@@ -188,8 +192,9 @@ def test_some_trajectories_and_threads(small: tuple[Problem, Parameters, np.ndar
 def test_any_cotangent(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
     """Products of the transposed Jacobian with any vector, linear in it; with the residuals it is the gradient."""
     problem, parameters, theta, kernel = small
+    engine = NativeEngine(problem, parameters, kernel)
     natural = Natural.of(problem, parameters, torch.from_numpy(theta))
-    tables = problem.tables(natural.arrivals)
+    tables = engine.tables(engine.plan(theta))
     own = kernel.sweep(tables, natural, True)
     again = kernel.sweep(tables, natural, True, 3 * own.residuals)
     assert np.allclose(again.d_weights, 3 * own.d_weights, rtol=1e-12, atol=1e-12)

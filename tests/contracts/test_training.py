@@ -10,12 +10,11 @@ import torch
 
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import measured_residuals, unroll
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.recipe.context import Context, build_context
 from tests.contracts.helpers import whole_model
+from tests.training.reference import linearise, measured_residuals, unroll
 
 GROWTH = """model growth
 state S in [0, 10]

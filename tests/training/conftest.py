@@ -21,9 +21,11 @@ from gbspec.lower import lower
 from gbspec.semantics import check
 from gbspec.syntax.parser import parse
 from gbspec.training import Update
+from gbspec.training.problem.forcing import teacher_forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem, scaling_of, teacher_forcing
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.scaling import scaling_of
 
 URP = """model small_urp
 state x1 in [0, 1]

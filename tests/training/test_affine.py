@@ -13,13 +13,15 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import gbspec
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Findings
+from gbspec.ir.affinity import is_affine
 from gbspec.ir.model import Model
 from gbspec.passes.contracts import with_contracts
 from gbspec.training.engines.objective import objective
 from gbspec.training.engines.torch.affine import Form, NotAffineError, affine
-from gbspec.training.engines.torch.unroll import unroll
+from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.problem.problem import torch_arithmetic
 from tests.training.conftest import URP, model_of, problem_of, urp_data
+from tests.training.reference import unroll
 
 HEAD = """model tank
 time t from 0
@@ -63,15 +65,15 @@ OTHERS = {
 Points = tuple[Any, Any, dict[str, Tensor], tuple[Tensor, ...], list[Tensor]]
 
 
-def points(text: str) -> Points:
-    """Module, arithmetic, weights; time, state, condition, inputs; constants; 7 points."""
+def model_of_balances(balances: str) -> Model:
     findings = Findings()
-    model = with_contracts(model_of(text), findings)
+    model = with_contracts(model_of(text_of(balances)), findings)
     findings.raise_if_failed()
-    return points_of(model)
+    return model
 
 
 def points_of(model: Model) -> Points:
+    """Module, arithmetic, weights; time, state, condition, inputs; constants; 7 points."""
     module, rng = load_module(model).random(3), np.random.default_rng(0)
     weights = {name: torch.from_numpy(np.array(value)) for name, value in module.weights.items()}
     for name, value in weights.items():
@@ -93,12 +95,16 @@ def text_of(balances: str) -> str:
 
 @pytest.mark.parametrize("name", AFFINE)
 def test_the_matrices_give_what_the_equations_give(name: str) -> None:
-    same(points(text_of(AFFINE[name])))
+    model = model_of_balances(AFFINE[name])
+    assert is_affine(model)
+    same(points_of(model))
 
 
 @pytest.mark.parametrize("name", ["urp_bb", "bf_gb1", "alpha_pinene", "lotka_volterra", "one_compartment"])
 def test_shipped_models_are_affine(name: str) -> None:
-    same(points_of(gbspec.load(name).model))
+    model = gbspec.load(name).model
+    assert is_affine(model)
+    same(points_of(model))
 
 
 def same(given: Points) -> None:
@@ -124,9 +130,10 @@ def gradients(out: Tensor, leaves: list[Tensor]) -> list[Tensor]:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_equations_are_left_as_they_are(name: str) -> None:
-    module, ops, weights, (_, _, c, _), k = points(text_of(OTHERS[name]))
+    module, ops, weights, (_, _, c, _), k = points_of(model_of_balances(OTHERS[name]))
     with pytest.raises(NotAffineError):
         affine(module, ops, c, k, module.torch_networks(weights))
+    assert not is_affine(model_of_balances(OTHERS[name]))
 
 
 @pytest.mark.parametrize("value", [2.0, torch.tensor(2.0), torch.tensor([2.0, 2.0])])
@@ -156,11 +163,12 @@ def test_a_sub_step_takes_no_more_operations_than_by_hand() -> None:
     for max_step in (0.1, 0.05):
         problem, parameters, theta = problem_of(model_of(URP), urp_data(4, 2.0, 6), max_step, blend=1.0)
         vector = torch.from_numpy(theta).requires_grad_()
-        unroll(problem, parameters, vector)
+        engine = TorchEngine(problem, parameters)
+        path = engine.plan(theta)
+        depths.append(engine.schedule(path).segments.depth)
         with Count() as counter:
-            unroll(problem, parameters, vector)
+            engine.unroll(vector, path)
         counts.append(counter.count)
-        depths.append(len(problem.schedule.steps))
     assert (counts[1] - counts[0]) / (depths[1] - depths[0]) < 4 * 6 + 7 + 1 + 0.5
 
 

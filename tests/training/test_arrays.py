@@ -18,11 +18,10 @@ from gbspec.diagnostics import Findings
 from gbspec.driver import load_model, reference, simulate
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import measured_residuals, unroll
 from gbspec.training.recipe import plan
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 from tests.training.conftest import model_of, problem_of, trajectory
+from tests.training.reference import linearise, measured_residuals, unroll
 
 COLUMN = """model column
 const N = 5

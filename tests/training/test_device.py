@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,11 @@ import torch
 
 from gbspec.diagnostics import UserError
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines.torch.jacobian import _Sweep, linearise
-from gbspec.training.engines.torch.unroll import unroll
+from gbspec.training.engines.columns import Columns
+from gbspec.training.engines.torch.engine import TorchEngine
+from gbspec.training.engines.torch.jacobian import jacobian
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
+from tests.training.reference import linearise, unroll
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU here")
 MODELS = {
@@ -31,14 +32,16 @@ def test_no_tensor_of_the_graph_ignores_the_device(name: str) -> None:
     text, data, max_step = MODELS[name]
     problem, parameters, theta = problem_of(model_of(text), data, max_step)
     vector = torch.from_numpy(theta).to("meta").requires_grad_()
-    solution = unroll(replace(problem, device="meta"), parameters, vector)
+    solution = unroll(problem, parameters, vector, "meta")
     (gradient,) = torch.autograd.grad((solution.residuals**2).sum(), vector)
-    assert {part.device.type for part in (solution.arrival, solution.departure, solution.residuals)} == {"meta"}
+    assert {part.device.type for part in (solution.before, solution.after, solution.residuals)} == {"meta"}
     assert (gradient.device.type, gradient.shape) == ("meta", vector.shape)
-    solution = unroll(problem, parameters, torch.from_numpy(theta))
-    found = _Sweep(replace(problem, device="meta"), parameters, theta, solution, False).run()
+    engine = TorchEngine(problem, parameters)
+    path = engine.plan(theta)
+    moments, columns = engine.moments(theta, path), Columns(problem, parameters, theta, False, "meta")
+    found = jacobian(columns, path, moments, columns.observed(moments.before, problem.factor))
     assert {part.device.type for part in (found.shared, found.local, found.owner)} == {"meta"}
-    assert found.shared.shape == (len(solution.residuals[problem.packed.weights > 0]), parameters.n_shared)
+    assert found.shared.shape == (int(problem.seen.sum()), parameters.n_shared)
 
 
 @needs_gpu
@@ -46,7 +49,7 @@ def test_no_tensor_of_the_graph_ignores_the_device(name: str) -> None:
 def test_a_gpu_gives_the_same_numbers(name: str) -> None:
     text, data, max_step = MODELS[name]
     problem, parameters, theta = problem_of(model_of(text), data, max_step)
-    found = [linearise(replace(problem, device=device), parameters, theta) for device in ("cpu", "cuda")]
+    found = [linearise(problem, parameters, theta, device=device) for device in ("cpu", "cuda")]
     for part in ("residuals", "shared", "local", "owner"):
         a, b = (getattr(each, part).numpy() for each in found)
         assert np.allclose(a, b, rtol=1e-10, atol=1e-12), part

@@ -16,16 +16,14 @@ from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines.native.cut_steps import placed
-from gbspec.training.engines.native.kernel import Kernel, half_squares, kernel_of
+from gbspec.training.engines.deliveries import Paths
+from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import objective
-from gbspec.training.engines.torch.doses import delivered
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import measured_residuals, solve, unroll
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 from tests.backends.same_kernel import compare
 from tests.training.conftest import model_of, problem_of, trajectory
+from tests.training.reference import half_squares, linearise, measured_residuals, solve, unroll
 
 DEPOT = """model depot
 time t from 0
@@ -154,8 +152,7 @@ def test_learned_lags_by_the_kernel(blend: float) -> None:
     """Doses of learned and of known lags, several in a sub-step, inputs and the time in the balances."""
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.13, blend=blend)
     assert not all(problem.packed.doses.known)
-    _, time = delivered(problem, parameters.constants(torch.from_numpy(theta)))
-    assert placed(problem.packed, time.numpy()).packed.substeps > problem.packed.substeps
+    assert Paths(problem).at(parameters, theta).packed.substeps > problem.packed.substeps
     for seed in range(3):
         moved = theta + 0.1 * np.random.default_rng(seed).standard_normal(len(theta))
         same_by_the_kernel(problem, parameters, moved)
@@ -239,7 +236,7 @@ def test_a_trajectory_taken_twice_gets_its_doses_twice() -> None:
     some = unroll(part, local, torch.from_numpy(parameters.take_vector(theta, index)))
     for new, old in enumerate(index):
         mine, theirs = part.packed.row_trajectory == new, problem.packed.row_trajectory == old
-        assert torch.allclose(some.arrival[mine], whole.arrival[theirs], rtol=1e-13, atol=1e-13)
+        assert torch.allclose(some.before[mine], whole.before[theirs], rtol=1e-13, atol=1e-13)
 
 
 def test_learns_the_fraction_and_the_lag(tmp_path: Path) -> None:
@@ -259,4 +256,4 @@ def test_a_lag_that_a_condition_leaves_undefined_never_ends(lag: str) -> None:
     dosed = trajectory("1", 0.0, np.arange(1.0, 6.0), values, [0.0], doses=(DoseEvents(np.zeros(1), np.ones(1)),))
     problem, parameters, theta = problem_of(model, Trajectories((dosed,), ("blood",)), 0.25, blend=0.0)
     assert np.isfinite(solve(problem, parameters, theta)).all()
-    assert float(np.abs(unroll(problem, parameters, torch.from_numpy(theta)).arrival.numpy()).max()) == 0.0
+    assert float(np.abs(unroll(problem, parameters, torch.from_numpy(theta)).before.numpy()).max()) == 0.0

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import measured_residuals, solve, unroll
-from gbspec.training.problem.problem import Forcing
+from gbspec.training.problem.forcing import Forcing
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
+from tests.training.reference import linearise, measured_residuals, solve, unroll
 
 
 @pytest.mark.parametrize("blend", [1.0, 0.3, 0.0])

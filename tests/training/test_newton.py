@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.torch.jacobian import linearise
+from gbspec.training.engines.objective import linearise
+from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.levenberg_marquardt import (
     LevenbergMarquardt,
     LevenbergOptions,
@@ -24,7 +25,7 @@ from .conftest import URP, model_of, problem_of, urp_data
 def stage() -> tuple[LevenbergMarquardt, Array]:
     """A stage, and a vector that it has brought into the valley."""
     problem, parameters, theta = problem_of(model_of(URP), urp_data(8, 4.0, 1), 0.2)
-    stage = LevenbergMarquardt("teacher forcing", 26, lambda _: problem, parameters, LevenbergOptions())
+    stage = LevenbergMarquardt("teacher forcing", 26, lambda _: TorchEngine(problem, parameters), LevenbergOptions())
     state = stage.begin(theta)
     for i in range(26):
         state = stage.step(state, i).state
@@ -32,9 +33,9 @@ def stage() -> tuple[LevenbergMarquardt, Array]:
 
 
 def fit_at(stage: LevenbergMarquardt, theta: Array) -> _Fit:
-    problem = stage.problem_at(0)
-    system = linearise(problem, stage.parameters, theta)
-    return _Fit(problem, stage.parameters, system, theta, stage.threshold(system.residuals.numpy()), 0.0)
+    engine = stage.engine_at(0)
+    system = linearise(engine, theta)
+    return _Fit(engine, system, theta, stage.threshold(system.residuals.numpy()), 0.0)
 
 
 def test_corrections_bring_a_long_step_to_where_the_linear_model_foretold(
@@ -88,6 +89,6 @@ def test_the_whole_step_ends_where_its_own_error_begins(stage: tuple[LevenbergMa
         return float("inf")
 
     options = LevenbergOptions(enough=enough)
-    outcome = LevenbergMarquardt("t", 1, one.problem_at, one.parameters, options)
+    outcome = LevenbergMarquardt("t", 1, one.engine_at, options)
     done = outcome.step(outcome.begin(theta), 0)
     assert done.done and np.array_equal(asked[-1], done.state["theta"])

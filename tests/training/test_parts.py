@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Learnable, Range
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_each, huber_weights
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.bounds import Bijections
 from gbspec.training.problem.packing import pack
-from gbspec.training.problem.problem import scaling_of
+from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.preparation import prepare
 from gbspec.training.starts.initial_states import refit_starts
 from gbspec.training.starts.splines import fit_curves
 from gbspec.training.starts.warm_start import eliminate
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
+from tests.training.reference import linearise, solve
 
 RANGES = [Range(0, 50), Range(low=0.0), Range(high=3.0), Range(), Range(-2, -1)]
 
@@ -145,7 +145,7 @@ def test_outputs_are_scaled_by_what_the_slopes_ask_for() -> None:
 def test_refitted_starts_never_fit_worse() -> None:
     problem, parameters, theta = problem_of(model_of(URP), urp_data(5, 3.0, 2), 0.1)
     before = solve(problem, parameters, theta)
-    after = solve(problem, parameters, refit_starts(problem, parameters, theta, 0))
+    after = solve(problem, parameters, refit_starts(TorchEngine(problem, parameters), theta, 0))
     assert np.sum(after**2) < np.sum(before**2)
     moved = parameters.with_starts(theta, np.full((5, 2), 9.0))
     assert moved[parameters.n_shared] == 0.0, "a start that is given does not move"

@@ -9,10 +9,10 @@ import pytest
 
 from gbspec.data.trajectories import Trajectories
 from gbspec.training import TrainOptions, train
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.priors import Priors, priors_at
 from tests.training.conftest import model_of, problem_of, trajectory
+from tests.training.reference import linearise, solve
 
 SD, TIMES = 0.5, np.linspace(0.5, 4, 8)
 
@@ -131,4 +131,4 @@ def test_rows_and_gradients_agree_with_differences() -> None:
     assert np.allclose((ahead - behind) / (2 * h), dense @ direction, rtol=1e-6, atol=1e-8)
     change = (priors.penalty(theta + h * direction) - priors.penalty(theta - h * direction)) / (2 * h)
     assert priors.gradient(theta) @ direction == pytest.approx(change, rel=1e-6)
-    assert len(priors_at(problem, parameters, theta)) == 3
+    assert len(priors_at(TorchEngine(problem, parameters), theta)) == 3

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.optimise import normal_equations, nystrom
 from gbspec.training.optimise.normal_equations import NormalEquations
 from gbspec.training.optimise.nystrom import Blocks, Sketch, TooSlowError
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
+from tests.training.reference import linearise
 
 
 @pytest.mark.parametrize("text", [URP, EVERYTHING])

@@ -1,4 +1,4 @@
-"""The unrolled solver equals one trajectory after the other, stepped by hand; pieces are as long as they need to be."""
+"""The unrolled solver equals one trajectory after the other, stepped by hand; segments are as long as need be."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from gbspec.training.engines.torch import memory
+from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.engines.torch.segments import cut
-from gbspec.training.engines.torch.unroll import row_residuals, unroll
+from gbspec.training.engines.torch.unroll import graph_residuals, observe_rows
+from gbspec.training.problem.forcing import Forcing
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Forcing, Problem
+from gbspec.training.problem.problem import Problem
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
+from tests.training.reference import schedule_of, unroll
 
 
 def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Tensor, Tensor]:
@@ -27,8 +30,8 @@ def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Te
     networks = module.torch_networks(parameters.weights(theta))
     constants, starts = parameters.constants(theta), parameters.starts(theta)
     condition = torch.from_numpy(packed.condition)
-    arrival: list[Tensor] = [torch.zeros(0)] * packed.rows
-    departure = list(arrival)
+    before: list[Tensor] = [torch.zeros(0)] * packed.rows
+    after = list(before)
     for i in range(packed.trajectories):
         c, k = condition[i : i + 1], tuple(constants[i : i + 1].unbind(1))
         x = module._initial(problem.ops, starts[i : i + 1], c, k)
@@ -40,12 +43,13 @@ def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Te
                 field = module._field(problem.ops, c, k, networks)
                 x = module._step(problem.ops, field, module._grid(problem.ops, t, h), x, nodes)
             done = int(packed.row_step[row])
-            arrival[row] = x[0]
+            before[row] = x[0]
             value, weight = (torch.from_numpy(table[row]) for table in (problem.forcing.value, problem.forcing.weight))
             x = x - weight * (x - value)
-            departure[row] = x[0]
+            after[row] = x[0]
     owner = torch.from_numpy(packed.row_trajectory)
-    return row_residuals(problem, torch.stack(arrival), constants[owner], networks), torch.stack(departure)
+    mean = observe_rows(problem, torch.stack(before), constants[owner], networks)
+    return graph_residuals(problem, mean), torch.stack(after)
 
 
 def imputed(problem: Problem) -> Problem:
@@ -73,27 +77,27 @@ def test_values_and_gradients_are_those_of_whole_trajectories(name: str, impute:
     for solve in (by_hand, unroll):
         vector = torch.from_numpy(theta).requires_grad_()
         found = solve(problem, parameters, vector)
-        residuals, departure = found if isinstance(found, tuple) else (found.residuals, found.departure)
+        residuals, after = found if isinstance(found, tuple) else (found.residuals, found.after)
         loss = (residuals**2).sum()
-        losses.append((loss.item(), departure.detach().numpy()))
+        losses.append((loss.item(), after.detach().numpy()))
         gradients.append(torch.autograd.grad(loss, vector)[0].numpy())
     assert losses[1][0] == pytest.approx(losses[0][0], rel=1e-12)
     assert np.allclose(losses[1][1], losses[0][1], rtol=1e-12, atol=1e-12)
     assert np.abs(gradients[1] - gradients[0]).max() <= 1e-12 * np.abs(gradients[0]).max()
 
 
-def test_intervals_between_fully_measured_rows_are_pieces() -> None:
-    problem, _, _ = problem_of(model_of(URP), urp_data(4, 2.0, 6, together=True), 0.1)
-    packed, pieces = problem.packed, problem.schedule.pieces
-    assert len(pieces.owner) == packed.rows, "one a row"
+def test_intervals_between_fully_measured_rows_are_segments() -> None:
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(4, 2.0, 6, together=True), 0.1)
+    packed, segments = problem.packed, schedule_of(problem, parameters, theta).segments
+    assert len(segments.owner) == packed.rows, "one a row"
     gaps = [np.diff(packed.row_step[packed.row_trajectory == i], prepend=0) for i in range(packed.trajectories)]
-    assert sorted(pieces.length, reverse=True) == pieces.length.tolist() == sorted(np.concatenate(gaps))[::-1]
-    assert pieces.depth == max(gap.max() for gap in gaps) < packed.depth
-    assert [pieces.live(s) for s in (0, pieces.depth - 1, pieces.depth)] == [len(pieces.length), 1, 0]
+    assert sorted(segments.length, reverse=True) == segments.length.tolist() == sorted(np.concatenate(gaps))[::-1]
+    assert segments.depth == max(gap.max() for gap in gaps) < packed.depth
+    assert [segments.live(s) for s in (0, segments.depth - 1, segments.depth)] == [len(segments.length), 1, 0]
     free = cut(packed, np.zeros_like(problem.forcing.weight))
     assert sorted(free.owner) == list(range(packed.trajectories)), "nothing forced: one a trajectory"
     assert sorted(free.length) == sorted(packed.steps)
-    assert np.array_equal(free.owner[free.row_piece], packed.row_trajectory)
+    assert np.array_equal(free.owner[free.row_segment], packed.row_trajectory)
 
 
 class Peak(TorchDispatchMode):
@@ -124,9 +128,11 @@ def gradient(problem: Problem, parameters: Parameters, theta: np.ndarray[Any, An
 
 
 def peak_of_gradient(problem: Problem, parameters: Parameters, theta: np.ndarray[Any, Any]) -> int:
-    problem.schedule  # noqa: B018 - made beforehand, as it is kept whatever the graph does
+    engine = TorchEngine(problem, parameters)
+    path = engine.plan(theta)
+    engine.schedule(path)  # made beforehand, as it is kept whatever the graph does
     with Peak() as peak:
-        gradient(problem, parameters, theta)
+        engine.half_squares(theta, path)
     return peak.most
 
 
@@ -137,7 +143,7 @@ def test_a_graph_in_parts_has_the_same_gradient(text: str, monkeypatch: pytest.M
     whole = gradient(problem, parameters, theta)
     monkeypatch.setattr(memory, "FEW", 0)
     monkeypatch.setattr(memory, "GRAPH_BYTES", 100_000)
-    begun = len(memory.parts([len(step.t) for step in problem.schedule.steps], lambda: 10_000))
+    begun = len(memory.parts([len(step.t) for step in schedule_of(problem, parameters, theta).steps], lambda: 10_000))
     assert begun > 3
     found = gradient(problem, parameters, theta)
     assert np.array_equal(found, whole)

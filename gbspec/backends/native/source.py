@@ -10,6 +10,7 @@ from typing import Literal
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.sections import Equations
 from gbspec.ir.model import Model, Network
+from gbspec.ir.residuals import LOG_FLOOR
 from gbspec.ir.tableaus import RK4, Tableau
 
 Precision = Literal["float64", "float32"]
@@ -115,7 +116,7 @@ def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equati
         "NODES": len(set(RK4.c)),
         "KEPT_BYTES": KEPT_BYTES,
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
-        "LOG_FLOOR": 1e-3,
+        "LOG_FLOOR": LOG_FLOOR,
     }
     return [f"#define {name} {value}" for name, value in values.items()]
 

@@ -8,37 +8,43 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
 
 
 @dataclass(frozen=True)
-class Linearised:
-    """Residuals and their Jacobian at one vector; m measured values.
+class Jacobian:
+    """Derivatives of m measured values.
 
-    `residuals` [m]; `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of
-    the block of the trajectory `owner` [m] that the residual belongs to (all its other columns are zero).
+    `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of the block of the
+    trajectory `owner` [m] that the value belongs to (all its other columns are zero).
     """
 
-    residuals: Tensor
     shared: Tensor
     local: Tensor
     owner: Tensor
 
     def dense(self, parameters: Parameters) -> Tensor:
         """The whole Jacobian [m, size] (for tests and small problems)."""
-        out = torch.zeros((len(self.residuals), parameters.size), dtype=self.residuals.dtype)
+        out = torch.zeros((len(self.owner), parameters.size), dtype=self.local.dtype)
         out[:, : parameters.n_shared] = self.shared
         block = parameters.n_local
-        for i in range(len(self.residuals)):
+        for i in range(len(self.owner)):
             begin = parameters.n_shared + int(self.owner[i]) * block
             out[i, begin : begin + block] = self.local[i]
         return out
 
 
 @dataclass(frozen=True)
+class Linearised(Jacobian):
+    """Residuals [m] and their Jacobian at one vector."""
+
+    residuals: Tensor
+
+
+@dataclass(frozen=True)
 class Batch:
-    """Segments sorted by falling number of sub-steps: owner, first sub-step, number of sub-steps (each [B])."""
+    """Rows of sub-steps sorted by falling number: owner, first sub-step, number of sub-steps (each [B])."""
 
     owner: Integers
     first: Integers
@@ -46,16 +52,16 @@ class Batch:
 
     @property
     def depth(self) -> int:
-        """The most sub-steps of a segment."""
+        """The most sub-steps of a row."""
         return int(self.length.max(initial=0))
 
     def live(self, step: int) -> int:
-        """How many segments take more than `step` sub-steps: the live prefix."""
+        """How many rows take more than `step` sub-steps: the live prefix."""
         return int(np.searchsorted(-self.length, -step, side="left"))
 
     @property
     def groups(self) -> list[tuple[int, int, int]]:
-        """(length, begin, end) of each run of segments of equal positive length."""
+        """(length, begin, end) of each run of rows of equal positive length."""
         out = []
         for length in sorted({int(n) for n in self.length if n > 0}, reverse=True):
             begin = int(np.searchsorted(-self.length, -length, side="left"))
@@ -66,9 +72,10 @@ class Batch:
 
 @dataclass(frozen=True)
 class Observed:
-    """Derivatives of the m residuals: of the state [m, n], and directly of the shared and local columns (or None).
+    """Derivatives of the m measured values: of the state [m, n], and directly of the shared and local columns (or
+    None).
 
-    `row` [m] is each residual's key row; `bounds` [R + 1] where each row's residuals begin.
+    `row` [m] is each value's key row; `bounds` [R + 1] where each row's values begin.
     """
 
     row: Tensor
@@ -78,7 +85,7 @@ class Observed:
     local: Tensor | None
 
     def of_rows(self, rows: slice) -> slice:
-        """The residuals of some key rows."""
+        """The values of some key rows."""
         return slice(int(self.bounds[rows.start]), int(self.bounds[rows.stop]))
 
     def _apply(self, rows: slice, sensitivity: Tensor, direct: Tensor | None) -> Tensor:
@@ -88,7 +95,7 @@ class Observed:
         return out if direct is None else out + direct[part]
 
     def apply_shared(self, rows: slice, sensitivity: Tensor) -> Tensor:
-        """Rows of the Jacobian's shared columns, from the states' sensitivities on arrival at `rows`."""
+        """Rows of the Jacobian's shared columns, from the states' sensitivities before `rows`."""
         return self._apply(rows, sensitivity, self.shared)
 
     def apply_local(self, rows: slice, sensitivity: Tensor) -> Tensor:

@@ -1,29 +1,72 @@
-"""The loss of a packed problem and its gradient, by the native kernel or by the torch graph."""
+"""What optimisers ask: residuals, their Jacobian, the loss and its gradient, by whatever engine solves the problem."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 import torch
 
-from gbspec.backends.native.source import Precision
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.native.kernel import half_squares as by_kernel
-from gbspec.training.engines.native.kernel import kernel_of
-from gbspec.training.engines.torch.unroll import measured_residuals, unroll
-from gbspec.training.problem.packing import Integers
+from gbspec.training.engines.choice import native_engine, torch_engine
+from gbspec.training.engines.engine import Engine, Moments
+from gbspec.training.engines.linearised import Linearised
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import measured_only, residual_slopes, residuals_of
+
+
+def predicted(engine: Engine, theta: Array) -> Moments:
+    """What the model predicts at a vector."""
+    return engine.moments(theta, engine.plan(theta))
+
+
+def residual_table(engine: Engine, theta: Array) -> Array:
+    """Residuals [R, C] at a vector, 0 where nothing was measured; NaN or infinite where the solution blew up."""
+    return residuals_of(engine.problem, predicted(engine, theta).mean)
+
+
+def residual_vector(engine: Engine, theta: Array) -> Array:
+    """Residuals of the m measured values, row by row; NaN or infinite where the solution blew up."""
+    return measured_only(engine.problem, residual_table(engine, theta))
+
+
+def linearise(engine: Engine, theta: Array, only_local: bool = False) -> Linearised:
+    """Residuals and their exact Jacobian at `theta`; with `only_local` the columns of the shared part stay empty.
+
+    The residuals may hold NaN or infinities where the solution blew up, and then there is no Jacobian; the caller
+    decides what that means.
+    """
+    problem, path = engine.problem, engine.plan(theta)
+    moments = engine.moments(theta, path)
+    residuals = torch.from_numpy(measured_only(problem, residuals_of(problem, moments.mean)))
+    if not (bool(torch.isfinite(residuals).all()) and np.isfinite(moments.before).all()):
+        empty = torch.zeros((0, 0), dtype=torch.float64)
+        return Linearised(empty, empty, torch.zeros(0, dtype=torch.int64), residuals)
+    scale = residual_slopes(problem, moments.mean)
+    found = engine.jacobian(theta, path, moments, scale, only_local)
+    return Linearised(found.shared, found.local, found.owner, residuals)
+
+
+def half_squares(engine: Engine, theta: Array, index: Integers | None = None) -> tuple[float, Array]:
+    """Sum of half squared residuals of the trajectories `index` (None: all), and its gradient in the whole vector."""
+    return engine.half_squares(theta, engine.plan(theta), index)
+
+
+def loss_and_gradient(engine: Engine, theta: Array) -> tuple[float, Array]:
+    """Mean of half squared residuals, and its gradient."""
+    count = max(int(engine.problem.seen.sum()), 1)
+    value, gradient = half_squares(engine, theta)
+    return value / count, gradient / count
 
 
 def objective(
     problem: Problem,
     parameters: Parameters,
     backend: Literal["native", "torch"] = "native",
-    precision: Precision = "float64",
+    precision: Literal["float64", "float32"] = "float64",
     batch: int | None = None,
 ) -> Callable[[Array], tuple[float, Array]]:
     """The training loss of a packed problem and its gradient as a function of the trainable vector [size].
@@ -37,55 +80,7 @@ def objective(
         loss, gradient = f(theta)
     """
     if backend == "native":
-        kernel = kernel_of(problem.model, type(problem.module), precision)
-        if isinstance(kernel, str):
-            raise ValueError(kernel)
-        problem = replace(problem, kernel=kernel)
+        found: Engine = native_engine(problem, parameters, precision)
     else:
-        problem = replace(problem, kernel=None)
-    size = batch if batch is not None else max(parameters.trajectories, 1)
-    dtype = torch.float32 if precision == "float32" else torch.float64
-    return lambda theta: loss_and_gradient(problem, parameters, theta, size, dtype)
-
-
-def loss_and_gradient(
-    problem: Problem, parameters: Parameters, theta: Array, batch: int, dtype: torch.dtype = torch.float64
-) -> tuple[float, Array]:
-    """Mean of half squared residuals and its gradient; the torch graph takes `batch` trajectories at a time, to bound
-    the memory."""
-    count = max(int((problem.packed.weights > 0).sum()), 1)
-    if problem.kernel is not None:
-        value, gradient = by_kernel(problem.kernel, problem, parameters, theta)
-        return value / count, gradient / count
-    total, whole = 0.0, np.zeros_like(theta)
-    for begin in range(0, parameters.trajectories, batch):
-        index = np.arange(begin, min(begin + batch, parameters.trajectories), dtype=np.int64)
-        value, part = _by_graph(problem.take(index), parameters, theta, index, dtype)
-        total += value
-        whole += part
-    return total / count, whole / count
-
-
-def half_squares(problem: Problem, parameters: Parameters, theta: Array, index: Integers) -> tuple[float, Array]:
-    """Sum of half squared residuals of the trajectories `index`, and its gradient in the whole vector."""
-    if problem.kernel is not None:
-        return by_kernel(problem.kernel, problem, parameters, theta, index)
-    return _by_graph(problem.take(index), parameters, theta, index)
-
-
-def _by_graph(
-    problem: Problem, parameters: Parameters, theta: Array, index: Integers, dtype: torch.dtype = torch.float64
-) -> tuple[float, Array]:
-    """The same for a problem of these trajectories alone, through the torch graph."""
-    local = parameters.take(index)
-    vector = torch.from_numpy(parameters.take_vector(theta, index)).to(dtype).requires_grad_()
-    residuals = measured_residuals(problem, unroll(problem, local, vector).residuals)
-    loss = 0.5 * (residuals**2).sum()
-    gradient = np.zeros_like(theta)
-    if loss.requires_grad:
-        (found,) = torch.autograd.grad(loss, vector)
-        part = found.numpy()
-        gradient[: parameters.n_shared] = part[: parameters.n_shared]
-        blocks = gradient[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
-        blocks[index] = part[parameters.n_shared :].reshape(len(index), parameters.n_local)
-    return float(loss.detach()), gradient
+        found = torch_engine(problem, parameters, precision=precision, batch=batch)
+    return lambda theta: loss_and_gradient(found, theta)

@@ -12,13 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.objective import half_squares
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.engine import Engine
+from gbspec.training.engines.objective import half_squares, linearise, residual_vector
 from gbspec.training.optimise.normal_equations import NormalEquations
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
 
 MEMORY = 20
 """Pairs of steps and gradient changes that are kept."""
@@ -46,26 +44,30 @@ class Penalised:
     The problem's `scaling.noise` must be set: it is what priors are measured by.
     """
 
-    problem: Problem
-    parameters: Parameters
+    engine: Engine
     ridge: float
     center: Array
 
     @property
+    def parameters(self) -> Parameters:
+        """The layout of the vector."""
+        return self.engine.parameters
+
+    @property
     def priors(self) -> Priors:
         """The priors' rows."""
-        return Priors.of(self.problem, self.parameters, np.zeros(0))
+        return Priors.of(self.engine.problem, self.parameters, np.zeros(0))
 
     def value(self, theta: Array) -> float:
         """Phi at a vector [size]; infinite where the solution blows up."""
-        residuals = solve(self.problem, self.parameters, theta)
+        residuals = residual_vector(self.engine, theta)
         found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
         return found if np.isfinite(found) else float("inf")
 
     def gradient(self, theta: Array) -> tuple[float, Array]:
         """Phi and its gradient [size]."""
         everything = np.arange(self.parameters.trajectories, dtype=np.int64)
-        value, slope = half_squares(self.problem, self.parameters, theta, everything)
+        value, slope = half_squares(self.engine, theta, everything)
         slope = slope + self.priors.gradient(theta)
         slope[: self.parameters.n_weights] += self.ridge * self._displaced(theta)
         value += self._penalty(theta)
@@ -81,7 +83,7 @@ class Penalised:
 
     def equations(self, theta: Array) -> NormalEquations:
         """The normal equations at a vector, priors and ridge included."""
-        system = self.priors.with_rows(linearise(self.problem, self.parameters, theta), theta)
+        system = self.priors.with_rows(linearise(self.engine, theta), theta)
         around = theta.copy()
         around[: self.parameters.n_weights] -= self.center
         return NormalEquations(system, self.parameters, np.ones(len(system.residuals)), self.ridge, around)

@@ -7,14 +7,13 @@ from collections.abc import Callable
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.objective import half_squares, loss_and_gradient
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.engine import Engine
+from gbspec.training.engines.objective import half_squares, loss_and_gradient, residual_vector
 from gbspec.training.optimise.adam_update import Moments, one_cycle
 from gbspec.training.optimise.priors import Priors, priors_at
+from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.recipe.stages import Outcome, State, mean_loss, require_finite, scalar
+from gbspec.training.problem.residuals import mean_loss
 
 MEMORY = 20
 """Pairs of steps and gradient differences that L-BFGS keeps."""
@@ -31,12 +30,11 @@ class Adam:
         self,
         name: str,
         total: int,
-        problem_at: Callable[[int], Problem],
-        parameters: Parameters,
+        engine_at: Callable[[int], Engine],
         options: TrainOptions,
         seed: int,
     ) -> None:
-        self.name, self.total, self.problem_at, self.parameters = name, total, problem_at, parameters
+        self.name, self.total, self.engine_at = name, total, engine_at
         self.options, self.seed = options, seed
 
     def begin(self, theta: Array) -> State:
@@ -50,28 +48,26 @@ class Adam:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One pass over all trajectories."""
-        problem, parameters = self.problem_at(iteration), self.parameters
-        theta = state["theta"]
-        measured = np.bincount(
-            problem.packed.row_trajectory, (problem.packed.weights > 0).sum(1), problem.packed.trajectories
-        )
-        priors = priors_at(problem, parameters, theta)
+        engine, theta = self.engine_at(iteration), state["theta"]
+        packed = engine.problem.packed
+        measured = np.bincount(packed.row_trajectory, engine.problem.seen.sum(1), packed.trajectories)
+        priors = priors_at(engine, theta)
         moments = Moments(state["first"], state["second"], int(scalar(state, "updates")))
-        order = np.random.default_rng([self.seed, 61, iteration]).permutation(parameters.trajectories)
+        order = np.random.default_rng([self.seed, 61, iteration]).permutation(packed.trajectories)
         batch = self.options.batch_size
         total = -(-len(order) // batch) * self.total
         for begin in range(0, len(order), batch):
             index = np.sort(order[begin : begin + batch]).astype(np.int64)
-            value, gradient = half_squares(problem, parameters, theta, index)
+            value, gradient = half_squares(engine, theta, index)
             if not np.isfinite(value) or not np.isfinite(gradient).all():
-                require_finite(problem, parameters, theta, np.array([np.nan]), self.name)
+                require_finite(engine, theta, np.array([np.nan]), self.name)
             gradient /= max(int(measured[index].sum()), 1)
             gradient += priors.gradient(theta) / max(int(measured.sum()), 1)
             rate = one_cycle(moments.updates + 1, total, self.options.learning_rate)
             moments, step = moments.advance(gradient, rate)
             theta = theta + step
-        residuals = solve(problem, parameters, theta)
-        require_finite(problem, parameters, theta, residuals, self.name)
+        residuals = residual_vector(engine, theta)
+        require_finite(engine, theta, residuals, self.name)
         after: State = {
             "theta": theta,
             "first": moments.first,
@@ -84,10 +80,8 @@ class Adam:
 class LimitedMemory:
     """L-BFGS (Nocedal 1980) with backtracking to Armijo's condition; a step of the stage is an iteration."""
 
-    def __init__(
-        self, name: str, total: int, problem_at: Callable[[int], Problem], parameters: Parameters, batch: int
-    ) -> None:
-        self.name, self.total, self.problem_at, self.parameters, self.batch = name, total, problem_at, parameters, batch
+    def __init__(self, name: str, total: int, engine_at: Callable[[int], Engine]) -> None:
+        self.name, self.total, self.engine_at = name, total, engine_at
 
     def begin(self, theta: Array) -> State:
         """The vector and an empty memory."""
@@ -95,11 +89,11 @@ class LimitedMemory:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One quasi-Newton step."""
-        problem, theta = self.problem_at(iteration), state["theta"]
-        priors = priors_at(problem, self.parameters, theta)
-        count = max(int((problem.packed.weights > 0).sum()), 1)
-        value, gradient = self._objective(problem, priors, count, theta)
-        require_finite(problem, self.parameters, theta, np.array([value, *gradient]), self.name)
+        engine, theta = self.engine_at(iteration), state["theta"]
+        priors = priors_at(engine, theta)
+        count = max(int(engine.problem.seen.sum()), 1)
+        value, gradient = self._objective(engine, priors, count, theta)
+        require_finite(engine, theta, np.array([value, *gradient]), self.name)
         direction = -self._apply(state, gradient)
         slope = float(gradient @ direction)
         if slope >= 0:
@@ -107,14 +101,14 @@ class LimitedMemory:
         length = 1.0 if len(state["steps"]) else min(1.0, 0.1 / max(float(np.linalg.norm(gradient)), 1e-300))
         for _ in range(30):
             trial = theta + length * direction
-            residuals = solve(problem, self.parameters, trial)
+            residuals = residual_vector(engine, trial)
             reached = mean_loss(residuals) + priors.penalty(trial) / count
             if reached <= value + 1e-4 * length * slope:
                 break
             length *= 0.5
         else:
             return Outcome(state, value - priors.penalty(theta) / count, True)
-        _, new_gradient = self._objective(problem, priors, count, trial)
+        _, new_gradient = self._objective(engine, priors, count, trial)
         s, y = trial - theta, new_gradient - gradient
         steps, changes = state["steps"], state["changes"]
         if float(s @ y) > 1e-12 * float(y @ y):
@@ -122,9 +116,9 @@ class LimitedMemory:
         after: State = {"theta": trial, "steps": steps, "changes": changes}
         return Outcome(after, mean_loss(residuals), value - reached <= 1e-9 * max(value, 1e-300))
 
-    def _objective(self, problem: Problem, priors: Priors, count: int, theta: Array) -> tuple[float, Array]:
+    def _objective(self, engine: Engine, priors: Priors, count: int, theta: Array) -> tuple[float, Array]:
         """The mean loss and the priors' penalty, with their gradient."""
-        value, gradient = loss_and_gradient(problem, self.parameters, theta, self.batch)
+        value, gradient = loss_and_gradient(engine, theta)
         return value + priors.penalty(theta) / count, gradient + priors.gradient(theta) / count
 
     @staticmethod

@@ -8,14 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbspec.data.trajectories import Array
+from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.linearised import Linearised
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.objective import linearise, residual_vector
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights
 from gbspec.training.optimise.priors import Priors
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.recipe.stages import Outcome, State, mean_loss, require_finite, scalar
+from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
+from gbspec.training.problem.residuals import mean_loss
 
 DELTA_HIGH, DELTA_LOW = 0.1, 0.003
 """Huber's threshold, in deviations of the data: four times the median residual, within these bounds."""
@@ -52,17 +51,17 @@ class LevenbergOptions:
 
 
 class LevenbergMarquardt:
-    """Minimises the problem that `problem_at(iteration)` gives (always the same one unless sub-steps are random)."""
+    """Minimises the problem of the engine that `engine_at(iteration)` gives (always the same one unless sub-steps are
+    random)."""
 
     def __init__(
         self,
         name: str,
         total: int,
-        problem_at: Callable[[int], Problem],
-        parameters: Parameters,
+        engine_at: Callable[[int], Engine],
         options: LevenbergOptions,
     ) -> None:
-        self.name, self.total, self.problem_at, self.parameters = name, total, problem_at, parameters
+        self.name, self.total, self.engine_at = name, total, engine_at
         self.options = options
 
     def begin(self, theta: Array) -> State:
@@ -82,11 +81,11 @@ class LevenbergMarquardt:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One Jacobian, and as many dampings as it takes to improve."""
-        problem, theta = self.problem_at(iteration), state["theta"]
+        engine, theta = self.engine_at(iteration), state["theta"]
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
-        system = linearise(problem, self.parameters, theta)
-        require_finite(problem, self.parameters, theta, system.residuals.numpy(), self.name)
-        fit = _Fit(problem, self.parameters, system, theta, self.threshold(system.residuals.numpy()), ridge)
+        system = linearise(engine, theta)
+        require_finite(engine, theta, system.residuals.numpy(), self.name)
+        fit = _Fit(engine, system, theta, self.threshold(system.residuals.numpy()), ridge)
         found = _searched(fit, damping)
         if not found.after.value < fit.start.value:
             kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
@@ -119,17 +118,17 @@ class LevenbergMarquardt:
         try:
             return self._certainty(state)
         except np.linalg.LinAlgError:  # as those of a fit without any residual are
-            return Certainty.unknown(len(self.parameters.shared))
+            return Certainty.unknown(len(self.engine_at(0).parameters.shared))
 
     def _certainty(self, state: State) -> Certainty:
-        parameters, theta, ridge = self.parameters, state["theta"], scalar(state, "ridge")
-        problem = self.problem_at(0)
-        system = linearise(problem, parameters, theta)
+        engine, theta, ridge = self.engine_at(0), state["theta"], scalar(state, "ridge")
+        parameters = engine.parameters
+        system = linearise(engine, theta)
         residuals = system.residuals.numpy()
         if not np.isfinite(residuals).all():
             return Certainty.unknown(len(parameters.shared))
         delta = self.threshold(residuals)
-        fit = _Fit(problem, parameters, system, theta, delta, ridge)
+        fit = _Fit(engine, system, theta, delta, ridge)
         equations = fit.equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         freedom = equations.degrees_of_freedom(weak, 0)
@@ -176,25 +175,23 @@ class _Fit:
     Where Huber's function weighs measurements down, priors count for as much less as the measurements do on average.
     """
 
-    def __init__(
-        self, problem: Problem, parameters: Parameters, system: Linearised, theta: Array, delta: float, ridge: float
-    ) -> None:
+    def __init__(self, engine: Engine, system: Linearised, theta: Array, delta: float, ridge: float) -> None:
         measured = system.residuals.numpy()
         weights = huber_weights(measured, delta)
-        self.problem, self.parameters, self.count = problem, parameters, len(measured)
+        self.engine, self.parameters, self.count = engine, engine.parameters, len(measured)
         self.theta, self.delta, self.ridge = theta, delta, ridge
-        self.priors = Priors.of(problem, parameters, measured)
+        self.priors = Priors.of(engine.problem, engine.parameters, measured)
         self.balance = float(weights.mean()) if len(weights) else 1.0
         rows = self.priors.with_rows(system, theta)
         residuals: Array = rows.residuals.numpy()
         weights = np.concatenate([weights, np.full(len(self.priors), self.balance)])
-        self.equations = NormalEquations(rows, parameters, weights, ridge, theta)
+        self.equations = NormalEquations(rows, engine.parameters, weights, ridge, theta)
         self.start = self._with_value(residuals, theta)
 
     def solved(self, move: Array) -> _Solved:
         """All rows at another vector, so far from the first."""
         at = self.theta + move
-        rows = [solve(self.problem, self.parameters, at), self.priors.rows(at)]
+        rows = [residual_vector(self.engine, at), self.priors.rows(at)]
         return self._with_value(np.concatenate(rows), at)
 
     def _with_value(self, residuals: Array, at: Array) -> _Solved:

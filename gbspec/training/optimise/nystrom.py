@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from gbspec.data.trajectories import Array
-from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.arrivals import Integers
 
 LEAST = 2000
 """With fewer residuals or shared columns, factored matrices are as fast."""

@@ -17,11 +17,13 @@ from torch import Tensor
 
 from gbspec.data.trajectories import Array
 from gbspec.ir.model import Prior
+from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.linearised import Linearised
-from gbspec.training.engines.torch.unroll import solve
-from gbspec.training.problem.packing import Integers
+from gbspec.training.engines.objective import residual_vector
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem, typical
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import typical
 
 LEAST_NOISE = 1e-6
 """Exact data leave nothing to a prior but what they do not tell; this keeps that much of it."""
@@ -127,10 +129,10 @@ class Priors:
         return np.asarray(gradient.numpy()[self.column], dtype=np.float64)
 
 
-def priors_at(problem: Problem, parameters: Parameters, theta: Array) -> Priors:
-    """The priors beside the residuals at a vector, which are solved only where they must tell the noise."""
-    told = problem.scaling.noise is not None or not _with_prior(parameters)
-    return Priors.of(problem, parameters, np.zeros(0) if told else solve(problem, parameters, theta))
+def priors_at(engine: Engine, theta: Array) -> Priors:
+    """The priors beside the residuals at a vector, which are computed only where they give the noise."""
+    stated = engine.problem.scaling.noise is not None or not _with_prior(engine.parameters)
+    return Priors.of(engine.problem, engine.parameters, np.zeros(0) if stated else residual_vector(engine, theta))
 
 
 def _with_prior(parameters: Parameters) -> list[int]:

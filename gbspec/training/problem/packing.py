@@ -2,7 +2,7 @@
 
 A *key row* is a time at which something is known of a trajectory: a measurement. Between key rows the solver takes
 *sub-steps* no longer than the largest step allowed; they begin anew where an input breaks or a dose arrives (where its
-lag is learned: see `doses`). Each trajectory's sub-steps follow each other
+lag is learned: see `path`). Each trajectory's sub-steps follow each other
 without gaps, so that in step `s` of the batch every trajectory takes its own `s`-th sub-step, whatever its length;
 trajectories that are done take steps of length zero, at the end only. (Waiting for the longest interval of the batch
 at every key row would cost about three times as many steps on irregular data.)
@@ -16,39 +16,15 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Array, Trajectories, Trajectory
-from gbspec.ir.model import Dose, Expr, Model
+from gbspec.ir.model import Model
 from gbspec.ir.tableaus import RK4
-
-Integers = NDArray[np.int64]
+from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
 
 NODES = tuple(sorted({float(c) for c in RK4.c}))
 """The distinct nodes of the tableau, at which inputs are needed within a step."""
-
-
-@dataclass(frozen=True)
-class DoseTable:
-    """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much.
-
-    `known`: for each of the model's doses whether its lag depends on nothing that is learned, so that sub-steps begin
-    where it arrives.
-    """
-
-    owner: Integers
-    kind: Integers
-    time: Array
-    amount: Array
-    known: tuple[bool, ...]
-
-    def take(self, indices: Integers) -> DoseTable:
-        """The doses of some of the trajectories, in the order given (repeats allowed)."""
-        found = [np.flatnonzero(self.owner == i) for i in indices]
-        rows = np.concatenate([np.zeros(0, dtype=np.int64), *found])
-        owner = np.repeat(np.arange(len(indices)), [len(each) for each in found])
-        return DoseTable(owner.astype(np.int64), self.kind[rows], self.time[rows], self.amount[rows], self.known)
 
 
 @dataclass(frozen=True)
@@ -115,7 +91,7 @@ class Packed:
 
     @property
     def first_step(self) -> Integers:
-        """The sub-step at which the stretch that ends at each key row begins [R]."""
+        """The sub-step at which the interval that ends at each key row begins [R]."""
         begins = np.where(self.row_index == 0, 0, self.row_step[self.previous_row])
         return np.asarray(begins, dtype=np.int64)
 
@@ -178,9 +154,8 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
     With `rng`, the sub-steps of an interval are of random lengths (none above `max_step`): a learned right-hand side
     then cannot come to rely on one particular step.
     """
-    constants = {constant.symbol: constant.value for constant in model.constants}
-    terms = [dose.lag.subs(constants) if _known(dose, model) else None for dose in model.doses]
-    plans = [_plan(item, model, max_step, rng, _lags(item, model, terms)) for item in trajectories.items]
+    lags = known_lags(trajectories, model)
+    plans = [_plan(item, model, max_step, rng, own) for item, own in zip(trajectories.items, lags, strict=True)]
     depth = max((len(plan.h) for plan in plans), default=0)
     count, n_inputs = len(plans), len(model.inputs)
     t, h = np.zeros((depth, count)), np.zeros((depth, count))
@@ -217,7 +192,7 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
         weights=rows([plan.weights for plan in plans], channels),
         sd=rows([plan.sd for plan in plans], channels),
         row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
-        doses=_dose_table(trajectories, model),
+        doses=dose_table(trajectories, model),
         labels=tuple(item.label for item in trajectories.items),
         max_step=max_step,
     )
@@ -238,45 +213,9 @@ class _Plan:
     row_inputs: Array
 
 
-Lags = list[float | None]
-
-
-def _lags(item: Trajectory, model: Model, terms: Sequence[Expr | None]) -> Lags:
-    """The lags of a trajectory's doses from their terms over the conditions; None where they are learned.
-
-    NaN where the conditions leave one undefined: such a dose never arrives.
-    """
-    given = {each.symbol: float(value) for each, value in zip(model.conditions, item.condition, strict=True)}
-    found = [term if term is None or term.is_number else term.subs(given) for term in terms]
-    return [term if term is None else float(term) if term.is_real and term.is_finite else np.nan for term in found]
-
-
-def _known(dose: Dose, model: Model) -> bool:
-    """Whether the lag of a dose depends on nothing that is learned."""
-    return not dose.lag.free_symbols & {learnable.symbol for learnable in model.learnables}
-
-
-def _dose_table(trajectories: Trajectories, model: Model) -> DoseTable:
-    """The doses of all trajectories."""
-    rows = [
-        (i, kind, time, amount)
-        for i, item in enumerate(trajectories.items)
-        for kind, events in enumerate(item.doses)
-        for time, amount in zip(events.times, events.amounts, strict=True)
-    ]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    known = tuple(_known(dose, model) for dose in model.doses)
-    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], known)
-
-
 def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Generator | None, lags: Lags) -> _Plan:
     keys = item.times[item.times >= item.start]
-    jumps = [signal.times for signal in item.inputs]
-    jumps += [events.times + lag for events, lag in zip(item.doses, lags, strict=True) if lag is not None]
-    inside = [s[(s > item.start) & (s < item.end)] for s in jumps]
-    # A breakpoint within rounding of a key time is that key time: no step may be as short as an error of the clock.
-    breaks = _distinct(np.concatenate([keys, *inside]), keys, item)
-    edges = np.concatenate([[item.start], breaks[breaks > item.start]])
+    edges = boundaries(item, keys, lags)
     lengths = [_split(float(b - a), max_step, rng) for a, b in pairwise(edges)]
     counts = np.array([len(x) for x in lengths], dtype=np.int64)
     h = np.concatenate([*lengths, np.zeros(0)])
@@ -289,21 +228,6 @@ def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Genera
     weights[~np.isfinite(values)] = 0.0
     inputs, at_rows = _step_inputs(item, model, t, h), _row_inputs(item, model, keys)
     return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows)
-
-
-def _distinct(times: Array, keys: Array, item: Trajectory) -> Array:
-    """Sorted distinct times; one that is not a key and lies within rounding of another is dropped."""
-    tolerance = 1e-9 * max(item.end - item.start, abs(item.end), 1e-300)
-    ordered = np.unique(times)
-    is_key = np.isin(ordered, keys)
-    near = np.zeros(len(ordered), dtype=bool)
-    if len(keys):
-        position = (
-            np.clip(np.searchsorted(keys, ordered), 1, len(keys) - 1) if len(keys) > 1 else np.zeros(len(ordered), int)
-        )
-        distance = np.minimum(np.abs(ordered - keys[position]), np.abs(ordered - keys[np.maximum(position - 1, 0)]))
-        near = ~is_key & (distance <= tolerance)
-    return np.asarray(ordered[~near], dtype=np.float64)
 
 
 def _split(interval: float, max_step: float, rng: np.random.Generator | None) -> Array:

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from gbspec.data.trajectories import Array
 from gbspec.ir.model import Model
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.bounds import STRETCH, Bijections
-from gbspec.training.problem.packing import Integers
 
 Weights = dict[str, Array]
 

@@ -25,17 +25,17 @@ from gbspec.data.trajectories import Array, Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs.store import Run
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.objective import residual_vector
 from gbspec.training.optimise.anchored import Anchor, Penalised, Rest, minimise
 from gbspec.training.optimise.levenberg_marquardt import evidence, noise_variance
 from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.optimise.stage import require_finite
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import typical
+from gbspec.training.problem.residuals import typical
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.plan import FIRST_RIDGE
-from gbspec.training.recipe.stages import require_finite
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
@@ -186,9 +186,9 @@ class _Profiler:
     def estimate(self) -> _Fitted:
         """The fit with everything free; sets the noise, the prior, and the path to follow from there."""
         theta, parameters = self.begin, self.parameters
-        problem = self.free.problem(0.0)
-        residuals = solve(problem, parameters, theta)
-        require_finite(problem, parameters, theta, residuals, "profile")
+        engine = self.free.engine(parameters, 0.0)
+        residuals = residual_vector(engine, theta)
+        require_finite(engine, theta, residuals, "profile")
         noise = max(typical(residuals), CLEAN)
         self.target = self._penalised(FIRST_RIDGE * max(noise, 1e-2) ** 2 if parameters.n_weights else 0.0, noise**2)
         equations = self.target.equations(theta)
@@ -196,7 +196,7 @@ class _Profiler:
         self.variance = max(noise_variance(equations, residuals, float("inf"), freedom), CLEAN**2)
         first = self.target = self._penalised(equations.ridge, self.variance)
         rest = self._settled(theta)
-        residuals = solve(problem, parameters, rest.theta)
+        residuals = residual_vector(engine, rest.theta)
         self.variance = max(float(residuals @ residuals) / max(len(residuals) - freedom, 1.0), CLEAN**2)
         self.target = self._penalised(self.target.ridge, self.variance)
         self.anchor = self._anchor(rest.theta)
@@ -238,7 +238,7 @@ class _Profiler:
     def _compare(self, first: Penalised, theta: Array) -> None:
         """Says what a tighter prior does to the interval, by the linearised fits."""
         before = self.deviation
-        weaker = replace(first, problem=self.target.problem)
+        weaker = replace(first, engine=self.target.engine)
         wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, self.column).variance * self.variance)
         factor = self.target.ridge / first.ridge
         self.notes.append(
@@ -249,7 +249,9 @@ class _Profiler:
     def _penalised(self, ridge: float, variance: float) -> Penalised:
         problem = self.free.problem(0.0)
         problem = replace(problem, scaling=replace(problem.scaling, noise=math.sqrt(variance)))
-        return Penalised(problem, self.parameters, ridge, self.begin[: self.parameters.n_weights])
+        return Penalised(
+            self.free.choice.engine(problem, self.parameters), ridge, self.begin[: self.parameters.n_weights]
+        )
 
     def _anchor(self, theta: Array) -> Anchor:
         return Anchor(self.target.equations(theta), WEAK * self.variance, self.column)

@@ -14,12 +14,15 @@ import numpy as np
 import torch
 
 from gbspec.data.trajectories import Array, Trajectories, Trajectory
-from gbspec.training.engines.torch.unroll import solve, unroll
+from gbspec.training.engines.objective import predicted, residual_vector
+from gbspec.training.optimise.stage import Outcome, State
+from gbspec.training.problem.forcing import teacher_forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem, scaling_of, teacher_forcing
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.recipe.context import Context
-from gbspec.training.recipe.stages import Outcome, State, mean_loss
 from gbspec.training.starts.initial_states import refit_starts
 
 AGE = 9.0
@@ -34,14 +37,14 @@ def expressed(context: Context) -> list[str]:
 def bred_starts(context: Context, parameters: Parameters, theta: Array, blend: float) -> Array:
     """The vector with every learned start bred; measured ones, and those without a finite number, stay as they were."""
     early = _early_problem(context, blend)
-    earlier = replace(parameters, start_free=np.ones_like(parameters.start_free))
-    fitted = refit_starts(early, earlier, theta, context.seed)
+    earlier = context.choice.engine(early, replace(parameters, start_free=np.ones_like(parameters.start_free)))
+    fitted = refit_starts(earlier, theta, context.seed)
+    out = predicted(earlier, fitted)
     with torch.no_grad():
-        out = unroll(early, earlier, torch.from_numpy(fitted))
         now = parameters.starts(torch.from_numpy(theta)).numpy()
     first = np.flatnonzero(early.packed.row_index == 0)
     bred = now.copy()
-    bred[early.packed.row_trajectory[first]] = out.arrival.numpy()[first]
+    bred[early.packed.row_trajectory[first]] = out.before[first]
     usable = np.isfinite(bred).all(axis=1, keepdims=True) & (context.start_free > 0)
     return parameters.with_starts(theta, np.where(usable, bred, now))
 
@@ -88,11 +91,11 @@ class Breeding:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """Breeds; with expressed starts it leaves everything as it is, and says so."""
-        problem, theta, note = self.context.problem(self.blend), state["theta"], ""
+        engine, theta, note = self.context.engine(self.parameters, self.blend), state["theta"], ""
         known = expressed(self.context)
         if known:
             names = ", ".join(f"`{name}`" for name in known)
             note = f"initial states were not bred, since the model says how {names} starts"
         else:
             theta = bred_starts(self.context, self.parameters, theta, self.blend)
-        return Outcome({"theta": theta}, mean_loss(solve(problem, self.parameters, theta)), True, note)
+        return Outcome({"theta": theta}, mean_loss(residual_vector(engine, theta)), True, note)

@@ -9,12 +9,14 @@ import numpy as np
 
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
-from gbspec.training.engines.device import device_of
-from gbspec.training.engines.native.kernel import TORCH, Choice, choose
+from gbspec.training.engines.choice import Choice, choose
+from gbspec.training.engines.engine import Engine
 from gbspec.training.options import TrainOptions
+from gbspec.training.problem.forcing import measured_states, teacher_forcing
 from gbspec.training.problem.packing import Packed, default_max_step, pack
 from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.problem import Problem, measured_states, scaling_of, teacher_forcing
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.starts.slopes import Points, collocate
 from gbspec.training.starts.splines import Curves, fit_curves
 
@@ -40,7 +42,7 @@ class Context:
     start_value: Array
     start_free: Array
     state_scale: Array
-    choice: Choice = TORCH
+    choice: Choice = field(default_factory=Choice)
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
     def packed(self, fraction: float = 1.0, draw: int | None = None) -> Packed:
@@ -59,8 +61,13 @@ class Context:
         packed = self.packed(fraction, draw)
         forcing = teacher_forcing(self.model, packed, blend)
         scaling = scaling_of(self.model, packed, self.trajectories)
-        device = device_of(self.options.device)
-        return Problem(self.model, self.module, packed, forcing, scaling, self.choice.kernel, device)
+        return Problem(self.model, self.module, packed, forcing, scaling)
+
+    def engine(
+        self, parameters: Parameters, blend: float = 1.0, fraction: float = 1.0, draw: int | None = None
+    ) -> Engine:
+        """The engine of the problem with teacher forcing of strength `blend`, for this layout of the vector."""
+        return self.choice.engine(self.problem(blend, fraction, draw), parameters)
 
     def parameters(self, fixed: Weights, *, released: bool = False) -> Parameters:
         """The layout of the trainable vector, with the networks' scales `fixed`.

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.device import device_of
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.objective import residual_vector
+from gbspec.training.problem.forcing import Mask, teacher_forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Mask, Problem, scaling_of, teacher_forcing
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.recipe.context import Context, start_states
-from gbspec.training.recipe.stages import mean_loss
 from gbspec.training.starts.initial_states import refit_starts
 from gbspec.training.starts.splines import fit_curves
 
@@ -26,11 +29,8 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     scaling = scaling_of(model, packed, context.trajectories)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
     forcing = teacher_forcing(model, packed, 0.0 if single else 1.0)
-    device = device_of(context.options.device)
-    problem = Problem(model, context.module, packed, forcing, scaling, context.choice.kernel, device)
+    problem = Problem(model, context.module, packed, forcing, scaling)
     value, free = start_states(model, held, fit_curves(model, held), packed)
-    from dataclasses import replace
-
     local = replace(parameters, start_value=value, start_free=free)
     own = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
     block = np.tile(own.mean(axis=0), (len(held), 1))
@@ -39,8 +39,9 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     if single:
         later = packed.row_time > context.trajectories.items[0].end
         same = replace(local, start_value=parameters.start_value, start_free=parameters.start_free)
-        return mean_loss(solve(problem, same, vector)[_of_rows(problem, later)])
-    return mean_loss(solve(problem, local, refit_starts(problem, local, vector, context.seed)))
+        return mean_loss(residual_vector(context.choice.engine(problem, same), vector)[_of_rows(problem, later)])
+    engine = context.choice.engine(problem, local)
+    return mean_loss(residual_vector(engine, refit_starts(engine, vector, context.seed)))
 
 
 def _of_rows(problem: Problem, rows: Mask) -> Mask:

@@ -9,14 +9,16 @@ import numpy as np
 
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.engine import Engine
+from gbspec.training.engines.objective import residual_vector
 from gbspec.training.optimise.descent import Adam, LimitedMemory
 from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
+from gbspec.training.optimise.stage import Stage
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem, typical
+from gbspec.training.problem.residuals import mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
-from gbspec.training.recipe.stages import STARTS_TOO, Choice, InitialStates, Stage, imputed_forcing, mean_loss
+from gbspec.training.recipe.stages import STARTS_TOO, Choice, InitialStates, imputed_forcing
 from gbspec.training.starts.search import Search
 
 ITERATIONS: Mapping[str, Mapping[str, int]] = {
@@ -73,7 +75,7 @@ FIRST_RIDGE = 1e-3
 """The ridge before the data have set it, as a multiple of the squared typical residual (at least 1e-4)."""
 
 Wanted = Callable[[Array], bool]
-At = Callable[[int], Problem]
+At = Callable[[int], Engine]
 
 
 @dataclass(frozen=True)
@@ -163,18 +165,20 @@ class _Planner:
         context, parameters = self.context, self.parameters
 
         def make(theta: Array) -> Stage:
-            return Search(context.problem(blend), parameters, context.seed)
+            return Search(context.engine(parameters, blend), context.seed)
 
         def believed(theta: Array) -> bool:
             """Whether starts stand at single values of noisy data."""
             measured = not np.array_equal(self.released.start_free, parameters.start_free)
-            return measured and blend == 0.0 and typical(solve(context.problem(0.0), parameters, theta)) > NOISE
+            return (
+                measured and blend == 0.0 and typical(residual_vector(context.engine(parameters, 0.0), theta)) > NOISE
+            )
 
         limit = self.limits["least squares"]
         return [
             Planned("search", 1, make, lambda theta: True),
             self._newton("least squares", limit, self._at(blend), lambda theta: True, plain),
-            self._newton(STARTS_TOO, limit, self._at(0.0), believed, plain, self.released),
+            self._newton(STARTS_TOO, limit, self._at(0.0, 1.0, self.released), believed, plain),
         ]
 
     def _automatic(self) -> list[Planned]:
@@ -191,6 +195,7 @@ class _Planner:
                 self._newton("teacher forcing", limits["teacher"], first, lambda theta: True, self._prior),
                 self._newton("forcing as asked", limits["autoregressive"], last, lambda theta: True, self._regular),
             ]
+        whole = self._at(0.0, 1.0, self.released)
         return [
             self._adam(limits["approach"], self._hidden),
             self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
@@ -200,19 +205,19 @@ class _Planner:
             self._newton(HALF_STEP, limits["half"], self._at(1.0, 0.5), self._clean, self._close),
             self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
             self._starts("initial states of whole solutions", 0.0, self._noisy, self.released),
-            self._newton(
-                "autoregressive", self._whole_limit(), self._at(0.0), self._noisy, self._regular, self.released
-            ),
+            self._newton("autoregressive", self._whole_limit(), whole, self._noisy, self._regular),
             Planned("choice", 1, self._choice, lambda theta: True, self._both_fits),
         ]
 
     # ---------------------------------------------------------------- problems
-    def _at(self, blend: float, fraction: float = 1.0) -> At:
-        return lambda iteration: self.context.problem(blend, fraction, iteration)
+    def _at(self, blend: float, fraction: float = 1.0, parameters: Parameters | None = None) -> At:
+        layout = parameters or self.parameters
+        return lambda iteration: self.context.engine(layout, blend, fraction, iteration)
 
-    def _imputed(self, iteration: int) -> Problem:
+    def _imputed(self, iteration: int) -> Engine:
         problem = self.context.problem(1.0, 1.0, iteration)
-        return replace(problem, forcing=imputed_forcing(self.context, problem))
+        problem = replace(problem, forcing=imputed_forcing(self.context, problem))
+        return self.context.choice.engine(problem, self.parameters)
 
     # ---------------------------------------------------------------- decisions
     def _teacher_limit(self) -> int:
@@ -236,11 +241,11 @@ class _Planner:
         """Whether plain teacher forcing starts far worse than with every state imputed."""
         if not self.context.points.equations:
             return False
-        plain = solve(self.context.problem(), self.parameters, theta)
-        return typical(plain) > 3 * typical(solve(self._imputed(0), self.parameters, theta)) + 1e-6
+        plain = residual_vector(self.context.engine(self.parameters), theta)
+        return typical(plain) > 3 * typical(residual_vector(self._imputed(0), theta)) + 1e-6
 
     def _noise(self, theta: Array) -> float:
-        return typical(solve(self.context.problem(), self.parameters, theta))
+        return typical(residual_vector(self.context.engine(self.parameters), theta))
 
     def _noisy(self, theta: Array) -> bool:
         return self._noise(theta) > NOISE
@@ -263,7 +268,7 @@ class _Planner:
 
     def _above_step_error(self, theta: Array, residuals: Array) -> float:
         """Mean loss that is enough at the whole step: what remains below the step's own error only fits that error."""
-        half = solve(self.context.problem(1.0, 0.5), self.parameters, theta)
+        half = residual_vector(self.context.engine(self.parameters, 1.0, 0.5), theta)
         return max(self.enough, mean_loss(half - residuals))
 
     def _regular(self, theta: Array) -> LevenbergOptions:
@@ -282,7 +287,8 @@ class _Planner:
     def _choice(self, theta: Array) -> Stage:
         earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
         context = self.context
-        return Choice(context.problem(1.0), context.problem(0.0), self.released, earlier, context.seed)
+        teacher, free = (context.engine(self.released, blend) for blend in (1.0, 0.0))
+        return Choice(teacher, free, earlier, context.seed)
 
     def _starts(
         self, name: str, blend: float, wanted: Wanted = lambda theta: True, parameters: Parameters | None = None
@@ -290,20 +296,20 @@ class _Planner:
         layout = parameters or self.parameters
 
         def make(theta: Array) -> Stage:
-            return InitialStates(name, self.context.problem(blend), layout, self.context.seed)
+            return InitialStates(name, self.context.engine(layout, blend), self.context.seed)
 
         return Planned(name, 1, make, wanted, lambda theta: bool(layout.start_free.any()))
 
     def _adam(self, epochs: int, wanted: Wanted) -> Planned:
         def make(theta: Array) -> Stage:
             options = self.options
-            return Adam("adam", epochs, self._at(self.blend), self.parameters, options, self.context.seed)
+            return Adam("adam", epochs, self._at(self.blend), options, self.context.seed)
 
         return Planned("adam", epochs, make, wanted)
 
     def _quasi_newton(self, epochs: int) -> Planned:
         def make(theta: Array) -> Stage:
-            return LimitedMemory("lbfgs", epochs, self._at(self.blend), self.parameters, self.options.batch_size)
+            return LimitedMemory("lbfgs", epochs, self._at(self.blend))
 
         return Planned("lbfgs", epochs, make, lambda theta: True)
 
@@ -311,13 +317,12 @@ class _Planner:
         self,
         name: str,
         total: int,
-        problem_at: At,
+        engine_at: At,
         wanted: Wanted,
         options: LevenbergOptions | Callable[[Array], LevenbergOptions],
-        parameters: Parameters | None = None,
     ) -> Planned:
         def make(theta: Array) -> Stage:
             chosen = options if isinstance(options, LevenbergOptions) else options(theta)
-            return LevenbergMarquardt(name, total, problem_at, parameters or self.parameters, chosen)
+            return LevenbergMarquardt(name, total, engine_at, chosen)
 
         return Planned(name, total, make, wanted)

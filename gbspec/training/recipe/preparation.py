@@ -10,13 +10,13 @@ import torch
 
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
-from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.engines.objective import residual_vector
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.bounds import Bijections
 from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.problem import typical
+from gbspec.training.problem.residuals import mean_loss, typical
 from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.stages import imputed_forcing, mean_loss
+from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.starts.warm_start import eliminate, network_scales, regress_slopes
 
 SUSPECT = 0.03
@@ -46,18 +46,21 @@ def prepare(model: Model, module: type[Any], trajectories: Trajectories, options
 
 def _misfit(prepared: Prepared) -> float:
     """Typical residual of the solution that restarts from the curves at every row."""
-    problem = prepared.context.problem()
-    imputed = replace(problem, forcing=imputed_forcing(prepared.context, problem))
-    return typical(solve(imputed, prepared.parameters, prepared.theta))
+    return typical(_imputed_residuals(prepared.context, prepared.parameters, prepared.theta))
+
+
+def _imputed_residuals(context: Context, parameters: Parameters, theta: Array) -> Array:
+    """Residuals where every state with a curve is replaced by it at every key row."""
+    problem = context.problem()
+    imputed = replace(problem, forcing=imputed_forcing(context, problem))
+    return residual_vector(context.choice.engine(imputed, parameters), theta)
 
 
 def _attempt(context: Context) -> Prepared:
     parameters, theta = _initial(context)
     if context.options.warm_start:
         theta = regress_slopes(parameters, context.module, context.points, theta, context.seed)
-    problem = context.problem()
-    imputed = replace(problem, forcing=imputed_forcing(context, problem))
-    return Prepared(context, parameters, theta, mean_loss(solve(imputed, parameters, theta)))
+    return Prepared(context, parameters, theta, mean_loss(_imputed_residuals(context, parameters, theta)))
 
 
 def _initial(context: Context) -> tuple[Parameters, Array]:

@@ -12,9 +12,9 @@ import torch
 
 from gbspec.data.trajectories import Array
 from gbspec.data.window import PREFIX, features
-from gbspec.training.engines.torch.unroll import unroll
+from gbspec.training.engines.objective import predicted
+from gbspec.training.problem.forcing import Mask
 from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.problem import Mask
 from gbspec.training.recipe.context import Context
 
 ROWS, WIDTH, STEPS, RATE = 6, 16, 600, 1e-2
@@ -54,8 +54,7 @@ def _examples(
 ) -> tuple[Array, Array, Array]:
     """Inputs [M, n_features], states [M, n_states] and trajectories [M] of all windows."""
     problem = context.problem(blend)
-    with torch.no_grad():
-        states = unroll(problem, parameters, torch.from_numpy(theta)).departure.numpy()
+    states = predicted(context.choice.engine(problem, parameters), theta).after
     packed, inputs, targets, owners = problem.packed, [], [], []
     for row in range(packed.rows):
         owner = int(packed.row_trajectory[row])

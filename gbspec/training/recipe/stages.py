@@ -1,61 +1,21 @@
-"""The stages of an estimation: each takes the trainable vector somewhere better, one resumable step at a time.
-
-A stage's whole state between two steps is a dictionary of arrays, so that a checkpoint is that dictionary and a resumed
-stage goes on exactly as it would have gone on.
-"""
+"""The stages of the recipe that are no optimiser: refits of initial states, and the choice between two fits."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.torch.unroll import explain_failure, solve
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Forcing, Problem
+from gbspec.training.engines.engine import Engine
+from gbspec.training.engines.objective import residual_vector
+from gbspec.training.optimise.stage import Outcome, State
+from gbspec.training.problem.forcing import Forcing
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import mean_loss
 from gbspec.training.recipe.context import Context
 from gbspec.training.starts.initial_states import refit_starts
 
-State = dict[str, Array]
-
 STARTS_TOO = "least squares, starts too"
 """The stage that fits measured first values as measurements, where all functions are known."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """The state after a step, the loss there (mean of half squared residuals), and whether the stage is at its end.
-
-    `note` is a remark for the user that belongs to the fit.
-    """
-
-    state: State
-    loss: float
-    done: bool
-    note: str = ""
-
-
-class Stage(Protocol):
-    """One stage. `name` is shown and kept in the history; `total` bounds the number of steps."""
-
-    name: str
-    total: int
-
-    def begin(self, theta: Array) -> State:
-        """The state before the first step; it has the vector under `theta`."""
-
-    def step(self, state: State, iteration: int) -> Outcome:
-        """One step from a state (which it does not change). Raises ComputationError where there is no way on."""
-
-
-def mean_loss(residuals: Array) -> float:
-    """Mean of half squared residuals; infinite if one is not finite."""
-    if not np.isfinite(residuals).all():
-        return float("inf")
-    return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
 
 
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:
@@ -76,8 +36,8 @@ class InitialStates:
 
     total = 1
 
-    def __init__(self, name: str, problem: Problem, parameters: Parameters, seed: int) -> None:
-        self.name, self.problem, self.parameters, self.seed = name, problem, parameters, seed
+    def __init__(self, name: str, engine: Engine, seed: int) -> None:
+        self.name, self.engine, self.seed = name, engine, seed
 
     def begin(self, theta: Array) -> State:
         """Nothing but the vector."""
@@ -85,8 +45,8 @@ class InitialStates:
 
     def step(self, state: State, iteration: int) -> Outcome:
         """Refits all starts at once."""
-        theta = refit_starts(self.problem, self.parameters, state["theta"], self.seed)
-        return Outcome({"theta": theta}, mean_loss(solve(self.problem, self.parameters, theta)), True)
+        theta = refit_starts(self.engine, state["theta"], self.seed)
+        return Outcome({"theta": theta}, mean_loss(residual_vector(self.engine, theta)), True)
 
 
 class Choice:
@@ -101,8 +61,8 @@ class Choice:
     name = "choice"
     total = 1
 
-    def __init__(self, teacher: Problem, free: Problem, parameters: Parameters, earlier: Array, seed: int) -> None:
-        self.teacher, self.free, self.parameters = teacher, free, parameters
+    def __init__(self, teacher: Engine, free: Engine, earlier: Array, seed: int) -> None:
+        self.teacher, self.free = teacher, free
         self.earlier, self.seed = earlier, seed
 
     def begin(self, theta: Array) -> State:
@@ -116,7 +76,7 @@ class Choice:
         note = WHOLE_WORSE if whole > interval else ""
         if whole <= interval:
             return Outcome(state, whole, True)
-        refitted = refit_starts(self.free, self.parameters, self.earlier, self.seed)
+        refitted = refit_starts(self.free, self.earlier, self.seed)
         other_interval, other_whole = self._losses(self.earlier, refitted)
         if _product(other_interval, other_whole) < _product(interval, whole):
             return Outcome({"theta": refitted}, other_interval, True, f"{note}; the fit of intervals was kept")
@@ -125,8 +85,8 @@ class Choice:
     def _losses(self, of_intervals: Array, of_whole: Array) -> tuple[float, float]:
         """Mean losses over intervals and of whole solutions."""
         return (
-            mean_loss(solve(self.teacher, self.parameters, of_intervals)),
-            mean_loss(solve(self.free, self.parameters, of_whole)),
+            mean_loss(residual_vector(self.teacher, of_intervals)),
+            mean_loss(residual_vector(self.free, of_whole)),
         )
 
 
@@ -139,14 +99,3 @@ WHOLE_WORSE = (
 def _product(interval: float, whole: float) -> float:
     """Of two losses; infinite if one of them is, whatever the other is."""
     return interval * whole if np.isfinite([interval, whole]).all() else float("inf")
-
-
-def require_finite(problem: Problem, parameters: Parameters, theta: Array, residuals: Array, stage: str) -> None:
-    """Raises ComputationError that says where a solution blew up, if it did."""
-    if not np.isfinite(residuals).all():
-        raise explain_failure(problem, parameters, theta, stage)
-
-
-def scalar(state: Mapping[str, Array], name: str) -> float:
-    """A number kept in a state."""
-    return float(state[name])

@@ -17,6 +17,7 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.training.optimise.levenberg_marquardt import Certainty, LevenbergMarquardt
+from gbspec.training.optimise.stage import Outcome, Stage, State
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.progress import Progress, Update
@@ -24,7 +25,6 @@ from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.plan import Planned, plan, step_fraction
 from gbspec.training.recipe.preparation import prepare
 from gbspec.training.recipe.recognition import recognition
-from gbspec.training.recipe.stages import Outcome, Stage, State
 from gbspec.training.runs.summary import MemberResult, summarise
 
 SAVE_EVERY = 5.0

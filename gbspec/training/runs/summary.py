@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.torch.unroll import observe_rows, unroll
+from gbspec.training.engines.objective import predicted, residual_table
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.recipe.context import Context
 
@@ -54,17 +54,12 @@ def summarise(
 ) -> MemberResult:
     """Evaluates a member at `theta`; `freedom` is how many degrees of freedom its last stage used (NaN: not known)."""
     model = context.model
-    problem = context.problem(0.0)
-    vector = torch.from_numpy(theta)
+    engine = context.engine(parameters, 0.0)
+    problem, solution = engine.problem, predicted(engine, theta)
     with torch.no_grad():
-        solution = unroll(problem, parameters, vector)
-        constants = parameters.constants(vector)
-        networks = context.module.torch_networks(parameters.weights(vector))
-        owner = torch.from_numpy(problem.packed.row_trajectory)
-        predicted = observe_rows(problem, solution.arrival, constants[owner], networks).numpy()
-    difference = predicted - problem.packed.values
-    seen = problem.packed.weights > 0
-    blown = seen & ~np.isfinite(predicted)
+        constants = parameters.constants(torch.from_numpy(theta))
+    difference, seen = solution.mean - problem.packed.values, problem.seen
+    blown = seen & ~np.isfinite(solution.mean)
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
     rmse, noise = {}, {}
     noise_of = _Noise.of(context, parameters, theta, freedom, [str(stage["name"]) for stage in stages])
@@ -84,7 +79,7 @@ def summarise(
         {name: float("nan") for name in names},
         seconds,
         [dict(stage) for stage in stages],
-        solution.initial.numpy().copy(),
+        solution.initial.copy(),
         list(context.packed().labels),
         failed,
     )
@@ -110,10 +105,7 @@ class _Noise:
         """From the residuals at `theta`, with the forcing that was trained with."""
         asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
         whole = asked and (not parameters.n_weights or "autoregressive" in stages)
-        with torch.no_grad():
-            blend = 0.0 if whole else context.options.blend
-            out = unroll(context.problem(blend), parameters, torch.from_numpy(theta))
-        residuals = np.asarray(out.residuals.numpy(), dtype=np.float64)
+        residuals = residual_table(context.engine(parameters, 0.0 if whole else context.options.blend), theta)
         count = int((context.packed().weights > 0).sum())
         if not whole or not count:
             return cls(residuals, None, float("inf"))

@@ -12,13 +12,16 @@ import numpy as np
 import torch
 
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.torch.jacobian import linearise
-from gbspec.training.engines.torch.unroll import solve, unroll
+from gbspec.training.engines.engine import Engine, taken
+from gbspec.training.engines.objective import linearise, residual_table, residual_vector
 from gbspec.training.optimise.normal_equations import huber_each
 from gbspec.training.optimise.priors import LEAST_NOISE, Priors
-from gbspec.training.problem.packing import Integers, Packed
+from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem.forcing import Forcing
+from gbspec.training.problem.packing import Packed
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Forcing, Problem, typical
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import typical
 
 POLISH_STEPS = 12
 FLAT = 1e-12
@@ -27,29 +30,30 @@ HUBER = 0.3
 """Residuals beyond this many deviations of the data count linearly: one bad value must not set a start."""
 
 
-def refit_starts(
-    problem: Problem, parameters: Parameters, theta: Array, seed: int, candidates: int = 32, radius: float = 1.0
-) -> Array:
+def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, radius: float = 1.0) -> Array:
     """The vector with better starts: no trajectory's own loss over its first rows increases.
 
     `radius` is the size of the box of candidates in units of the states' deviations.
     """
+    parameters = engine.parameters
     if not parameters.start_free.any():
         return theta
-    window = first_rows(problem, _influence(problem))
-    if window.scaling.noise is None:
+    problem = first_rows(engine.problem, _influence(engine.problem))
+    window = engine.rebound(problem, parameters)
+    if problem.scaling.noise is None:
         # One noise throughout, so that losses with priors can be compared.
-        noise = max(typical(solve(window, parameters, theta)), LEAST_NOISE)
-        window = replace(window, scaling=replace(window.scaling, noise=noise if np.isfinite(noise) else 0.0))
-    best, losses = theta, _trajectory_losses(window, parameters, theta)
+        noise = max(typical(residual_vector(window, theta)), LEAST_NOISE)
+        problem = replace(problem, scaling=replace(problem.scaling, noise=noise if np.isfinite(noise) else 0.0))
+        window = engine.rebound(problem, parameters)
+    best, losses = theta, _trajectory_losses(window, theta)
     starts = _starts(parameters, theta)
     width = parameters.start_free * parameters.start_scale * radius
     points = np.random.default_rng([seed, 23]).uniform(-1, 1, (candidates, len(parameters.start_scale)))
     for fraction in (1.0, 0.25):
-        found = _best_candidates(window, parameters, best, starts, points * fraction, width)
-        best, losses = _keep_better(window, parameters, best, found, losses)
+        found = _best_candidates(window, best, starts, points * fraction, width)
+        best, losses = _keep_better(window, best, found, losses)
         starts = _starts(parameters, best)
-    return _polish(window, parameters, best, losses)
+    return _polish(window, best, losses)
 
 
 def first_rows(problem: Problem, count: int) -> Problem:
@@ -98,45 +102,38 @@ def _starts(parameters: Parameters, theta: Array) -> Array:
         return np.asarray(parameters.starts(torch.from_numpy(theta)).numpy(), dtype=np.float64)
 
 
-def _trajectory_losses(problem: Problem, parameters: Parameters, theta: Array) -> Array:
+def _trajectory_losses(engine: Engine, theta: Array) -> Array:
     """Huber loss of each trajectory; infinite where it blew up [N]."""
-    with torch.no_grad():
-        residuals = unroll(problem, parameters, torch.from_numpy(theta)).residuals.numpy()
-    rho = huber_each(residuals, HUBER).sum(axis=1)
+    problem = engine.problem
+    rho = huber_each(residual_table(engine, theta), HUBER).sum(axis=1)
     rho = np.where(np.isfinite(rho), rho, np.inf)
     losses = np.zeros(problem.packed.trajectories)
     np.add.at(losses, problem.packed.row_trajectory, rho)
-    priors = Priors.of(problem, parameters, np.zeros(0))
+    priors = Priors.of(problem, engine.parameters, np.zeros(0))
     if len(priors):
         np.add.at(losses, priors.owner, 0.5 * priors.rows(theta) ** 2)
     return losses
 
 
-def _best_candidates(
-    problem: Problem, parameters: Parameters, theta: Array, starts: Array, points: Array, width: Array
-) -> Array:
+def _best_candidates(engine: Engine, theta: Array, starts: Array, points: Array, width: Array) -> Array:
     """Each trajectory's best start among `starts + width * points` [N, n_states]."""
+    parameters = engine.parameters
     count, n = len(points), parameters.trajectories
     index: Integers = np.repeat(np.arange(n, dtype=np.int64), count)
-    many, wide = problem.take(index), parameters.take(index)
+    many = taken(engine, index)
     tried = starts[index] + width[index] * np.tile(points, (n, 1))
-    vector = wide.with_starts(parameters.take_vector(theta, index), tried)
-    losses = _trajectory_losses(many, wide, vector).reshape(n, count)
+    vector = many.parameters.with_starts(parameters.take_vector(theta, index), tried)
+    losses = _trajectory_losses(many, vector).reshape(n, count)
     return np.asarray(tried.reshape(n, count, -1)[np.arange(n), losses.argmin(axis=1)], dtype=np.float64)
 
 
-def _keep_better(
-    problem: Problem, parameters: Parameters, theta: Array, starts: Array, losses: Array
-) -> tuple[Array, Array]:
-    trial = parameters.with_starts(theta, starts)
-    return _keep_blocks(problem, parameters, theta, trial, losses)
+def _keep_better(engine: Engine, theta: Array, starts: Array, losses: Array) -> tuple[Array, Array]:
+    return _keep_blocks(engine, theta, engine.parameters.with_starts(theta, starts), losses)
 
 
-def _keep_blocks(
-    problem: Problem, parameters: Parameters, old: Array, new: Array, losses: Array
-) -> tuple[Array, Array]:
+def _keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple[Array, Array]:
     """Takes each trajectory's block from `new` where its loss fell."""
-    trial = _trajectory_losses(problem, parameters, new)
+    trial, parameters = _trajectory_losses(engine, new), engine.parameters
     better = trial < losses
     out = old.copy()
     blocks = out[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
@@ -144,14 +141,15 @@ def _keep_blocks(
     return out, np.where(better, trial, losses)
 
 
-def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Array) -> Array:
+def _polish(engine: Engine, theta: Array, losses: Array) -> Array:
+    parameters = engine.parameters
     n, width = parameters.trajectories, parameters.n_local
     damping = np.full(n, 1e-2)
     for _ in range(POLISH_STEPS):
-        system = linearise(problem, parameters, theta, only_local=True)
+        system = linearise(engine, theta, only_local=True)
         if len(system.owner) == 0 or not np.isfinite(system.residuals.numpy()).all():
             break
-        system = Priors.of(problem, parameters, np.zeros(0)).with_rows(system, theta)
+        system = Priors.of(engine.problem, parameters, np.zeros(0)).with_rows(system, theta)
         residuals = system.residuals.numpy()
         size = np.abs(residuals)
         weight = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, 1e-300))
@@ -162,7 +160,7 @@ def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Arra
         step = damped_steps(hessian, gradient, damping)
         trial = theta.copy()
         trial[parameters.n_shared :] += step.ravel()
-        theta, new = _keep_blocks(problem, parameters, theta, trial, losses)
+        theta, new = _keep_blocks(engine, theta, trial, losses)
         improved = new < losses
         damping = np.where(improved, damping / 5, damping * 4)
         if not (new < losses * (1 - 1e-6) - 1e-15).any() and (damping > 1e3).all():

@@ -6,13 +6,14 @@ import numpy as np
 
 from gbspec.data.trajectories import Array
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines.torch.unroll import explain_failure, solve
+from gbspec.training.engines.engine import Engine
+from gbspec.training.engines.objective import residual_vector
+from gbspec.training.engines.torch.failure import explain_failure
 from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.optimise.normal_equations import huber
 from gbspec.training.optimise.priors import Priors
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.recipe.stages import Outcome, State, mean_loss
+from gbspec.training.optimise.stage import Outcome, State
+from gbspec.training.problem.residuals import mean_loss
 
 CANDIDATES, KEPT, IMPROVEMENTS = 64, 4, 12
 SPREAD = 1.0
@@ -25,8 +26,8 @@ class Search:
     name = "search"
     total = 1
 
-    def __init__(self, problem: Problem, parameters: Parameters, seed: int) -> None:
-        self.problem, self.parameters, self.seed = problem, parameters, seed
+    def __init__(self, engine: Engine, seed: int) -> None:
+        self.engine, self.parameters, self.seed = engine, engine.parameters, seed
 
     def begin(self, theta: Array) -> State:
         """Nothing but the vector."""
@@ -37,9 +38,9 @@ class Search:
         candidates = self._candidates(state["theta"])
         ranked = sorted((self._loss(theta), i) for i, theta in enumerate(candidates))
         if not np.isfinite(ranked[0][0]):
-            raise explain_failure(self.problem, self.parameters, state["theta"], self.name)
+            raise explain_failure(self.engine.problem, self.parameters, state["theta"], self.name)
         best = min((self._improve(candidates[i]) for _, i in ranked[:KEPT]), key=lambda found: found[0])
-        loss = mean_loss(solve(self.problem, self.parameters, best[1]))
+        loss = mean_loss(residual_vector(self.engine, best[1]))
         return Outcome({"theta": best[1]}, loss, True)
 
     def _candidates(self, theta: Array) -> list[Array]:
@@ -60,18 +61,20 @@ class Search:
         return out
 
     def _loss(self, theta: Array) -> float:
-        residuals = solve(self.problem, self.parameters, theta)
+        residuals = residual_vector(self.engine, theta)
         return huber(residuals, 1.0) + self._penalty(theta, residuals)
 
     def _penalty(self, theta: Array, residuals: Array) -> float:
         """What the priors add to half the sum of squares."""
         return (
-            Priors.of(self.problem, self.parameters, residuals).penalty(theta) if np.isfinite(residuals).all() else 0.0
+            Priors.of(self.engine.problem, self.parameters, residuals).penalty(theta)
+            if np.isfinite(residuals).all()
+            else 0.0
         )
 
     def _improve(self, theta: Array) -> tuple[float, Array]:
         options = LevenbergOptions(robust=False, tolerance=1e-3, damping=1e-1)
-        stage = LevenbergMarquardt(self.name, IMPROVEMENTS, lambda i: self.problem, self.parameters, options)
+        stage = LevenbergMarquardt(self.name, IMPROVEMENTS, lambda i: self.engine, options)
         state = stage.begin(theta)
         for i in range(IMPROVEMENTS):
             try:
@@ -81,5 +84,5 @@ class Search:
             state = outcome.state
             if outcome.done:
                 break
-        residuals = solve(self.problem, self.parameters, state["theta"])
+        residuals = residual_vector(self.engine, state["theta"])
         return mean_loss(residuals) + self._penalty(state["theta"], residuals) / max(len(residuals), 1), state["theta"]

@@ -13,7 +13,7 @@ from torch import Tensor
 from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
-from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.problem import torch_arithmetic
 from gbspec.training.starts.splines import Curves
 

@@ -16,9 +16,12 @@ import torch
 
 from gbspec.backends.module.template.networks import _layers, _torch_like
 from gbspec.data.trajectories import Array
+from gbspec.training.engines.columns import Columns
+from gbspec.training.engines.deliveries import terms_of
+from gbspec.training.engines.engine import Moments
+from gbspec.training.engines.linearised import Jacobian, Observed
 from gbspec.training.engines.native.kernel import Kernel, Natural, Tables, workspace
-from gbspec.training.engines.torch.doses import terms_of
-from gbspec.training.problem.packing import Integers
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 
@@ -62,25 +65,21 @@ class Derivatives:
 
 
 class Stretches:
-    """The stretches that end at the key rows of a problem, at one vector.
-
-    `departure` [R, n] and `initial` [N, n] are states after key rows and at the beginnings.
-    """
+    """The stretches that end at the key rows of a problem, at one vector whose `moments` are these."""
 
     def __init__(
-        self, problem: Problem, kernel: Kernel, parameters: Parameters, theta: Array, departure: Array, initial: Array
+        self, problem: Problem, kernel: Kernel, parameters: Parameters, theta: Array, tables: Tables, moments: Moments
     ) -> None:
-        self.problem, self.kernel, self.parameters = problem, kernel, parameters
+        self.problem, self.kernel, self.parameters, self.tables = problem, kernel, parameters, tables
         vector = torch.from_numpy(theta)
         with torch.no_grad():
             self.natural = Natural.of(problem, parameters, vector)
             self.factor, self.shift = _trained(problem, parameters, theta)
-        self.tables = problem.tables(self.natural.arrivals)
         packed = self.tables.packed
         self.first = packed.first_step
         self.steps = (packed.row_step - self.first).astype(np.int64)
         fresh = (packed.row_index == 0)[:, None]
-        start = np.where(fresh, initial[packed.row_trajectory], departure[packed.previous_row])
+        start = np.where(fresh, moments.initial[packed.row_trajectory], moments.after[packed.previous_row])
         self.start = np.ascontiguousarray(start)
         self.doses = _Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
 
@@ -139,6 +138,33 @@ class Stretches:
             rows = order[bounds[begin] : bounds[end]]
             yield np.arange(begin, end), [rows[i : i + most] for i in range(0, len(rows), most)]
             begin = end
+
+
+def jacobian(columns: Columns, kernel: Kernel, tables: Tables, moments: Moments, observed: Observed) -> Jacobian:
+    """Derivatives of the measured values, the stretches' and their chain from the native kernel."""
+    problem, parameters, packed = columns.problem, columns.parameters, columns.problem.packed
+    stretches = Stretches(problem, kernel, parameters, columns.theta, tables, moments)
+    # Every row is written once; for much data this is by far the largest array.
+    shared = np.empty((len(observed.row), columns.shared))
+    local = np.empty((len(observed.row), parameters.n_local))
+    unused = [columns.zeros(())] * len(problem.model.constants)
+    release, d_state = 1.0 - problem.forcing.weight, np.ascontiguousarray(observed.state.numpy())
+    for who, blocks in stretches.blocks(columns.shared):
+        totals = [part.numpy() for part in columns.initial(torch.from_numpy(who))]
+        for rows in blocks:
+            found, owner = stretches.derivatives(rows, columns.shared), packed.row_trajectory[rows]
+            own = np.zeros((len(rows), columns.n_states, local.shape[1]))
+            of_constants = list(torch.from_numpy(found.constants).unbind(2))
+            of_weights, of_own = torch.from_numpy(found.weights), torch.from_numpy(own)
+            columns.add_constants(of_weights, of_own, [*unused, *of_constants], torch.from_numpy(owner))
+            places = observed.bounds[rows], observed.bounds[rows + 1]
+            for kind, total, out in zip((found.weights, own), totals, (shared, local), strict=True):
+                chain(kernel, owner - who[0], found.start, kind, release[rows], places, d_state, total, out)
+    of_shared, of_local = torch.from_numpy(shared), torch.from_numpy(local)
+    if observed.shared is not None and observed.local is not None:
+        of_shared += columns.of_trained_weights(observed.shared)
+        of_local += observed.local
+    return Jacobian(of_shared, of_local, torch.from_numpy(packed.row_trajectory)[observed.row])
 
 
 def chain(

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,17 +26,13 @@ from gbspec.backends.native import CompilerError, compiled, source
 from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
 from gbspec.backends.native.source import TILE, Precision
 from gbspec.data.trajectories import Array
-from gbspec.diagnostics import Defect, Diagnostic, UserError
 from gbspec.ir.model import Model
-from gbspec.training.engines.device import device_of
-from gbspec.training.engines.native.cut_steps import Placed, placed
-from gbspec.training.engines.torch.doses import delivered
-from gbspec.training.options import TrainOptions
-from gbspec.training.problem.packing import Integers
+from gbspec.training.engines.deliveries import delivered
+from gbspec.training.engines.engine import Lack, Unable
+from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
-
-if TYPE_CHECKING:
-    from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.path import Path
+from gbspec.training.problem.problem import Problem
 
 SHARES = 8
 """Shares of the work for each thread."""
@@ -73,13 +69,11 @@ class _Data(ctypes.Structure):
 
 
 class Tables:
-    """A problem's data as the kernel reads them, with doses that arrive at `time` [E]; keeps the arrays that its
-    pointers point to. `packed`: with the sub-steps that doses of a learned lag cut."""
+    """A problem's data on a path as the kernel reads them; keeps the arrays that its pointers point to."""
 
-    def __init__(self, problem: Problem, time: Array) -> None:
-        self._placed = placed(problem.packed, time)
-        packed, scaling = self._placed.packed, problem.scaling
-        seen = packed.weights > 0
+    def __init__(self, problem: Problem, path: Path) -> None:
+        self.path = path
+        packed = path.packed
         row_at = np.full((packed.trajectories, packed.depth + 1), -1, dtype=np.int32)
         row_at[packed.row_trajectory, packed.row_step] = np.arange(packed.rows)
         arrays = {
@@ -92,12 +86,12 @@ class Tables:
             "row_at": row_at,
             "row_time": packed.row_time,
             "row_inputs": packed.row_inputs,
-            "measured": np.where(seen, packed.values, 1.0),
-            "factor": np.where(seen, packed.weights / scaling.row_scale, 0.0),
+            "measured": problem.measured,
+            "factor": problem.factor,
             "value": problem.forcing.value,
             "weight": problem.forcing.weight,
-            "logarithmic": scaling.log.astype(np.int32),
-        } | _jumps(problem.model, self._placed)
+            "logarithmic": problem.scaling.log.astype(np.int32),
+        } | _jumps(problem.model, path)
         self._kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
         pointers = [self._kept[name].ctypes.data if name in self._kept else None for name in _FIELDS]
         self.struct = _Data(packed.depth, packed.trajectories, *pointers)
@@ -111,7 +105,7 @@ class Tables:
     @cached_property
     def jump_row(self) -> Integers:
         """The key row at the end of the stretch in which each dose arrives [E]; -1: none."""
-        packed, step = self.packed, self._placed.step
+        packed, step = self.packed, self.path.step
         owner, wide = packed.doses.owner, packed.depth + 2
         row = np.lexsort((packed.row_step, packed.row_trajectory))
         reached = packed.row_trajectory[row] * wide + packed.row_step[row]
@@ -121,7 +115,7 @@ class Tables:
         return np.where(lies, found, -1)
 
 
-def _jumps(model: Model, places: Placed) -> dict[str, NDArray[Any]]:
+def _jumps(model: Model, places: Path) -> dict[str, NDArray[Any]]:
     """Doses at the starts of sub-steps."""
     packed, step = places.packed, places.step
     if not len(step):
@@ -274,55 +268,20 @@ def workspace(size: int) -> NDArray[np.uint8]:
     return space
 
 
-_kernels: dict[tuple[type[Any], Precision], Kernel | str] = {}
+_kernels: dict[tuple[type[Any], Precision], Kernel | Unable] = {}
 
 
-def kernel_of(model: Model, module: type[Any], precision: Precision = "float64") -> Kernel | str:
-    """The kernel of a model (`module` is its generated class), or in a line why there is none."""
+def kernel_of(model: Model, module: type[Any], precision: Precision = "float64") -> Kernel | Unable:
+    """The kernel of a model (`module` is its generated class), or why there is none."""
     key = (module, precision)
     if key not in _kernels:
         try:
             _kernels[key] = Kernel(model, precision)
         except NotCoveredError as error:
-            _kernels[key] = f"the native kernel does not cover this model: {error}"
+            _kernels[key] = Unable(Lack.MODEL, f"the native kernel does not cover this model: {error}")
         except CompilerError as error:
-            _kernels[key] = str(error)
+            _kernels[key] = Unable(Lack.COMPILER, str(error))
     return _kernels[key]
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What solves a problem: a kernel, or (None) the torch graph; `remark` says why it is not the kernel."""
-
-    kernel: Kernel | None = None
-    remark: str = ""
-
-
-TORCH = Choice()
-
-LEAST_SUBSTEPS = 1500
-"""With fewer sub-steps in the data, `--backend auto` does not wait for the compiler: it takes two seconds or so, and at
-2,500 sub-steps a fit of urp_gb2 takes 15 instead of 29."""
-
-
-def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int) -> Choice:
-    """The choice of `--backend` for data of so many sub-steps.
-
-    Raises UserError (GB863) where the kernel was asked for and cannot be had.
-    """
-    wanted = options.backend == "native"
-    if options.backend == "torch" or not (wanted or substeps >= LEAST_SUBSTEPS):
-        return TORCH
-    if device_of(options.device) != "cpu":
-        found: Kernel | str = "the native kernel does not work on a GPU"
-    else:
-        found = kernel_of(model, module)
-    if not isinstance(found, str):
-        return Choice(found)
-    if wanted:
-        help_text = "leave `--backend` out: the torch graph then serves"
-        raise UserError([Diagnostic("GB863", f"`--backend native` cannot be had: {found}", None, help=help_text)])
-    return Choice(None, f"the torch graph serves: {found}")
 
 
 # ---------------------------------------------------------------------- from the trainable vector
@@ -371,11 +330,6 @@ class Natural:
         layers = _layer_weights(problem, weights, vector)
         return cls(layers, constants, initial, *delivered(problem, constants), _numbers(problem, weights))
 
-    @property
-    def arrivals(self) -> Array:
-        """`times` as an array."""
-        return np.asarray(self.times.detach().numpy())
-
     def arrays(self) -> tuple[Array, ...]:
         """What a call of the kernel is given, as arrays: all but the times, which are in the tables."""
         tensors = (self.weights, self.constants, self.initial, self.doses)
@@ -407,30 +361,3 @@ class HalfSquares(torch.autograd.Function):
     def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
         """The gradient found with the value."""
         return (None, *(scale * saved for saved in ctx.saved_tensors))
-
-
-def half_squares(
-    kernel: Kernel, problem: Problem, parameters: Parameters, theta: Array, index: Integers | None = None
-) -> tuple[float, Array]:
-    """Half the sum of squared residuals of the trajectories `index` (None: all), its gradient in the whole vector."""
-    vector = torch.from_numpy(theta).requires_grad_()
-    n = Natural.of(problem, parameters, vector)
-
-    def call() -> Swept:
-        return kernel.sweep(problem.tables(n.arrivals), n, True, index=index)
-
-    loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses, n.times)  # type: ignore[no-untyped-call]  # torch's
-    if not loss.requires_grad:
-        return float(loss), np.zeros_like(theta)
-    (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)
-    return float(loss.detach()), np.zeros_like(theta) if gradient is None else gradient.numpy()
-
-
-def solved(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Array, Array, Array]:
-    """Residuals [R, C], states on arrival at key rows [R, n_states] and initial states [N, n_states] at `theta`."""
-    if problem.kernel is None:
-        raise Defect("a problem without a kernel was to be solved by it")
-    with torch.no_grad():
-        natural = Natural.of(problem, parameters, theta)
-    swept = problem.kernel.sweep(problem.tables(natural.arrivals), natural, False)
-    return swept.residuals, swept.arrivals, natural.initial.numpy()

@@ -1,8 +1,7 @@
 """Right-hand sides that are affine in states, inputs and unknowns, in as few operations as a hand would write.
 
-The generated module's own equations tell whether they are: they are evaluated once an unroll with `Form`s in place of
-numbers, sums of multiples of states, inputs and outputs of networks. Where nothing else occurs, a network's arguments
-too, then
+`gbspec.ir.affinity` tells whether they are. The generated module's own equations are then evaluated once an unroll with
+`Form`s in place of numbers, sums of multiples of states, inputs and outputs of networks:
 
     dx/dt = shift + x A + u U + sum over the calls of networks of hidden(x, u) G
 
@@ -21,18 +20,33 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.diagnostics import Defect
+from gbspec.ir.affinity import is_affine
+from gbspec.ir.model import Model
+
 Coefficient = float | Tensor
 Key = tuple[Any, ...]
 Field = Callable[[Any, Tensor, Tensor], Tensor]
 """A right-hand side: of times [B], states [B, n_states] and inputs [B, n_inputs]."""
 
 
-class NotAffineError(Exception):
-    """The equations hold something that is no sum of multiples; they are then evaluated as they stand."""
+class NotAffineError(Defect):
+    """The equations hold something that is no sum of multiples, though the Model said that they do not."""
 
 
 def _refuse(*_: Any) -> Any:
-    raise NotAffineError
+    raise NotAffineError("a right-hand side is not affine")
+
+
+_known: dict[type[Any], bool] = {}
+
+
+def affine_by_model(model: Model, module: Any) -> bool:
+    """Whether a model's right-hand side is affine; decided once for each generated class, `module` is an instance."""
+    key = type(module)
+    if key not in _known:
+        _known[key] = is_affine(model)
+    return _known[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +65,7 @@ class Form:
 
     def __mul__(self, factor: Any) -> Form:
         if isinstance(factor, Form):
-            raise NotAffineError
+            raise NotAffineError("a right-hand side is not affine")
         return Form({key: value * factor for key, value in self.terms.items()}, self.constant * factor)
 
     def __neg__(self) -> Form:
@@ -150,7 +164,7 @@ class _Probe:
             self.center, self.scale, self.spread = network.center, network.scale, network.spread
         self._network, self._calls = getattr(network, "call", network), calls
         if not hasattr(self._network, "through") or len(self._network.layers) < 2:
-            raise NotAffineError
+            raise NotAffineError("a right-hand side is not affine")
 
     def __call__(self, *arguments: Any) -> tuple[Form, ...]:
         number, outputs = len(self._calls), self._network.layers[-1][0].shape[1]
@@ -212,7 +226,7 @@ def _assembled(
 def _within(forms: Iterable[Form], known: set[Key]) -> None:
     """Refuses forms with other terms: times, and outputs of networks as arguments of networks."""
     if any(key not in known for form in forms for key in form.terms):
-        raise NotAffineError
+        raise NotAffineError("a right-hand side is not affine")
 
 
 def _matrix(forms: Sequence[Form], keys: Sequence[Key], like: Tensor) -> Tensor | None:
@@ -222,7 +236,7 @@ def _matrix(forms: Sequence[Form], keys: Sequence[Key], like: Tensor) -> Tensor 
     if not terms:
         return None
     if any(isinstance(value, Tensor) and value.ndim for *_, value in terms):
-        raise NotAffineError
+        raise NotAffineError("a right-hand side is not affine")
     values = torch.stack([_tensor(value, like) for *_, value in terms])
     at = torch.tensor([(place[key], j) for key, j, _ in terms], device=like.device)
     return like.new_zeros(len(keys), len(forms)).index_put(tuple(at.T), values)

@@ -1,0 +1,56 @@
+"""The residual: the one definition that fits, reports, studies and the native kernel agree with.
+
+For a measured value y with prediction p, scale s and weight w (the square root of the number of measurements that y
+averages; 0 where nothing was measured)
+
+    r = w (p - y) / s
+
+and for a channel with log-normal noise, whose scale is that of logarithms,
+
+    r = w ln(p / |y|) / s,    continued below p = LOG_FLOOR |y| by its tangent,
+
+so that predictions that become negative on the way of a fit have a finite residual that still falls towards the data.
+The sign is that of prediction minus measurement. Half the sum of squares of r / (standard deviation of the noise in
+units of r) is the negative log likelihood up to terms that do not depend on p.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+LOG_FLOOR = 1e-3
+"""Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
+_LEAST = 1e-300
+"""Stands for a measured zero, of which there is no logarithm."""
+
+
+def residuals(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.bool_], xp: Any = np) -> Any:
+    """Residuals [..., C] of `predicted` and `measured` [..., C] (any finite number where nothing was measured).
+
+    `factor` [..., C] is w / s, 0 where nothing was measured: the residual is then 0 whatever was predicted.
+    `logarithmic` [C]: which channels have log-normal noise. `xp` is numpy for arrays or torch for tensors.
+    """
+    difference = predicted - measured
+    if logarithmic.any():
+        ratio = predicted / xp.clip(xp.abs(measured), _LEAST, None)
+        safe = xp.clip(ratio, LOG_FLOOR, None)
+        difference = xp.where(_like(predicted, logarithmic, xp), xp.log(safe) + (ratio - safe) / LOG_FLOOR, difference)
+    return xp.where(factor > 0, difference * factor, xp.zeros_like(difference))
+
+
+def slopes(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.bool_], xp: Any = np) -> Any:
+    """Derivatives of the residuals by the predictions [..., C]; arguments as in `residuals`."""
+    out = factor + xp.zeros_like(predicted)
+    if logarithmic.any():
+        size = xp.clip(xp.abs(measured), _LEAST, None)
+        slope = factor / (size * xp.clip(predicted / size, LOG_FLOOR, None))
+        out = xp.where(_like(predicted, logarithmic, xp), slope, out)
+    return out
+
+
+def _like(predicted: Any, mask: NDArray[np.bool_], xp: Any) -> Any:
+    """A mask as `predicted` is: an array, or a tensor on its device."""
+    return mask if xp is np else predicted.new_tensor(mask, dtype=xp.bool)

@@ -1,0 +1,86 @@
+"""Which engine solves a problem: the one place where engines are chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir.model import Model
+from gbspec.training.engines.device import device_of
+from gbspec.training.engines.engine import Engine, Lack, Unable
+from gbspec.training.engines.native.engine import NativeEngine
+from gbspec.training.engines.native.kernel import Kernel, kernel_of
+from gbspec.training.engines.torch.engine import TorchEngine
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+
+LEAST_SUBSTEPS = 1500
+"""With fewer sub-steps in the data, `--backend auto` does not wait for the compiler: it takes two seconds or so, and at
+2,500 sub-steps a fit of urp_gb2 takes 15 instead of 29."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The engine of a fit: with a kernel the native one, else the torch graph on `device`; `unable` says why it is not
+    the native one though it might have served."""
+
+    kernel: Kernel | None = None
+    device: str = "cpu"
+    batch: int | None = None
+    unable: Unable | None = None
+
+    @property
+    def remark(self) -> str:
+        """What a user is told of the choice; nothing where it is the expected one."""
+        return f"the torch graph is used: {self.unable.reason}" if self.unable is not None else ""
+
+    def engine(self, problem: Problem, parameters: Parameters) -> Engine:
+        """The engine of a problem."""
+        if self.kernel is not None:
+            return NativeEngine(problem, parameters, self.kernel)
+        return TorchEngine(problem, parameters, self.device, batch=self.batch)
+
+
+def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int) -> Choice:
+    """The choice of `--backend` for data of so many sub-steps; `module` is the model's generated class.
+
+    Raises UserError (GB863) where the kernel was asked for and cannot be had.
+    """
+    device, wanted = device_of(options.device), options.backend == "native"
+    if options.backend == "torch" or not (wanted or substeps >= LEAST_SUBSTEPS):
+        return Choice(None, device, options.batch_size)
+    if device != "cpu":
+        found: Kernel | Unable = Unable(Lack.DEVICE, "the native kernel does not work on a GPU")
+    else:
+        found = kernel_of(model, module)
+    if isinstance(found, Kernel):
+        return Choice(found)
+    if wanted:
+        help_text = "leave `--backend` out: the torch graph is then used"
+        raise UserError(
+            [Diagnostic("GB863", f"`--backend native` cannot be had: {found.reason}", None, help=help_text)]
+        )
+    return Choice(None, device, options.batch_size, found)
+
+
+def native_engine(
+    problem: Problem, parameters: Parameters, precision: Literal["float64", "float32"] = "float64"
+) -> NativeEngine:
+    """The native engine of a problem. Raises ValueError where it cannot be had."""
+    kernel = kernel_of(problem.model, type(problem.module), precision)
+    if isinstance(kernel, Unable):
+        raise ValueError(kernel.reason)
+    return NativeEngine(problem, parameters, kernel)
+
+
+def torch_engine(
+    problem: Problem,
+    parameters: Parameters,
+    device: str = "cpu",
+    precision: Literal["float64", "float32"] = "float64",
+    batch: int | None = None,
+) -> TorchEngine:
+    """The torch engine of a problem."""
+    return TorchEngine(problem, parameters, device, precision, batch)

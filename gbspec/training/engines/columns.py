@@ -1,0 +1,168 @@
+"""The parts of a Jacobian that do not depend on how states move: columns, starts, observations.
+
+Every engine with exact derivatives chains, interval by interval (between consecutive key rows of a trajectory), the
+sensitivity S of the state: with A = d end / d start and J = d end / d parameters of an interval it becomes `A S + J` at
+its end; resets by forcing scale its rows by `1 - weight`. A and J are the engine's; what stands here is S at the start,
+the derivatives of what is observed, and the columns to which derivatives by constants and weights belong.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.linearised import Observed
+from gbspec.training.engines.torch.unroll import observe_rows
+from gbspec.training.problem.bounds import STRETCH
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+
+Taped = list[tuple[int, int, Tensor, Tensor]]
+"""Calls of layers: network, layer, the layer's inputs, its pre-activations."""
+
+
+class Columns:
+    """The columns of one Jacobian at `theta`; with `only_local` there are no shared ones."""
+
+    def __init__(
+        self, problem: Problem, parameters: Parameters, theta: Array, only_local: bool, device: str = "cpu"
+    ) -> None:
+        self.problem, self.parameters, self.only_local = problem, parameters, only_local
+        self.device, self.theta, self.vector = device, theta, torch.from_numpy(theta).to(device)
+        with torch.no_grad():
+            self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
+            self.constants = parameters.constants(self.vector)
+        for name in parameters.weight_shapes:
+            # Only so that every pre-activation is part of the graph; the gradients of the weights are never asked for.
+            self.weights[name].requires_grad_()
+        self.n_states = len(problem.model.states)
+        self.shared = 0 if only_local else parameters.n_shared
+        self.offsets = _layer_offsets(parameters)
+
+    def tensor(self, table: NDArray[Any]) -> Tensor:
+        """A table on the device."""
+        return torch.from_numpy(table).to(self.device)
+
+    def zeros(self, shape: tuple[int, ...]) -> Tensor:
+        """Zeros of the vector's type on the device."""
+        return torch.zeros(shape, dtype=self.vector.dtype, device=self.device)
+
+    def of_trained_weights(self, shared: Tensor) -> Tensor:
+        """Columns of the weights in use as those of the trained ones (they differ where contracts need signs)."""
+        weights = self.parameters.weights(torch.from_numpy(self.theta))
+        arrays = {name: value.numpy() for name, value in weights.items()}
+        slopes = {} if self.only_local else self.problem.module.weight_slopes(arrays)
+        position = 0
+        for name, shape in self.parameters.weight_shapes.items():
+            size = int(np.prod(shape))
+            if name in slopes:
+                shared[:, position : position + size] *= self.tensor(slopes[name].ravel())
+            position += size
+        return shared
+
+    def initial(self, who: Tensor) -> tuple[Tensor, Tensor]:
+        """Sensitivity of the initial states of some trajectories [B, n_states, columns]: shared and local."""
+        parameters, n, count = self.parameters, self.n_states, len(who)
+        d_start, *d_constants = (part[who] for part in self._start_derivatives)
+        shared = self.zeros((count, n, self.shared))
+        local = self.zeros((count, n, parameters.n_local))
+        scale = self.tensor(parameters.start_free * parameters.start_scale * STRETCH)[who]
+        local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
+        self.add_constants(shared, local, d_constants, who)
+        return shared, local
+
+    @cached_property
+    def _start_derivatives(self) -> list[Tensor]:
+        """Of the initial states, by what is learned of them [N, n, n] and by each constant [N, n]."""
+        problem = self.problem
+        x0 = self.parameters.starts(self.vector).detach().requires_grad_()
+        k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
+        out = problem.module._initial(problem.ops, x0, self.tensor(problem.packed.condition), tuple(k))
+        rows = [gradients(out[:, i].sum(), [x0, *k]) for i in range(out.shape[1])]
+        return [torch.stack([row[j] for row in rows], 1) for j in range(1 + len(k))]
+
+    def add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:
+        """Adds d/d constants (one [B, n] a constant, natural) to the columns of their trainable values."""
+        parameters = self.parameters
+        known = len(parameters.model.constants)
+        if parameters.shared and not self.only_local:
+            u = self.theta[parameters.n_weights : parameters.n_shared]
+            slope = self.tensor(parameters.bijections(parameters.shared).derivative(u))
+            for column, index in enumerate(parameters.shared):
+                shared[..., parameters.n_weights + column] += derivatives[known + index] * slope[column]
+        if parameters.own:
+            u = self.theta[parameters.n_shared :].reshape(-1, parameters.n_local)[:, : len(parameters.own)]
+            slope = self.tensor(parameters.bijections(parameters.own).derivative(u))
+            for column, index in enumerate(parameters.own):
+                local[..., column] += derivatives[known + index] * slope[owner, column][:, None]
+
+    def observed(self, before: Array, scale: Array) -> Observed:
+        """Derivatives of the measured values at the states `before` [R, n_states], each times its `scale` [R, C]."""
+        problem, packed = self.problem, self.problem.packed
+        seen = np.nonzero(problem.seen)
+        row, channel = (self.tensor(places) for places in seen)
+        owner = self.tensor(packed.row_trajectory)
+        direct = all(c.state is not None for c in problem.model.channels)
+        x = self.tensor(before).detach().requires_grad_()
+        tape: Taped = []
+        k = [column.detach().clone().requires_grad_() for column in self.constants[owner].unbind(1)]
+        networks = problem.module.torch_networks(self.weights, tape)
+        constants = torch.stack(k, 1) if k else self.zeros((packed.rows, 0))
+        out = self.tensor(scale) * observe_rows(problem, x, constants, networks)
+        pre = [z for *_, z in tape]
+        channels = out.shape[1]
+        d_state = self.zeros((packed.rows, channels, self.n_states))
+        d_shared = d_local = None
+        if not direct:
+            d_shared = self.zeros((packed.rows, channels, self.shared))
+            d_local = self.zeros((packed.rows, channels, self.parameters.n_local))
+        for i in range(channels):
+            grads = gradients(out[:, i].sum(), [x, *k, *pre])
+            d_state[:, i] = grads[0]
+            if d_shared is None or d_local is None:
+                continue
+            by_constants = [g[:, None] for g in grads[1 : 1 + len(k)]]
+            self.add_constants(d_shared[:, i : i + 1], d_local[:, i : i + 1], by_constants, owner)
+            if not self.only_local:
+                self._add_weights(d_shared[:, i], tape, grads[1 + len(k) :])
+        return Observed(
+            row,
+            np.searchsorted(seen[0], np.arange(packed.rows + 1)),
+            d_state.detach()[row, channel],
+            None if d_shared is None else d_shared.detach()[row, channel],
+            None if d_local is None else d_local.detach()[row, channel],
+        )
+
+    def _add_weights(self, target: Tensor, tape: Taped, cotangents: list[Tensor]) -> None:
+        """Adds the weights' columns [B, columns] of one output, every tape entry covering the whole batch B."""
+        for (network, layer, a, _), dz in zip(tape, cotangents, strict=True):
+            begin, rows, width = self.offsets[network, layer]
+            a, dz = a.detach().reshape(len(target), -1, width), dz.reshape(len(target), -1, rows)
+            target[:, begin : begin + rows * width] += torch.bmm(dz.transpose(1, 2), a).reshape(len(target), -1)
+            target[:, begin + rows * width : begin + rows * width + rows] += dz.sum(1)
+
+
+def gradients(output: Tensor, inputs: list[Tensor]) -> list[Tensor]:
+    """Gradients of a scalar, zero where it does not depend on an input; the graph is kept."""
+    if not output.requires_grad:
+        return [torch.zeros_like(x) for x in inputs]
+    found = torch.autograd.grad(output, inputs, retain_graph=True, allow_unused=True)
+    return [torch.zeros_like(x) if g is None else g for g, x in zip(found, inputs, strict=True)]
+
+
+def _layer_offsets(parameters: Parameters) -> dict[tuple[int, int], tuple[int, int, int]]:
+    """(network, layer) -> (first column, outputs, inputs); the bias follows its weight."""
+    out: dict[tuple[int, int], tuple[int, int, int]] = {}
+    position = 0
+    for index, network in enumerate(parameters.model.networks):
+        sizes = network.sizes
+        for layer in range(len(sizes) - 1):
+            out[index, layer] = (position, sizes[layer + 1], sizes[layer])
+            position += (sizes[layer] + 1) * sizes[layer + 1]
+    return out

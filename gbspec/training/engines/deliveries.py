@@ -1,0 +1,64 @@
+"""Doses as functions of the trainable vector: how much of each arrives, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.path import Path, path_of
+from gbspec.training.problem.problem import Problem
+
+Terms = list[tuple[Any, Any]]
+"""Fraction and lag of each of the model's doses: tensors [B], or one number for all rows."""
+
+
+def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Terms:
+    """Fraction and lag of each of the model's doses for B trajectories, from their conditions [B, n_conditions] and
+    constants ([B] or [] each). Where conditions leave a lag undefined no gradient passes, which would not be finite."""
+    terms: Terms = list(problem.module._doses(problem.ops, condition, k))
+    for kind, (fraction, lag) in enumerate(terms):
+        if not isinstance(lag, Tensor) or not lag.requires_grad or not lag.ndim:
+            continue
+        sound = torch.isfinite(lag.detach())
+        if not bool(sound.all()):
+            some = [column[sound] if column.ndim else column for column in k]
+            of_some = problem.module._doses(problem.ops, condition[sound], some)[kind][1]
+            terms[kind] = fraction, lag.detach().masked_scatter(sound, of_some)
+    return terms
+
+
+def delivered(problem: Problem, constants: Tensor) -> tuple[Tensor, Tensor]:
+    """How much of each dose would arrive and when [E], at the constants [N, n_constants]; differentiable in them."""
+    doses = problem.packed.doses
+    if not len(doses.time):
+        return constants.new_zeros(0), constants.new_zeros(0)
+    terms = terms_of(problem, constants.new_tensor(problem.packed.condition), constants.unbind(1))
+    like = constants.new_zeros(len(constants))
+    place = tuple(torch.from_numpy(table).to(constants.device) for table in (doses.kind, doses.owner))
+    fraction, lag = (torch.stack([pair[i] + like for pair in terms])[place] for i in range(2))
+    return fraction * constants.new_tensor(doses.amount), constants.new_tensor(doses.time) + lag
+
+
+class Paths:
+    """The paths of a problem; the one last asked for is kept."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._path: Path | None = None
+
+    def at(self, parameters: Parameters, theta: Array) -> Path:
+        """The path at a vector."""
+        time = self._problem.packed.doses.time
+        if len(time):
+            with torch.no_grad():
+                constants = parameters.constants(torch.from_numpy(theta))
+                time = delivered(self._problem, constants)[1].numpy()
+        if self._path is None or not np.array_equal(time, self._path.time, equal_nan=True):
+            self._path = path_of(self._problem.packed, time)
+        return self._path

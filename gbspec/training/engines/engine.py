@@ -1,0 +1,133 @@
+"""What a fit needs of a problem at a vector: the one place that knows how states move.
+
+An engine is bound to a problem and to the layout of its trainable vector `theta` [size]. It says what the model
+predicts and how that depends on the vector; what follows from comparing predictions with measurements (residuals,
+losses, likelihoods) is the same for all engines and stands in `gbspec.training.problem` and `objective`.
+
+Adding an engine: a class with these methods, and a line in `choice` that says when it serves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol, Self, TypeVar
+
+import numpy as np
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.linearised import Jacobian
+from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.path import Path
+from gbspec.training.problem.problem import Problem
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What a model predicts for each value at the key rows, and the states that the predictions come from.
+
+    `mean` [R, C]; `log_sd` [R, C], the logarithm of the predictions' standard deviations where the engine knows them
+    (a filter; None for a deterministic solution, whose deviations are those of the measurements alone); states before
+    (`before` [R, n_states]) and after (`after`) what arrives at a key row; `initial` [N, n_states].
+    """
+
+    mean: Array
+    before: Array
+    after: Array
+    initial: Array
+    log_sd: Array | None = None
+
+    @property
+    def finite(self) -> bool:
+        """Whether the solution stayed within the finite numbers at the key rows."""
+        return bool(np.isfinite(self.mean).all() and np.isfinite(self.before).all())
+
+
+class Lack(Enum):
+    """Why an engine cannot do something."""
+
+    MODEL = "model"
+    """It does not cover this model."""
+    COMPILER = "compiler"
+    """Something that it needs is not installed on this machine."""
+    DEVICE = "device"
+    """It does not work on the device that was asked for."""
+    SECOND = "second derivatives"
+    """It has no second derivatives."""
+
+
+@dataclass(frozen=True)
+class Unable:
+    """What an engine cannot do, and the reason in a sentence."""
+
+    lack: Lack
+    reason: str
+
+
+class UnableError(Exception):
+    """Raised by an engine that is asked for what it cannot do."""
+
+    def __init__(self, unable: Unable) -> None:
+        super().__init__(unable.reason)
+        self.unable = unable
+
+
+class Engine(Protocol):
+    """A solver's steps behind the questions of a fit; vectors and tables are float64 arrays.
+
+    Solutions that leave the finite numbers give NaN or infinities in the moments; nothing is raised.
+    """
+
+    problem: Problem
+    parameters: Parameters
+
+    def rebound(self, problem: Problem, parameters: Parameters) -> Self:
+        """The same engine for another problem of the same model, or another layout of the vector."""
+
+    def plan(self, theta: Array) -> Path:
+        """The sub-steps at a vector. Solutions, their derivatives and comparisons belong to one path; another vector
+        may have another one (arrivals in another order, other accepted steps)."""
+
+    def moments(self, theta: Array, path: Path) -> Moments:
+        """What is predicted at a vector."""
+
+    def jacobian(self, theta: Array, path: Path, moments: Moments, scale: Array, only_local: bool = False) -> Jacobian:
+        """The exact derivatives of the predicted means of measured values, each row times its entry of `scale` [R, C]
+        (a residual's derivative by its prediction). `moments` are those at the same vector, which must be finite; with
+        `only_local` the columns of the shared part stay empty."""
+
+    def pullback(self, theta: Array, path: Path, cotangent: Array, by: Integers | None = None) -> Array:
+        """The product of `cotangent` [R, C], zero where nothing was measured, with the Jacobian of the means [size].
+
+        With `by` [N], the group of each trajectory (from 0), one product for each group's rows [groups, size].
+        """
+
+    def half_squares(self, theta: Array, path: Path, index: Integers | None = None) -> tuple[float, Array]:
+        """Half the sum of squared residuals of the trajectories `index` (None: all) and its gradient [size], in one
+        pass forward and one back."""
+
+    def second(self, theta: Array, path: Path, direction: Array, cotangent: Array) -> Array:
+        """The gradient in theta [size] of `cotangent` [R, C] times the means' Jacobian times `direction` [size].
+
+        Raises UnableError where the engine lacks second derivatives.
+        """
+
+
+Bound = TypeVar("Bound", bound=Engine)
+
+
+def taken(engine: Bound, index: Integers) -> Bound:
+    """The engine for some of the trajectories, in the order given (repeats allowed); for all of them it is itself."""
+    problem = engine.problem.take(index)
+    return engine if problem is engine.problem else engine.rebound(problem, engine.parameters.take(index))
+
+
+def by_group(engine: Engine, theta: Array, path: Path, cotangent: Array, by: Integers) -> Array:
+    """The pullback of each group [groups, size], from that of all rows."""
+    owner = by[engine.problem.packed.row_trajectory]
+    groups = int(by.max(initial=-1)) + 1
+    found = [
+        engine.pullback(theta, path, np.where((owner == group)[:, None], cotangent, 0.0)) for group in range(groups)
+    ]
+    return np.array(found).reshape(groups, engine.parameters.size)

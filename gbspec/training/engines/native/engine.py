@@ -1,0 +1,112 @@
+"""The native engine: solutions, gradients and Jacobians by the generated and compiled kernel, on the processor."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.training.engines.columns import Columns
+from gbspec.training.engines.deliveries import Paths
+from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group
+from gbspec.training.engines.linearised import Jacobian
+from gbspec.training.engines.native.jacobian import jacobian
+from gbspec.training.engines.native.kernel import HalfSquares, Kernel, Natural, Swept, Tables
+from gbspec.training.engines.torch.unroll import observe_rows
+from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.path import Path
+from gbspec.training.problem.problem import Problem
+from gbspec.training.problem.residuals import residual_slopes
+
+
+class NativeEngine:
+    """Works with one compiled kernel; Jacobians need one in double precision."""
+
+    def __init__(self, problem: Problem, parameters: Parameters, kernel: Kernel) -> None:
+        self.problem, self.parameters, self.kernel = problem, parameters, kernel
+        self._paths = Paths(problem)
+        self._tables: Tables | None = None
+
+    def rebound(self, problem: Problem, parameters: Parameters) -> Self:
+        """The same engine for another problem or layout."""
+        return type(self)(problem, parameters, self.kernel)
+
+    def plan(self, theta: Array) -> Path:
+        """The sub-steps at a vector."""
+        return self._paths.at(self.parameters, theta)
+
+    def tables(self, path: Path) -> Tables:
+        """The data on a path as the kernel reads them; those last asked for are kept."""
+        if self._tables is None or self._tables.path is not path:
+            self._tables = Tables(self.problem, path)
+        return self._tables
+
+    def moments(self, theta: Array, path: Path) -> Moments:
+        """What is predicted at a vector."""
+        vector = torch.from_numpy(theta)
+        with torch.no_grad():
+            inputs = Natural.of(self.problem, self.parameters, vector)
+            before = self.kernel.sweep(self.tables(path), inputs, False).arrivals
+            mean = self._observed(vector, before, inputs.constants)
+        forcing = self.problem.forcing
+        after = before - forcing.weight * (before - forcing.value)
+        return Moments(mean, before, after, inputs.initial.numpy())
+
+    def kernel_residuals(self, theta: Array, path: Path) -> Array:
+        """The residuals [R, C] as the kernel computes them for its own gradients (for tests of their definition)."""
+        with torch.no_grad():
+            inputs = Natural.of(self.problem, self.parameters, torch.from_numpy(theta))
+        return self.kernel.sweep(self.tables(path), inputs, False).residuals
+
+    def _observed(self, vector: Tensor, before: Array, constants: Tensor) -> Array:
+        """The channels at the key rows [R, C], from the states there."""
+        channels = self.problem.model.channels
+        states = [channel.state for channel in channels if channel.state is not None]
+        if len(states) == len(channels):
+            return before[:, states]
+        networks = self.problem.module.torch_networks(self.parameters.weights(vector))
+        owner = torch.from_numpy(self.problem.packed.row_trajectory)
+        found = observe_rows(self.problem, torch.from_numpy(before), constants[owner], networks)
+        return np.asarray(found.numpy(), dtype=np.float64)
+
+    def jacobian(self, theta: Array, path: Path, moments: Moments, scale: Array, only_local: bool = False) -> Jacobian:
+        """The exact derivatives of the means."""
+        columns = Columns(self.problem, self.parameters, theta, only_local)
+        return jacobian(columns, self.kernel, self.tables(path), moments, columns.observed(moments.before, scale))
+
+    def pullback(self, theta: Array, path: Path, cotangent: Array, by: Integers | None = None) -> Array:
+        """The product of a cotangent with the Jacobian of the means."""
+        if by is not None:
+            return by_group(self, theta, path, cotangent, by)
+        # The kernel's cotangents are of residuals.
+        slopes = residual_slopes(self.problem, self.moments(theta, path).mean)
+        seen = slopes != 0
+        of_residuals = np.where(seen, cotangent / np.where(seen, slopes, 1.0), 0.0)
+        return self._swept(theta, path, None, of_residuals)[1]
+
+    def half_squares(self, theta: Array, path: Path, index: Integers | None = None) -> tuple[float, Array]:
+        """Half the sum of squared residuals and its gradient."""
+        return self._swept(theta, path, index, None)
+
+    def _swept(self, theta: Array, path: Path, index: Integers | None, cotangent: Array | None) -> tuple[float, Array]:
+        """One call of the kernel, forward and back: half the sum of squared residuals, and the product of `cotangent`
+        (None: the residuals) with the residuals' Jacobian."""
+        vector = torch.from_numpy(theta).requires_grad_()
+        n = Natural.of(self.problem, self.parameters, vector)
+
+        def call() -> Swept:
+            return self.kernel.sweep(self.tables(path), n, True, cotangent=cotangent, index=index)
+
+        loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses, n.times)  # type: ignore[no-untyped-call]  # torch's
+        if not loss.requires_grad:
+            return float(loss), np.zeros_like(theta)
+        (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)
+        return float(loss.detach()), np.zeros_like(theta) if gradient is None else gradient.numpy()
+
+    def second(self, theta: Array, path: Path, direction: Array, cotangent: Array) -> Array:
+        """Not offered: the kernel has first derivatives alone."""
+        raise UnableError(Unable(Lack.SECOND, "the native kernel has no second derivatives; the torch engine has them"))

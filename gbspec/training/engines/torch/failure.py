@@ -1,0 +1,85 @@
+"""What went wrong in a solution that left the finite numbers: which trajectory, when, and in which balance."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.data.trajectories import Array
+from gbspec.diagnostics import ComputationError
+from gbspec.training.engines.deliveries import Paths
+from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+
+_REMEDY = (
+    "try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), "
+    "or a range and a start for each state (`state x in [0, 1] = 0.5`)"
+)
+
+
+def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stage: str) -> ComputationError:
+    """The error to raise where the solution at `theta` is not finite."""
+    packed = problem.packed
+    if not np.isfinite(theta).all():
+        return ComputationError(
+            f"the parameters are no longer numbers in stage `{stage}`",
+            remedy="lower `--learning-rate`, or use `--method auto`",
+        )
+    with torch.no_grad():
+        found = _first_failure(problem, parameters, theta)
+    if found is None:
+        return ComputationError(f"a residual is not a finite number in stage `{stage}`", remedy=_REMEDY)
+    trajectory, time, term, state = found
+    values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(problem.model.states, state, strict=True))
+    return ComputationError(
+        f"the solution blew up in stage `{stage}`: {term}",
+        where=f"trajectory `{packed.labels[trajectory]}` at {problem.model.time.name} = {time:.6g}, where {values}",
+        remedy=_REMEDY,
+    )
+
+
+def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tuple[int, float, str, Array] | None:
+    """The first trajectory and time whose state is not finite, the balance to blame, and the last finite state."""
+    module, m, vector = problem.module, problem.ops, torch.from_numpy(theta)
+    path = Paths(problem).at(parameters, theta)
+    packed, names = path.packed, [s.name for s in problem.model.states]
+    networks = module.torch_networks(parameters.weights(vector))
+    k = tuple(parameters.constants(vector).unbind(1))
+    c = torch.from_numpy(packed.condition)
+    deliveries, rhs = Deliveries.of(problem, c, k), module._field(m, c, k, networks)
+    x = module._initial(m, parameters.starts(vector), c, k)
+    bad = ~torch.isfinite(x)
+    if bad.any():
+        i = int(torch.nonzero(bad)[0, 0])
+        which = ", ".join(f"`{names[j]}`" for j in torch.nonzero(bad[i])[:, 0].tolist())
+        return i, float(packed.start[i]), f"the initial state of {which} is not finite", x[i].numpy()
+    everyone = np.arange(packed.trajectories)
+    for s in range(packed.depth + 1):
+        if s > 0:
+            step = sub_step(problem, path, np.full(packed.trajectories, s - 1), everyone, x)
+            going = torch.from_numpy(packed.steps >= s)
+            new = torch.where(going[:, None], advance(x, step, deliveries, rhs), x)
+            bad = ~torch.isfinite(new)
+            if bad.any():
+                i = int(torch.nonzero(bad.any(-1))[0, 0])
+                slope = module._rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
+                return i, float(packed.t[s - 1, i]), _blame(names, slope, bad[i]), x[i].numpy()
+            x = new
+        here = np.flatnonzero(packed.row_step == s)
+        weight, value = torch.zeros_like(x), torch.zeros_like(x)
+        weight[packed.row_trajectory[here]] = torch.from_numpy(problem.forcing.weight[here])
+        value[packed.row_trajectory[here]] = torch.from_numpy(problem.forcing.value[here])
+        x = x - weight * (x - value)
+    return None
+
+
+def _blame(names: list[str], rhs: Tensor, bad: Tensor) -> str:
+    """Names the balances that are not finite at the last finite state, else those whose step diverges."""
+    broken = [names[j] for j in torch.nonzero(~torch.isfinite(rhs))[:, 0].tolist()]
+    if broken:
+        return "the right-hand side of " + ", ".join(f"`{n}'`" for n in broken) + " is not finite"
+    diverging = torch.nonzero(bad)[:, 0].tolist()
+    parts = ", ".join(f"`{names[j]}'` = {float(rhs[j]):.4g}" for j in diverging)
+    return f"the step diverges in {parts}"

@@ -1,0 +1,119 @@
+"""Sub-steps of a batch as tensors, and how a batch takes one: doses that arrive at its start, then a solver's step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.training.engines.deliveries import Terms, terms_of
+from gbspec.training.engines.torch.affine import Field
+from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem.packing import NODES
+from gbspec.training.problem.path import Path
+from gbspec.training.problem.problem import Problem
+
+
+@dataclass(frozen=True)
+class SubStep:
+    """A sub-step of each of B rows: start `t` and length `h` [B], the inputs at the method's nodes, [B, n_inputs] each,
+    and what the generated `_grid` makes of `t` and `h`. `arrivals`: what happens besides; None where nothing does."""
+
+    t: Tensor
+    h: Tensor
+    nodes: tuple[Tensor, ...]
+    grid: Any
+    arrivals: Arrivals | None = None
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """Doses of a sub-step of B rows, by their numbers in the packing (-1: none): those that arrive at its start
+    [L, B], in the order of time, and those that move its start and its end [B]; the inputs' slopes [B, n_inputs]."""
+
+    doses: Integers
+    begin: Integers
+    end: Integers
+    slope: Tensor
+
+
+def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like: Tensor) -> SubStep:
+    """The sub-steps number `steps` [B] of the trajectories `who` [B], as tensors like `like`."""
+    packed = path.packed
+    t, h, inputs = (like.new_tensor(table[steps, who]) for table in (packed.t, packed.h, packed.inputs))
+    arrivals = None
+    if len(path.doses):
+        doses = path.doses[:, steps, who]
+        begin, end = path.cutting[steps, who], path.cutting[steps + 1, who]
+        if (doses >= 0).any() or (end >= 0).any():
+            slope = path.slope[steps, who] if path.cuts.any() else np.zeros((len(steps), packed.inputs.shape[3]))
+            arrivals = Arrivals(doses, begin, end, like.new_tensor(slope))
+    return SubStep(t, h, inputs.unbind(1), problem.module._grid(problem.ops, t, h), arrivals)
+
+
+@dataclass(frozen=True)
+class Deliveries:
+    """What doses bring to B rows: fraction and lag of each of the model's doses, with their derivatives."""
+
+    problem: Problem
+    terms: Terms
+
+    @classmethod
+    def of(cls, problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Deliveries:
+        """For rows of these conditions [B, n_conditions] and constants ([B] or [] each)."""
+        return cls(problem, terms_of(problem, condition, k) if problem.model.doses else [])
+
+    def added(self, x: Tensor, arrivals: Arrivals) -> Tensor:
+        """The states [B, n_states] after the doses at the start of a sub-step."""
+        doses, model = self.problem.packed.doses, self.problem.model
+        places = torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
+        for layer in arrivals.doses:
+            for kind, (fraction, _) in enumerate(self.terms):
+                mine = (layer >= 0) & (doses.kind[layer] == kind)
+                if mine.any():
+                    amount = x.new_tensor(np.where(mine, doses.amount[layer], 0.0)) * _rows(fraction, len(x))
+                    x = x + amount[:, None] * places[model.state_index[model.doses[kind].state]]
+        return x
+
+    def moved(self, step: SubStep, arrivals: Arrivals) -> tuple[Any, tuple[Tensor, ...]]:
+        """The grid and the inputs at the nodes of a sub-step whose ends move with learned lags.
+
+        The moves are zero; they carry the derivatives.
+        """
+        begin, end = (self._move(cutting, step.t) for cutting in (arrivals.begin, arrivals.end))
+        grid = self.problem.module._grid(self.problem.ops, step.t + begin, step.h + (end - begin))
+        if not step.nodes[0].shape[1]:
+            return grid, step.nodes
+        shares = [begin + node * (end - begin) for node in NODES]
+        moved = zip(step.nodes, shares, strict=True)
+        return grid, tuple(node + share[:, None] * arrivals.slope for node, share in moved)
+
+    def _move(self, cutting: Integers, like: Tensor) -> Tensor:
+        """By how much the doses `cutting` [B] move an end of a sub-step: zero, with the lag's derivative."""
+        out, kinds = torch.zeros_like(like), self.problem.packed.doses.kind
+        for kind, (_, lag) in enumerate(self.terms):
+            mine = (cutting >= 0) & (kinds[cutting] == kind)
+            if mine.any() and isinstance(lag, Tensor):
+                move = _rows(lag - lag.detach(), len(like))
+                out = out + torch.where(torch.from_numpy(mine).to(like.device), move, torch.zeros_like(like))
+        return out
+
+
+def _rows(value: Any, count: int) -> Any:
+    """The first rows of a term; numbers stand for all rows."""
+    return value[:count] if isinstance(value, Tensor) and value.ndim else value
+
+
+def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field) -> Tensor:
+    """The states [B, n_states] at the ends of a sub-step, from those at its start before doses."""
+    problem, grid, nodes = deliveries.problem, step.grid, step.nodes
+    if step.arrivals is not None:
+        x = deliveries.added(x, step.arrivals)
+        if (step.arrivals.begin >= 0).any() or (step.arrivals.end >= 0).any():
+            grid, nodes = deliveries.moved(step, step.arrivals)
+    out: Tensor = problem.module._step(problem.ops, rhs, grid, x, nodes)
+    return out

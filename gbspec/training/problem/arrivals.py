@@ -1,0 +1,108 @@
+"""Arrivals: what happens to a trajectory between two sub-steps of the solver.
+
+A measurement (which may reset states), a change of an input and a dose are arrivals: each has a time, and no sub-step
+of the solver crosses one. At one time they come in this order: measurement, change of an input, dose.
+
+Times that follow from the data alone are boundaries of sub-steps when the data are packed (`boundaries`). The time of
+a dose whose lag is learned moves through the sub-steps while the fit proceeds; `path` cuts the sub-steps that such
+doses fall into, for the vector at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.ir.model import Dose, Expr, Model
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class DoseTable:
+    """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much.
+
+    `known`: for each of the model's doses whether its lag depends on nothing that is learned, so that sub-steps begin
+    where it arrives.
+    """
+
+    owner: Integers
+    kind: Integers
+    time: Array
+    amount: Array
+    known: tuple[bool, ...]
+
+    def take(self, indices: Integers) -> DoseTable:
+        """The doses of some of the trajectories, in the order given (repeats allowed)."""
+        found = [np.flatnonzero(self.owner == i) for i in indices]
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *found])
+        owner = np.repeat(np.arange(len(indices)), [len(each) for each in found])
+        return DoseTable(owner.astype(np.int64), self.kind[rows], self.time[rows], self.amount[rows], self.known)
+
+
+Lags = list[float | None]
+
+
+def known_lags(trajectories: Trajectories, model: Model) -> list[Lags]:
+    """The lags of each trajectory's doses."""
+    constants = {constant.symbol: constant.value for constant in model.constants}
+    terms = [dose.lag.subs(constants) if _known(dose, model) else None for dose in model.doses]
+    return [_lags(item, model, terms) for item in trajectories.items]
+
+
+def _lags(item: Trajectory, model: Model, terms: Sequence[Expr | None]) -> Lags:
+    """The lags of a trajectory's doses from their terms over the conditions; None where they are learned.
+
+    NaN where the conditions leave one undefined: such a dose never arrives.
+    """
+    given = {each.symbol: float(value) for each, value in zip(model.conditions, item.condition, strict=True)}
+    found = [term if term is None or term.is_number else term.subs(given) for term in terms]
+    return [term if term is None else float(term) if term.is_real and term.is_finite else np.nan for term in found]
+
+
+def _known(dose: Dose, model: Model) -> bool:
+    """Whether the lag of a dose depends on nothing that is learned."""
+    return not dose.lag.free_symbols & {learnable.symbol for learnable in model.learnables}
+
+
+def dose_table(trajectories: Trajectories, model: Model) -> DoseTable:
+    """The doses of all trajectories."""
+    rows = [
+        (i, kind, time, amount)
+        for i, item in enumerate(trajectories.items)
+        for kind, events in enumerate(item.doses)
+        for time, amount in zip(events.times, events.amounts, strict=True)
+    ]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    known = tuple(_known(dose, model) for dose in model.doses)
+    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], known)
+
+
+def boundaries(item: Trajectory, keys: Array, lags: Lags) -> Array:
+    """Times at which sub-steps of a trajectory begin or end whatever their length: its start, its key rows `keys`, and
+    the arrivals between them whose times are known."""
+    times = [signal.times for signal in item.inputs]
+    times += [doses.times + lag for doses, lag in zip(item.doses, lags, strict=True) if lag is not None]
+    inside = [s[(s > item.start) & (s < item.end)] for s in times]
+    # An arrival within rounding of a key row is at that row: no step may be as short as an error of the clock.
+    distinct = _distinct(np.concatenate([keys, *inside]), keys, item)
+    return np.concatenate([[item.start], distinct[distinct > item.start]])
+
+
+def _distinct(times: Array, keys: Array, item: Trajectory) -> Array:
+    """Sorted distinct times; one that is not a key and lies within rounding of another is dropped."""
+    tolerance = 1e-9 * max(item.end - item.start, abs(item.end), 1e-300)
+    ordered = np.unique(times)
+    is_key = np.isin(ordered, keys)
+    near = np.zeros(len(ordered), dtype=bool)
+    if len(keys):
+        position = (
+            np.clip(np.searchsorted(keys, ordered), 1, len(keys) - 1) if len(keys) > 1 else np.zeros(len(ordered), int)
+        )
+        distance = np.minimum(np.abs(ordered - keys[position]), np.abs(ordered - keys[np.maximum(position - 1, 0)]))
+        near = ~is_key & (distance <= tolerance)
+    return np.asarray(ordered[~near], dtype=np.float64)

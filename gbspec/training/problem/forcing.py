@@ -1,0 +1,47 @@
+"""Forcing: where states are replaced by values at key rows while a fit predicts from row to row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.model import Model
+from gbspec.training.problem.packing import Packed
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Forcing:
+    """Where states are replaced at key rows, and by how much.
+
+    `value` [R, n_states] and `weight` [R, n_states] in [0, 1]: after the row's residual is taken,
+    `x <- x - weight * (x - value)`. Teacher forcing has weight 1 at measured states, a blend less, autoregressive 0;
+    imputed teacher forcing has weight 1 at every state, with values from splines.
+    """
+
+    value: Array
+    weight: Array
+
+
+def measured_states(model: Model, packed: Packed) -> tuple[Array, Mask]:
+    """Measured values of states [R, n_states] (NaN: not measured) and where there is one.
+
+    Where two channels measure the same state, the later one in the model's order counts.
+    """
+    values = np.full((packed.rows, len(model.states)), np.nan)
+    for index, channel in enumerate(model.channels):
+        if channel.state is not None:
+            column = packed.values[:, index]
+            seen = np.isfinite(column)
+            values[seen, channel.state] = column[seen]
+    return values, np.isfinite(values)
+
+
+def teacher_forcing(model: Model, packed: Packed, blend: float = 1.0) -> Forcing:
+    """Forcing of measured states with strength `blend`."""
+    values, seen = measured_states(model, packed)
+    return Forcing(np.where(seen, values, 0.0), blend * seen.astype(np.float64))

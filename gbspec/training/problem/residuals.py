@@ -1,0 +1,42 @@
+"""The residuals of a problem from what an engine predicts, and the losses that are made of them.
+
+`gbspec.ir.residuals` defines the residual; here stand the numbers of a problem that it needs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbspec.data.trajectories import Array
+from gbspec.ir.residuals import residuals, slopes
+from gbspec.training.problem.problem import Problem
+
+
+def residuals_of(problem: Problem, predicted: Array) -> Array:
+    """Residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
+    with np.errstate(over="ignore", invalid="ignore"):  # predictions of a solution that blew up
+        return np.asarray(residuals(predicted, problem.measured, problem.factor, problem.scaling.log))
+
+
+def residual_slopes(problem: Problem, predicted: Array) -> Array:
+    """Derivatives of the residuals by the predictions [R, C]; 0 where nothing was measured."""
+    return np.asarray(slopes(predicted, problem.measured, problem.factor, problem.scaling.log))
+
+
+def measured_only(problem: Problem, table: Array) -> Array:
+    """The entries of a table [R, C] at measured values [m], row by row."""
+    return np.asarray(table[problem.seen], dtype=np.float64)
+
+
+def mean_loss(residuals: Array) -> float:
+    """Mean of half squared residuals; infinite if one is not finite."""
+    if not np.isfinite(residuals).all():
+        return float("inf")
+    return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
+
+
+def typical(residuals: Array) -> float:
+    """1.4826 times the median absolute residual (the deviation, if they were normal); infinite if one is not finite."""
+    if not np.isfinite(residuals).all():
+        return float("inf")
+    return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0
