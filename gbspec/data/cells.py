@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array, Mask
 from gbspec.data.sheet import SHOWN, Sheet, more
-from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Cell, Findings
 
 MISSING = ("", "na", "n/a", "nan", "null", "none", "-", ".")
@@ -53,7 +53,7 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
     return values
 
 
-def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, NDArray[np.bool_], pl.Series]:
+def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, Mask, pl.Series]:
     """Values, which cells are marked as not measured, and the texts without blanks around them."""
     texts = series.fill_null("").str.strip_chars()
     missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()

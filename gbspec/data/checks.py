@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.data.columns import Quantity
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, more
-from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Cell, Findings
 from gbspec.ir.model import Model, Range
 

@@ -8,11 +8,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array, Mask
 from gbspec.data.cells import coded, labels, numbers
 from gbspec.data.columns import Layout, Quantity, describe
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import SHOWN, Sheet, more
-from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Cell, Findings
 
 Index = NDArray[np.int64]
@@ -185,7 +185,7 @@ def _no_rows(sheet: Sheet, quantity: Quantity, meant: str | None, findings: Find
     )
 
 
-def kept(table: Records, keep: NDArray[np.bool_]) -> Records:
+def kept(table: Records, keep: Mask) -> Records:
     """The records of some keys alone."""
     position = np.cumsum(keep) - 1
     series = {}

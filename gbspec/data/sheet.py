@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from gbspec.arrays import Mask
 from gbspec.data.names import cell_name
 from gbspec.diagnostics import Cell, Findings
 
@@ -192,9 +193,7 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
     return _Records(data[starts[first] : ends[first]], body, rows, widths[filled])
 
 
-def _comments_above(
-    characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _comments_above(characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: Mask) -> Mask:
     """Which lines are comments above the header: those that begin with `#`, up to the first that does not."""
     comment = np.zeros(len(starts), dtype=bool)
     for line in np.flatnonzero(filled):

@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gbspec.data.trajectories import Array, Signal
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Signal
 
 Interpolation = Literal["held", "linear"]
 Side = Literal["left", "right"]

@@ -12,14 +12,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.steady import ordered_eigenvalues
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from gbspec.arrays import Array, ComplexArray
 
 Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
 

@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gbspec.arrays import Array
 
 TOLERANCE = 1e-11
 """Newton stops when its step is below this, in scaled variables."""

@@ -18,15 +18,14 @@ from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps
 from gbspec.analysis.bifurcation.hopf import critical_pair, normal_form
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.system import Box, System
+from gbspec.arrays import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]
 
 

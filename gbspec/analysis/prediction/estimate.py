@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.analysis.prediction.metrics import spread
 from gbspec.analysis.prediction.predict import (
     Prediction,
     Start,
@@ -26,13 +24,14 @@ from gbspec.analysis.prediction.predict import (
     predict,
 )
 from gbspec.analysis.systems.points import spread_points
+from gbspec.arrays import Array
+from gbspec.data.statistics import channel_scales
 from gbspec.data.window import recognised
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
 
-Array = NDArray[np.float64]
 
 PULL = 1e-3
 """Least weight of the pull towards what was known beforehand, whose spread is its unit."""
@@ -72,7 +71,7 @@ def predictions(
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
-    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in trajectories.items]).T])
+    spreads = channel_scales(trajectories)
     estimator = Estimator(evaluator, model, spreads)
     positions = learned_positions(evaluator.instance, trajectories, data or {})
     starts = [

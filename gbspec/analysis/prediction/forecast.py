@@ -12,21 +12,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.metrics import finite, spread
 from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
 from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.systems.system import trained_ranges
+from gbspec.arrays import Array, Mask
+from gbspec.data.statistics import channel_scales
 from gbspec.diagnostics import ComputationError
+from gbspec.files import finite
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
 
-Array = NDArray[np.float64]
 Use = Literal["training", "window", "predicted"]
 """What a row was to the prediction: seen in training, used to estimate the start, or neither."""
 
@@ -53,7 +53,7 @@ class Foretold:
     outside: tuple[tuple[str, ...], ...]
     start: Start
     estimated: tuple[str, ...]
-    in_logarithms: NDArray[np.bool_]
+    in_logarithms: Mask
     failure: str = ""
 
     @property
@@ -170,7 +170,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     """
     from gbspec.backends.casadi.evaluator import Evaluator
 
-    spreads = _spreads(trajectories)
+    spreads = channel_scales(trajectories)
     seers = [_Seer(Evaluator(member), run, trajectories, spreads) for member in run.members]
     ranges = trained_ranges(run.model, run.members[0])
     items = tuple(_foretell(seers, index, window, ranges) for index in range(len(trajectories)))
@@ -195,13 +195,6 @@ def hidden_states(model: Model) -> tuple[int, ...]:
     """The states that no channel is called after."""
     named = {channel.name for channel in model.channels}
     return tuple(i for i, state in enumerate(model.states) if state.name not in named)
-
-
-def _spreads(trajectories: Trajectories) -> Array:
-    """The standard deviation [C] of each channel over the table; 1 where it does not vary or is not measured."""
-    columns = np.concatenate([item.values for item in trajectories.items]).T
-    found = [spread(column[np.isfinite(column)]) for column in columns]
-    return np.array([s if math.isfinite(s) and s > 0 else 1.0 for s in found])
 
 
 def _sizes(trajectories: Trajectories) -> Array:

@@ -6,13 +6,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.system import System, require_autonomous, suggestion
 from gbspec.diagnostics import Findings
-
-Array = NDArray[np.float64]
 
 
 class Family:

@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.compiled import Compiled
+from gbspec.arrays import Array
 from gbspec.data.signals import Interpolation, evaluate
 from gbspec.data.trajectories import Signal
 from gbspec.diagnostics import Findings
@@ -24,7 +24,6 @@ from gbspec.diagnostics import Findings
 if TYPE_CHECKING:
     from gbspec.ir.model import Condition, Input, Model, Range, State
 
-Array = NDArray[np.float64]
 Box = tuple[float, float]
 ANYTHING: Box = (-math.inf, math.inf)
 

@@ -7,14 +7,16 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.prediction.metrics import ChannelErrors, channel_errors, finite, spread
 from gbspec.analysis.prediction.predict import Prediction, mean_prediction
+from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
+from gbspec.arrays import Array
+from gbspec.data.statistics import channel_scales
 from gbspec.diagnostics import ComputationError, UserError
+from gbspec.files import finite
 
 if TYPE_CHECKING:
     from gbspec.data.cases import Case, MetricsOptions
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _on_data(
     channels = {
         channel.name: channel_errors(measured[:, j], predicted[:, j]) for j, channel in enumerate(model.channels)
     }
-    spreads = np.array([spread(column) for column in measured.T])
+    spreads = channel_scales(trajectories)
     errors = []
     for item, one in zip(trajectories.items, predictions, strict=True):
         relative = ((one.channels - item.values) / spreads)[np.isfinite(item.values)]

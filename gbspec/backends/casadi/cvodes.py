@@ -9,12 +9,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
 from gbspec.diagnostics import ComputationError
-
-Array = NDArray[np.float64]
 
 LOCAL = 1e-2
 """CVODES' tolerances, which bound the error of a step, in units of those asked for the whole trajectory; measured on

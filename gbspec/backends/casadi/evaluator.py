@@ -8,14 +8,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gbspec.arrays import Array
 from gbspec.backends.casadi import rk4
 from gbspec.backends.casadi.cvodes import Integrator, Problem
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
-
-Array = NDArray[np.float64]
-
 
 MAPS = 64
 """Functions over a number of points that an evaluator keeps for the next call with as many."""

@@ -10,10 +10,11 @@ from math import comb
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.ir.model import Expr
 from gbspec.passes.identifiability.jets import Base, Jet, OutOfTime, System, size
 from gbspec.passes.identifiability.problem import Problem
-from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
+from gbspec.passes.identifiability.series import Algebra, Evaluation
 
 SMALL = 1e-8
 """Singular values below this part of the largest count as zero."""

@@ -18,12 +18,12 @@ from itertools import combinations_with_replacement
 from math import comb
 
 import numpy as np
-import numpy.typing as npt
 import sympy
 
+from gbspec.arrays import Array, Mask
 from gbspec.ir.model import Expr
 from gbspec.passes.identifiability.problem import Application, Problem
-from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
+from gbspec.passes.identifiability.series import Algebra, Evaluation
 
 
 def monomials(variables: int, order: int) -> list[tuple[int, ...]]:
@@ -44,7 +44,7 @@ class Germ:
     exponents: list[tuple[int, ...]]
     coefficients: Array
     column: int
-    free: npt.NDArray[np.bool_]
+    free: Mask
     """Which coefficients can be anything: not those that a contract makes 0."""
 
 

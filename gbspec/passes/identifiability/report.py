@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir.model import Model
 from gbspec.passes.identifiability.directions import Directions, absorbers, find
 from gbspec.passes.identifiability.problem import Problem, pose
-from gbspec.passes.identifiability.series import Array
 from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries
 from gbspec.passes.terms import larger_than
 

@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.passes.identifiability.directions import Directions, at_order
 from gbspec.passes.identifiability.jets import Base, Germ, System
 from gbspec.passes.identifiability.problem import Problem
-from gbspec.passes.identifiability.series import Array
 
 Kind = Literal["scaling", "translation"]
 Key = tuple[str, str, int]

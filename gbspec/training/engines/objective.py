@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 import torch
 
+from gbspec.arrays import Array
 from gbspec.backends.native.source import Precision
-from gbspec.data.trajectories import Array
 from gbspec.training.engines.native.kernel import half_squares as by_kernel
 from gbspec.training.engines.native.kernel import kernel_of
 from gbspec.training.engines.torch.unroll import measured_residuals, unroll

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.objective import half_squares
 from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.engines.torch.unroll import solve

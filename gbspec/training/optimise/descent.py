@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.objective import half_squares, loss_and_gradient
 from gbspec.training.engines.torch.unroll import solve
 from gbspec.training.optimise.adam_update import Moments, one_cycle

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Linearised
 from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.engines.torch.unroll import solve

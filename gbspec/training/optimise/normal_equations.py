@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Linearised
 from gbspec.training.optimise.nystrom import LEAST, Blocks, Sketch, TooSlowError
 from gbspec.training.problem.parameters import Parameters

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.model import Prior
 from gbspec.training.engines.linearised import Linearised
 from gbspec.training.engines.torch.unroll import solve

@@ -18,8 +18,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Dose, Expr, Model
 from gbspec.ir.tableaus import RK4
 

@@ -24,15 +24,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array, Mask
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.problem.packing import Packed
 
 if TYPE_CHECKING:
     from gbspec.training.engines.native.kernel import Kernel, Tables
     from gbspec.training.engines.torch.segments import Schedule
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

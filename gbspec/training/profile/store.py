@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.runs import files
 from gbspec.runs.store import Run
 from gbspec.training.optimise.anchored import Rest

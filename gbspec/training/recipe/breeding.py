@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.training.engines.torch.unroll import solve, unroll
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.engines.device import device_of
 from gbspec.training.engines.native.kernel import TORCH, Choice, choose

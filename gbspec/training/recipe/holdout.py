@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
 from gbspec.training.engines.device import device_of
 from gbspec.training.engines.torch.unroll import solve
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Mask, Problem, scaling_of, teacher_forcing
+from gbspec.training.problem.problem import Problem, scaling_of, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.recipe.stages import mean_loss
 from gbspec.training.starts.initial_states import refit_starts

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.engines.torch.unroll import solve
 from gbspec.training.optimise.descent import Adam, LimitedMemory

@@ -10,11 +10,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data.window import PREFIX, features
 from gbspec.training.engines.torch.unroll import unroll
 from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.problem import Mask
 from gbspec.training.recipe.context import Context
 
 ROWS, WIDTH, STEPS, RATE = 6, 16, 600, 1e-2

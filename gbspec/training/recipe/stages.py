@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.torch.unroll import explain_failure, solve
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Forcing, Problem

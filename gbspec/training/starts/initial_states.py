@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.engines.torch.unroll import solve, unroll
 from gbspec.training.optimise.normal_equations import huber_each

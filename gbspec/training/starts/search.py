@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.torch.unroll import explain_failure, solve
 from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.problem.packing import NODES, Integers, Packed
 

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Batch, Linearised, Observed
 from gbspec.training.engines.torch.doses import SubStep, advance, arrivals
 from gbspec.training.engines.torch.unroll import Unrolled, measured_residuals, observe_rows, residuals_of, unroll

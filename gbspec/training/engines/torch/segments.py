@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.torch.doses import SubStep, arrivals
 from gbspec.training.problem.packing import Integers, Packed
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, NotAffineError, affine
