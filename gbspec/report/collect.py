@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.initial_states import InitialStates
-from gbspec.analysis.prediction.initial_states import initial_states as compare_starts
 from gbspec.analysis.prediction.predict import Start, input_values, learned_positions, learned_start, predict
+from gbspec.analysis.prediction.start_comparison import InitialStates
+from gbspec.analysis.prediction.start_comparison import initial_states as compare_starts
 from gbspec.analysis.systems.system import system_of
 from gbspec.arrays import Array
 from gbspec.backends.casadi.evaluator import Evaluator

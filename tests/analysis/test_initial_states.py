@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gbspec import driver
-from gbspec.analysis.prediction.initial_states import InitialStates, _modes, initial_states
+from gbspec.analysis.prediction.start_comparison import InitialStates, _modes, initial_states
 from gbspec.analysis.simulation.simulate import simulate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.data.sampling import SimulateOptions

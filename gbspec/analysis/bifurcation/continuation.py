@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps
+from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced, row_sizes
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.steady import ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
@@ -99,12 +99,13 @@ class SteadyCurve:
         self._far = box_low - 10.0 * width, box_high + 10.0 * width
 
     def _evaluate(self, y: Array) -> tuple[Array, Array]:
+        return balanced(*self._raw(y))
+
+    def _raw(self, y: Array) -> tuple[Array, Array]:
+        """F and DF without the balancing of rows."""
         n = self.family.size
         f, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
-        derivative = np.column_stack([jacobian.reshape(n, n), slope]) * self.scale
-        # Rows are balanced, so that one fast state does not decide what Newton calls small.
-        rows = np.maximum(np.abs(derivative).max(axis=1), 1e-300)
-        return f / rows, derivative / rows[:, None]
+        return f, np.column_stack([jacobian.reshape(n, n), slope]) * self.scale
 
     def unscaled(self, y: Array) -> tuple[Array, float]:
         """State [n] and parameter of a scaled point."""
@@ -235,10 +236,10 @@ class SteadyCurve:
         step = 1e-5
 
         def second(direction: Array) -> Array:
-            ahead, behind = (self._raw(at.y + sign * step * direction) for sign in (1.0, -1.0))
+            ahead, behind = (self._raw(at.y + sign * step * direction)[1] for sign in (1.0, -1.0))
             return np.asarray((ahead - behind) / (2.0 * step))
 
-        psi = psi / np.maximum(np.abs(self._raw(at.y)).max(axis=1), 1e-300)
+        psi = psi / row_sizes(self._raw(at.y)[1])
         form = np.array([[psi @ second(u) @ v for v in null] for u in null])
         a, b, c = form[0, 0], (form[0, 1] + form[1, 0]) / 2.0, form[1, 1]
         discriminant = b * b - a * c
@@ -253,12 +254,6 @@ class SteadyCurve:
         tangents = [r * null[0] + s * null[1] for r, s in ratios]
         tangents = [tangent / np.linalg.norm(tangent) for tangent in tangents]
         return [tangent for tangent in tangents if abs(tangent @ at.tangent) < 0.999]
-
-    def _raw(self, y: Array) -> Array:
-        """DF without the balancing of rows."""
-        n = self.family.size
-        _, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
-        return np.asarray(np.column_stack([jacobian.reshape(n, n), slope]) * self.scale)
 
     def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
         """A point on the branch that leaves a branch point along `tangent`."""

@@ -33,6 +33,17 @@ class Steps:
     """Smallest cosine between the tangents of neighbouring points."""
 
 
+def row_sizes(derivative: Array) -> Array:
+    """The largest entry [m] of each row of DF [m, m+1], to divide by."""
+    return np.asarray(np.maximum(np.abs(derivative).max(axis=1), 1e-300))
+
+
+def balanced(f: Array, derivative: Array) -> tuple[Array, Array]:
+    """F [m] and DF [m, m+1] with rows of the same size: one fast state must not decide what Newton calls small."""
+    sizes = row_sizes(derivative)
+    return f / sizes, derivative / sizes[:, None]
+
+
 class Curve:
     """The zero set of F, given as y -> (F [m], DF [m, m+1]) in variables scaled to be of the order of one."""
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gbspec.arrays import Array
 from gbspec.backends.casadi import rk4
-from gbspec.backends.casadi.cvodes import Integrator, Problem
+from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
 
 MAPS = 64
@@ -163,7 +163,7 @@ class Evaluator:
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
         nominal = self._scales(x0) if scales is None else np.asarray(scales, dtype=np.float64)
-        problem = Problem(
+        problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
         )
         return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)

@@ -27,9 +27,9 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs.store import Run
 from gbspec.training.engines.torch.unroll import solve
-from gbspec.training.optimise.anchored import Anchor, Penalised, Rest, minimise
 from gbspec.training.optimise.levenberg_marquardt import evidence, noise_variance
 from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.optimise.preconditioned_lbfgs import Anchor, Penalised, Rest, minimise
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import typical

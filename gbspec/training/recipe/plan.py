@@ -10,7 +10,8 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.engines.torch.unroll import solve
-from gbspec.training.optimise.descent import Adam, LimitedMemory
+from gbspec.training.optimise.adam import Adam
+from gbspec.training.optimise.lbfgs_stage import LimitedMemory
 from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem, typical

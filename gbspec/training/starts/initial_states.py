@@ -14,7 +14,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.engines.torch.unroll import solve, unroll
-from gbspec.training.optimise.normal_equations import huber_each
+from gbspec.training.optimise.normal_equations import huber_each, huber_weights
 from gbspec.training.optimise.priors import LEAST_NOISE, Priors
 from gbspec.training.problem.packing import Integers, Packed
 from gbspec.training.problem.parameters import Parameters
@@ -153,8 +153,7 @@ def _polish(problem: Problem, parameters: Parameters, theta: Array, losses: Arra
             break
         system = Priors.of(problem, parameters, np.zeros(0)).with_rows(system, theta)
         residuals = system.residuals.numpy()
-        size = np.abs(residuals)
-        weight = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, 1e-300))
+        weight = huber_weights(residuals, HUBER)
         local, owner = system.local.numpy(), system.owner.numpy()
         hessian, gradient = np.zeros((n, width, width)), np.zeros((n, width))
         np.add.at(hessian, owner, local[:, :, None] * (weight[:, None] * local)[:, None, :])

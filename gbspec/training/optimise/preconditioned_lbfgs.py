@@ -15,13 +15,12 @@ from gbspec.arrays import Array
 from gbspec.training.engines.objective import half_squares
 from gbspec.training.engines.torch.jacobian import linearise
 from gbspec.training.engines.torch.unroll import solve
+from gbspec.training.optimise.lbfgs import MEMORY, Pair, inverse_times
 from gbspec.training.optimise.normal_equations import NormalEquations
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 
-MEMORY = 20
-"""Pairs of steps and gradient changes that are kept."""
 SUFFICIENT = 1e-4
 """The part of the promised decrease that a step must bring (Armijo)."""
 HALVINGS = 8
@@ -111,11 +110,11 @@ def minimise(target: Penalised, anchor: Anchor, theta: Array, enough: float, mos
 
     It also ends where no step along the direction brings a decrease: the anchor is then too far away.
     """
-    pairs: list[tuple[Array, Array]] = []
+    pairs: list[Pair] = []
     value, slope = target.gradient(theta)
     promised = float("inf")
     for step in range(most):
-        direction = -_two_loops(slope, pairs, anchor)
+        direction = -inverse_times(slope, pairs, anchor.solve)
         promised = -0.5 * float(slope @ direction)
         if promised <= enough:
             return Rest(theta, value, promised, step)
@@ -142,16 +141,3 @@ def _search(
             return trial, new, slope
         length *= 0.4
     return None
-
-
-def _two_loops(slope: Array, pairs: list[tuple[Array, Array]], anchor: Anchor) -> Array:
-    """The inverse Hessian as the pairs and the anchor know it, times the gradient."""
-    rest, parts = slope.copy(), []
-    for moved, changed in reversed(pairs):
-        part = float(moved @ rest) / float(moved @ changed)
-        rest -= part * changed
-        parts.append(part)
-    found = anchor.solve(rest)
-    for (moved, changed), part in zip(pairs, reversed(parts), strict=True):
-        found += (part - float(changed @ found) / float(moved @ changed)) * moved
-    return found
