@@ -43,6 +43,7 @@ def test_the_robust_spread_of_normal_values_is_their_deviation() -> None:
 def test_the_scale_falls_back_to_the_size_of_the_values() -> None:
     assert measured_scale(np.array([np.nan, 3.0, 3.0])) == 3.0
     assert measured_scale(np.zeros(3)) == 1.0
+    assert measured_scale(np.full(2, np.nan)) == 1.0
     assert measured_scale(np.array([1.0, 3.0])) == 1.0
 
 

@@ -229,7 +229,8 @@ class SteadyCurve:
         """Unit tangents of the branches through a branch point other than the one it was found on.
 
         They solve the algebraic branching equation a r^2 + 2 b r s + c s^2 = 0 on the two-dimensional null space of
-        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF.
+        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF. These are left
+        undivided by the step: the ratio r : s does not change when a, b and c have a factor in common.
         """
         left, _, right = np.linalg.svd(at.derivative)
         psi, null = left[:, -1], right[-2:]
@@ -237,7 +238,7 @@ class SteadyCurve:
 
         def second(direction: Array) -> Array:
             ahead, behind = (self._raw(at.y + sign * step * direction)[1] for sign in (1.0, -1.0))
-            return np.asarray((ahead - behind) / (2.0 * step))
+            return np.asarray(ahead - behind)
 
         psi = psi / row_sizes(self._raw(at.y)[1])
         form = np.array([[psi @ second(u) @ v for v in null] for u in null])
