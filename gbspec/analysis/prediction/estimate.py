@@ -153,11 +153,12 @@ class Estimator:
             return np.concatenate([error, self.pull * z])
 
         trials = self._trials(len(scale))
-        costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
-        best = trials[int(np.argmin(costs))]
-        if min(costs) >= float(np.sum(worst**2)):
-            return Start(state, constants, "failed", "no start was found from which it can be integrated")
-        solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
+        with np.errstate(over="ignore"):  # squares of a solution that runs away: its cost is infinite
+            costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
+            best = trials[int(np.argmin(costs))]
+            if min(costs) >= float(np.sum(worst**2)):
+                return Start(state, constants, "failed", "no start was found from which it can be integrated")
+            solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
         return moved(np.asarray(solution.x, dtype=float))
 
     @staticmethod

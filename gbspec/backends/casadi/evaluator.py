@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -79,19 +78,6 @@ class Evaluator:
     ) -> Array:
         """d(dx/dt)/dx [n_states, n_states] at one point."""
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
-
-    def jacobian_many(
-        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
-    ) -> Array:
-        """Jacobians [N, n_states, n_states]; arguments as for `rhs_many`."""
-        points = self._points(t, x, condition, inputs, constants)
-        flat = self._many("jacobian", self._flat_jacobian, points)
-        return flat.reshape(len(flat), self.n_states, self.n_states).swapaxes(1, 2)
-
-    @cached_property
-    def _flat_jacobian(self) -> Any:
-        arguments = self.jacobian.mx_in()
-        return ca.Function("jacobian", arguments, [ca.vec(self.jacobian(*arguments))])
 
     def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: Any = None) -> Array:
         """The start x0 [n_states] with every state in its place whose start the model expresses."""

@@ -45,7 +45,8 @@ def huber(residuals: Array, delta: float) -> float:
     if not np.isfinite(residuals).all():
         return float("inf")
     if np.isinf(delta):
-        return 0.5 * float(residuals @ residuals)
+        with np.errstate(over="ignore"):  # the residuals of a solution that runs away: their sum is infinite
+            return 0.5 * float(residuals @ residuals)
     return float(huber_each(residuals, delta).sum())
 
 

@@ -58,7 +58,8 @@ class Penalised:
     def value(self, theta: Array) -> float:
         """Phi at a vector [size]; infinite where the solution blows up."""
         residuals = solve(self.problem, self.parameters, theta)
-        found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
+        with np.errstate(over="ignore"):
+            found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
         return found if np.isfinite(found) else float("inf")
 
     def gradient(self, theta: Array) -> tuple[float, Array]:

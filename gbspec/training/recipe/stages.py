@@ -55,7 +55,8 @@ def mean_loss(residuals: Array) -> float:
     """Mean of half squared residuals; infinite if one is not finite."""
     if not np.isfinite(residuals).all():
         return float("inf")
-    return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
+    with np.errstate(over="ignore"):  # a mean that overflows is infinite too
+        return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
 
 
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:
