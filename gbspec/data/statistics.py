@@ -18,7 +18,8 @@ FLAT = 1e-9
 
 @dataclass(frozen=True)
 class ChannelStatistics:
-    """Of all measured values of one channel: how many, mean, standard deviation, extremes, median and robust spread.
+    """Of all measured values of one channel: how many, mean, standard deviation, extremes, median and robust
+    standard deviation.
 
     `spread` is 1.4826 times the median absolute deviation: the standard deviation where values are normal, and little
     moved by outliers. NaN where nothing was measured.

@@ -103,9 +103,9 @@ def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array]:
         sd[cells.key, c] = cells.sd
         if several.any():
             mean = np.bincount(cells.key, weights=cells.value, minlength=size)
-            spread = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
+            variance = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
             values[several, c] = mean[several] / counts[several, c]
-            sd[several, c] = np.sqrt(spread[several]) / counts[several, c]
+            sd[several, c] = np.sqrt(variance[several]) / counts[several, c]
     return values, counts, sd
 
 

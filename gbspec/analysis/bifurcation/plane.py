@@ -94,17 +94,9 @@ class PlaneFamily:
         """MX symbols x, (a, b) and f."""
         import casadi
 
-        system = self.system
-        x, p = casadi.MX.sym("x", self.size), casadi.MX.sym("p", 2)
-
-        def column(names: tuple[str, ...]) -> Any:
-            values = [
-                p[self.names.index(name)] if name in self.names else casadi.MX(system.values[name]) for name in names
-            ]
-            return casadi.vertcat(*values) if values else casadi.MX(0, 1)
-
-        arguments = (column(system.conditions), column(system.inputs), column(system.constants))
-        return x, p, system.rhs(casadi.MX(system.time), x, *arguments)
+        p = casadi.MX.sym("p", 2)
+        x, f = self.system.symbolic_rhs({name: p[i] for i, name in enumerate(self.names)})
+        return x, p, f
 
     def fold(self) -> Compiled:
         """(x, v, a, b) -> the extended system of folds [2n + 1] and its Jacobian."""

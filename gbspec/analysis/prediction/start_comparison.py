@@ -126,10 +126,9 @@ def initial_states(
     """
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
-    spreads = channel_scales(data)
-    spreads = np.where((spreads > 0) & np.isfinite(spreads), spreads, 1.0)
-    breeder = Estimator(evaluator, model, spreads)
-    judge = None if truth is None else Estimator(truth, model, spreads)
+    scales = channel_scales(data)
+    breeder = Estimator(evaluator, model, scales)
+    judge = None if truth is None else Estimator(truth, model, scales)
     found = []
     for index in chosen:
         item, position = data.items[index], positions[index]

@@ -207,7 +207,7 @@ def plan_like(
 
 
 def random_signal(interpolation: str, ends: Array, start: float, end: float, random: np.random.Generator) -> Signal:
-    """An input that takes values drawn evenly from its range, for gamma-distributed stretches of a fifth of the span.
+    """An input that takes values drawn evenly from its range, for gamma-distributed times of a fifth of the span.
 
     A held input steps from one to the next, a linear one runs through them.
     """

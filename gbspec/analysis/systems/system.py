@@ -111,6 +111,19 @@ class System:
         low, high = self.start_box
         return np.where(high > low, high - low, 1.0)
 
+    def symbolic_rhs(self, varied: Mapping[str, Any]) -> tuple[Any, Any]:
+        """MX symbols x and f(x), with `varied` in the places of some parameters and numbers in those of all others."""
+        import casadi
+
+        x = casadi.MX.sym("x", self.size)
+
+        def column(names: tuple[str, ...]) -> Any:
+            values = [varied[name] if name in varied else casadi.MX(self.values[name]) for name in names]
+            return casadi.vertcat(*values) if values else casadi.MX(0, 1)
+
+        arguments = (column(self.conditions), column(self.inputs), column(self.constants))
+        return x, self.rhs(casadi.MX(self.time), x, *arguments)
+
     @property
     def missing(self) -> tuple[str, ...]:
         """Conditions, inputs and constants that have no number yet."""

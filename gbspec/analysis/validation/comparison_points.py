@@ -158,8 +158,8 @@ class Sampler:
 
     def _attractor(self, horizon: float) -> tuple[Array, Array, Array, tuple[tuple[Signal, ...], ...]]:
         options = self.options
-        stretch = options.period if options.period is not None else horizon
-        spacing = options.spacing if options.spacing is not None else stretch / options.points
+        length = options.period if options.period is not None else horizon
+        spacing = options.spacing if options.spacing is not None else length / options.points
         starts, conditions = [], []
         for i, condition in enumerate(self._conditions()):
             random = np.random.default_rng([options.seed, i, 3])

@@ -1,6 +1,6 @@
 """Does the learned right-hand side hold without the step that it was trained with?
 
-A model trained through a Runge-Kutta step can come to lean on the step's own error (paper: case B). The same starts
+A model trained through a Runge-Kutta step can come to depend on the step's own error (paper: case B). The same starts
 are solved with the training's step, with half of it, and adaptively; the differences say whether it does.
 """
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from gbspec.runs.store import Run
 
 
-LEANS = 0.01
-"""A difference above this part of the states' range means that the right-hand side leans on its step."""
+DEPENDS = 0.01
+"""A difference above this part of the states' range means that the right-hand side depends on its step."""
 CONVERGED = 1e-4
 """Where half the step changes less than this, it is not the step that the adaptive solution differs by."""
 LOOKED_AT = 24
@@ -61,17 +61,17 @@ class StepCheck:
 
     @property
     def warning(self) -> str | None:
-        """What to say where the right-hand side leans on its step."""
+        """What to say where the right-hand side depends on its step."""
         if self.unsolved:
             return (
-                f"the learned right-hand side leans on its training step of {self.step:.6g}: {self.unsolved} of "
+                f"the learned right-hand side depends on its training step of {self.step:.6g}: {self.unsolved} of "
                 f"{self.unsolved + self.trajectories} trajectories that were looked at can be followed with that step "
                 "alone, not by an adaptive solver. Train with a smaller `--max-step`"
             )
         if self.half_step is None or self.adaptive is None or self.half_step <= CONVERGED:
             return None
         worst = max(self.half_step, self.adaptive)
-        if worst <= LEANS:
+        if worst <= DEPENDS:
             return None
         if not math.isfinite(worst):
             return (
@@ -79,8 +79,8 @@ class StepCheck:
                 "follow: train with a smaller `--max-step`"
             )
         return (
-            f"the learned right-hand side leans on its training step of {self.step:.6g}: solutions with half the step "
-            f"or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a smaller "
+            f"the learned right-hand side depends on its training step of {self.step:.6g}: solutions with half the "
+            f"step or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a smaller "
             "`--max-step` before reading eigenvalues or bifurcations off it"
         )
 

@@ -64,8 +64,8 @@ def find(question: Question, deadline: float) -> Directions | None:
 
 def at_order(question: Question, order: int, deadline: float = math.inf) -> Directions | None:
     """The directions that remain at one order; None where an expression has no value or time runs out."""
-    still = not question.hidden and all(start is None for start in question.starts)
-    algebra = Algebra(order, 0 if still else order)
+    instantaneous = not question.hidden and all(start is None for start in question.starts)
+    algebra = Algebra(order, 0 if instantaneous else order)
     rng = np.random.default_rng(SEED + order)
     bases = _bases(question, rng)
     systems: list[LinearSystem] = []
