@@ -80,8 +80,8 @@ class StepCheck:
             )
         return (
             f"the learned right-hand side depends on its training step of {self.step:.6g}: solutions with half the "
-            f"step or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a smaller "
-            "`--max-step` before reading eigenvalues or bifurcations off it"
+            f"step or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a "
+            "smaller `--max-step` before reading eigenvalues or bifurcations off it"
         )
 
 
