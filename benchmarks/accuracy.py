@@ -31,7 +31,7 @@ import gbspec
 from benchmarks.harness import markdown, parser, pinned, processor_seconds, say, write
 from benchmarks.variants import prepare_jax
 from benchmarks.workload import MAX_STEP, REGION, Array, Size, Workload, of_data
-from gbspec.analysis.prediction.metrics import norms
+from gbspec.analysis.validation.metrics import norms
 from gbspec.data.trajectories import Trajectories
 from gbspec.training.problem.forcing import measured_states
 from gbspec.training.problem.packing import pack

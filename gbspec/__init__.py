@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from gbspec.version import __version__
+
 if TYPE_CHECKING:
     from gbspec.api import (
         FittedRun,
@@ -21,8 +23,6 @@ if TYPE_CHECKING:
         train,
         validate,
     )
-
-__version__ = "0.1.0"
 
 __all__ = [
     "FittedRun",

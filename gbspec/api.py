@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.eigen import Eigen
     from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
     from gbspec.analysis.prediction.forecast import Forecast
-    from gbspec.analysis.prediction.initial_states import InitialStates
+    from gbspec.analysis.prediction.start_comparison import InitialStates
     from gbspec.analysis.validation.validate import Validation
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run

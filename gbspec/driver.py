@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.eigen import Eigen
     from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
     from gbspec.analysis.prediction.forecast import Forecast
-    from gbspec.analysis.prediction.initial_states import InitialStates
     from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.analysis.prediction.start_comparison import InitialStates
     from gbspec.analysis.systems.system import Box, System
     from gbspec.analysis.validation.validate import Validation
     from gbspec.backends.casadi.evaluator import Evaluator
@@ -255,7 +255,7 @@ def eigen(
 
 def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] | None = None) -> InitialStates:
     """Learned, bred and true initial states of a run's trajectories beside each other."""
-    from gbspec.analysis.prediction.initial_states import initial_states as run
+    from gbspec.analysis.prediction.start_comparison import initial_states as run
 
     true = truth_of(source)
     known = {} if source.run is None else source.run.fit.get("data", {})

@@ -1,7 +1,8 @@
-"""Reading and writing of text files, with the user's mistakes as diagnostics."""
+"""Reading and writing of text files and the numbers in them, with the user's mistakes as diagnostics."""
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from pathlib import Path
@@ -73,3 +74,8 @@ def _nearby(path: Path) -> str:
     if close:
         return f"did you mean `{path.parent / close[0]}`?"
     return f"paths are relative to {Path.cwd()}"
+
+
+def finite(value: float) -> float | None:
+    """A number for JSON: `null` where it is not finite, since JSON has no NaN."""
+    return float(value) if math.isfinite(value) else None

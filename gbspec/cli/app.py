@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gbspec import __version__
+from gbspec.version import __version__
 
 COMMANDS = {
     "new": "gbspec.cli.commands.new",

@@ -30,7 +30,7 @@ class MetricsOptions:
     """At which points a model is compared with its truth.
 
     Solutions: from `conditions` sets of conditions (evenly over their ranges) times `points` points on the attractor,
-    `spacing` apart in time (None: evenly over `period`, or over a stretch of `horizon` where there is none) after
+    `spacing` apart in time (None: evenly over `period`, or over `horizon` where there is none) after
     `settle`, integrated over `horizon`. Right-hand sides and functions: `rhs_points` trajectories drawn as in
     `[sampling]`, one point of each at a time drawn evenly from `window`. `scales` normalises variables whose truth does
     not vary. None means: from the sampling (`settled` below).

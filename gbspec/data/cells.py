@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from gbspec.data.sheet import SHOWN, Sheet, more
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
+from gbspec.data.sheet import Sheet, shown
 from gbspec.diagnostics import Cell, Findings
 
 MISSING = ("", "na", "n/a", "nan", "null", "none", "-", ".")
@@ -40,20 +40,20 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
     bad = np.flatnonzero(np.isnan(values) & ~missing)
     infinite = np.flatnonzero(np.isinf(values))
     _report_text(sheet, name, bad, texts, findings)
-    for position, i in enumerate(infinite[:SHOWN]):
+    for i, notes in shown(infinite, "cells"):
         row = int(sheet.rows[i])
         findings.error(
             "GB713",
             f"`{name}` is infinite in row {row}",
             Cell(sheet.path, row, name),
             help="leave the cell empty where nothing was measured",
-            notes=more(len(infinite), position, "cells"),
+            notes=notes,
         )
     values[infinite] = np.nan
     return values
 
 
-def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, NDArray[np.bool_], pl.Series]:
+def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, Mask, pl.Series]:
     """Values, which cells are marked as not measured, and the texts without blanks around them."""
     texts = series.fill_null("").str.strip_chars()
     missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()
@@ -64,16 +64,16 @@ def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, NDArray[n
 
 def _report_text(sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Series | None, findings: Findings) -> None:
     """Reports cells that are no numbers, with a guess at what was meant."""
-    for position, i in enumerate(bad[:SHOWN]):
-        text = "" if texts is None else str(texts[int(i)])
+    for i, notes in shown(bad, "cells"):
+        text = "" if texts is None else str(texts[i])
         row = int(sheet.rows[i])
-        shown = text if len(text) <= 40 else text[:37] + "…"
+        short = text if len(text) <= 40 else text[:37] + "…"
         findings.error(
             "GB712",
-            f"`{shown}` in row {row} of column `{name}` is not a number",
+            f"`{short}` in row {row} of column `{name}` is not a number",
             Cell(sheet.path, row, name),
             help=_meant(text),
-            notes=more(len(bad), position, "cells"),
+            notes=notes,
         )
 
 
@@ -108,14 +108,14 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
         series = frame.select(pl.when("whole").then("whole_text").otherwise("text")).to_series()
     texts = series.cast(pl.String).fill_null("").str.strip_chars()
     empty = np.flatnonzero((texts == "").to_numpy())
-    for position, i in enumerate(empty[:SHOWN]):
+    for i, notes in shown(empty, "rows"):
         row = int(sheet.rows[i])
         findings.error(
             "GB718",
             f"row {row} does not say to which trajectory it belongs",
             Cell(sheet.path, row, name),
             help=f"fill `{name}` in every row, or leave the column out if there is one trajectory",
-            notes=more(len(empty), position, "rows"),
+            notes=notes,
         )
     return coded(texts)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.data.columns import Quantity
 from gbspec.data.records import Records, Series
-from gbspec.data.sheet import SHOWN, more
-from gbspec.data.trajectories import Array
+from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
 from gbspec.ir.model import Model, Range
 
@@ -46,14 +46,14 @@ def first_times(table: Records) -> Array:
 
 def _after_start(table: Records, start: float, findings: Findings) -> None:
     early = np.flatnonzero(table.time < start)
-    for position, i in enumerate(early[:SHOWN]):
+    for i, notes in shown(early, "rows"):
         row = int(table.row[i])
         findings.error(
             "GB717",
             f"row {row} lies before the start: time {table.time[i]:g}, and the model starts at {start:g}",
             Cell(table.path, row, table.time_column),
             help="change `from` in the model's `time` statement, or remove the row",
-            notes=more(len(early), position, "rows"),
+            notes=notes,
         )
 
 
@@ -83,33 +83,33 @@ def _interval(bounds: Range) -> str:
 
 def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
     bad = np.flatnonzero(cells.value <= 0)
-    for position, i in enumerate(bad[:SHOWN]):
+    for i, notes in shown(bad, "cells"):
         row = int(cells.row[i])
         findings.error(
             "GB724",
             f"`{quantity.column}` is {cells.value[i]:g} in row {row}, and lognormal noise needs values above zero",
             Cell(table.path, row, quantity.column),
             help="leave the cell empty if it means `not detected`, or choose `noise normal(…)`",
-            notes=more(len(bad), position, "cells"),
+            notes=notes,
         )
 
 
 def _deviations(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
     bad = np.flatnonzero(cells.sd <= 0)
-    for position, i in enumerate(bad[:SHOWN]):
+    for i, notes in shown(bad, "cells"):
         row = int(cells.row[i])
         findings.error(
             "GB723",
             f"the standard deviation of `{quantity.name}` is {cells.sd[i]:g} in row {row}",
             Cell(table.path, row, f"sd_{quantity.column}"),
             help="give a number above zero, or leave the cell empty where it is not known",
-            notes=more(len(bad), position, "cells"),
+            notes=notes,
         )
 
 
 def _one_at_a_time(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
     twice = np.flatnonzero((cells.key[1:] == cells.key[:-1]) & (cells.value[1:] != cells.value[:-1]))
-    for position, i in enumerate(twice[:SHOWN]):
+    for i, notes in shown(twice, "times"):
         row = int(cells.row[i + 1])
         findings.error(
             "GB722",
@@ -117,7 +117,7 @@ def _one_at_a_time(table: Records, quantity: Quantity, cells: Series, findings: 
             f"{cells.value[i]:g} in row {cells.row[i]} and {cells.value[i + 1]:g} in row {row}",
             Cell(table.path, row, quantity.column),
             help="an input has one value at a time; a jump is the value from then on",
-            notes=more(len(twice), position, "times"),
+            notes=notes,
         )
 
 
@@ -132,7 +132,7 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
         expected[filled] = cells.value[first]
         changed = np.flatnonzero(cells.value != expected[group])
         _, once = np.unique(group[changed], return_index=True)
-        for position, i in enumerate(changed[once][:SHOWN]):
+        for i, notes in shown(changed[once], "trajectories"):
             row, label = int(cells.row[i]), table.labels[group[i]]
             findings.error(
                 "GB719",
@@ -140,19 +140,19 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
                 f"from {expected[group[i]]:g} to {cells.value[i]:g} in row {row}",
                 Cell(table.path, row, quantity.column),
                 help=f"begin a new trajectory there, or declare `input {quantity.name} held` if it does vary in time",
-                notes=more(len(once), position, "trajectories"),
+                notes=notes,
             )
     if default is not None or (cells is None and quantity.required):
         return  # a column that is missing altogether has been reported
     empty = np.setdiff1d(np.unique(table.group), filled)
-    for position, g in enumerate(empty[:SHOWN]):
+    for g, notes in shown(empty, "trajectories"):
         row = int(table.row[np.searchsorted(table.group, g)])
         findings.error(
             "GB720",
             f"trajectory `{table.labels[g]}` gives no value of the condition `{quantity.name}`",
             Cell(table.path, row, quantity.column),
             help="fill it in one row of the trajectory, or give the condition a default in the model",
-            notes=more(len(empty), position, "trajectories"),
+            notes=notes,
         )
 
 
@@ -162,7 +162,7 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
     first = np.full(len(table.labels), np.inf)
     np.minimum.at(first, table.group[cells.key], table.time[cells.key])
     late = [int(g) for g in np.unique(table.group) if first[g] > start[g]]
-    for position, g in enumerate(late[:SHOWN]):
+    for g, notes in shown(late, "trajectories"):
         at = int(np.searchsorted(table.group, g))
         row = int(table.row[at])
         known = "it has none at all" if np.isinf(first[g]) else f"its first is at time {first[g]:g}"
@@ -174,7 +174,7 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
             help="fill it in the first row"
             if table.time[at] <= start[g]
             else f"add a row at time {start[g]:g} with its value; the other cells may be empty",
-            notes=more(len(late), position, "trajectories"),
+            notes=notes,
         )
 
 

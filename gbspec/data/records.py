@@ -8,11 +8,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array, Mask
 from gbspec.data.cells import coded, labels, numbers
 from gbspec.data.columns import Layout, Quantity, describe
 from gbspec.data.names import cell_name, similar
-from gbspec.data.sheet import SHOWN, Sheet, more
-from gbspec.data.trajectories import Array
+from gbspec.data.sheet import SHOWN, Sheet, shown
 from gbspec.diagnostics import Cell, Findings
 
 Index = NDArray[np.int64]
@@ -64,14 +64,14 @@ def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> 
     if len(told) >= SHOWN:
         return  # not all of the wrong cells were shown, so that they cannot be told from empty ones
     bad = np.flatnonzero(np.isnan(time) & ~np.isin(sheet.rows, told))
-    for position, i in enumerate(bad[:SHOWN]):
+    for i, notes in shown(bad, "rows"):
         row = int(sheet.rows[i])
         findings.error(
             "GB714",
             f"row {row} has no time",
             Cell(sheet.path, row, column),
             help=f"fill `{column}` in every row",
-            notes=more(len(bad), position, "rows"),
+            notes=notes,
         )
 
 
@@ -105,7 +105,7 @@ def _increasing(
         ("GB716", np.flatnonzero(same & (time[1:] == time[:-1]))),
         ("GB715", np.flatnonzero(same & (time[1:] < time[:-1]))),
     ):
-        for position, i in enumerate(bad[:SHOWN]):
+        for i, notes in shown(bad, "rows"):
             here, before = float(time[i + 1]), float(time[i])
             where = f"in trajectory `{names[group[i]]}`" if len(names) > 1 else "in the table"
             twice = code == "GB716"
@@ -118,7 +118,7 @@ def _increasing(
                 help="put both into one row; replicates go into the long layout (trajectory, t, name, value)"
                 if twice
                 else "sort the rows by time, or begin a new trajectory there",
-                notes=more(len(bad), position, "rows"),
+                notes=notes,
             )
 
 
@@ -185,7 +185,7 @@ def _no_rows(sheet: Sheet, quantity: Quantity, meant: str | None, findings: Find
     )
 
 
-def kept(table: Records, keep: NDArray[np.bool_]) -> Records:
+def kept(table: Records, keep: Mask) -> Records:
     """The records of some keys alone."""
     position = np.cumsum(keep) - 1
     series = {}

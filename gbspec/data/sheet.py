@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from gbspec.arrays import Mask
 from gbspec.data.names import cell_name
 from gbspec.diagnostics import Cell, Findings
 
@@ -192,9 +194,7 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
     return _Records(data[starts[first] : ends[first]], body, rows, widths[filled])
 
 
-def _comments_above(
-    characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _comments_above(characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: Mask) -> Mask:
     """Which lines are comments above the header: those that begin with `#`, up to the first that does not."""
     comment = np.zeros(len(starts), dtype=bool)
     for line in np.flatnonzero(filled):
@@ -242,7 +242,7 @@ def _is_number(text: str) -> bool:
 def _same_width(path: str, records: _Records, expected: int, findings: Findings) -> bool:
     """Whether every record has as many cells as the header; reports the first few that have not."""
     wrong = np.flatnonzero(records.widths != expected)
-    for position, i in enumerate(wrong[:SHOWN]):
+    for i, notes in shown(wrong, "rows"):
         count = int(records.widths[i])
         findings.error(
             "GB708",
@@ -251,16 +251,16 @@ def _same_width(path: str, records: _Records, expected: int, findings: Findings)
             help="a decimal comma, or text with a comma and no quotes, may have split a cell"
             if count > expected
             else "leave a cell empty rather than out",
-            notes=more(len(wrong), position, "rows"),
+            notes=notes,
         )
     return not len(wrong)
 
 
-def more(total: int, position: int, what: str) -> tuple[str, ...]:
-    """The note on the last finding shown that says how many there are besides."""
-    if position == SHOWN - 1 and total > SHOWN:
-        return (f"and {total - SHOWN:,} more such {what}",)
-    return ()
+def shown(positions: Sequence[int] | NDArray[np.intp], what: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+    """The first positions, each with the notes of its finding: that of the last says how many more such there are."""
+    for rank, position in enumerate(positions[:SHOWN], start=1):
+        further = len(positions) - SHOWN
+        yield int(position), (f"and {further:,} more such {what}",) if rank == SHOWN and further > 0 else ()
 
 
 def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:

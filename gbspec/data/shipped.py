@@ -13,19 +13,19 @@ PACKAGE = Path(__file__).resolve().parent.parent
 
 @cache
 def models_folder() -> Path:
-    """The folder with the shipped models: the wheel's `gbspec/_models`, else `models/` beside the package."""
+    """The folder with the bundled models: the wheel's `gbspec/_models`, else `models/` beside the package."""
     installed = PACKAGE / "_models"
     return installed if installed.is_dir() else PACKAGE.parent / "models"
 
 
 @cache
 def shipped_models() -> dict[str, Path]:
-    """The shipped `.gb` files by the model's name (which is the file's), in the order of names."""
+    """The bundled `.gb` files by the model's name (which is the file's), in the order of names."""
     return {path.stem: path for path in sorted(models_folder().glob("*/*.gb"), key=lambda path: path.stem)}
 
 
 def shipped_model(name: str) -> Path:
-    """The file of a shipped model, `urp_gb2` say; raises UserError (GB744) with a suggestion where there is none."""
+    """The file of a bundled model, `urp_gb2` say; raises UserError (GB744) with a suggestion where there is none."""
     known = shipped_models()
     if name in known:
         return known[name]

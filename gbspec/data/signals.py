@@ -1,4 +1,4 @@
-"""Inputs over time: their values, with the limits from either side of a jump, and where they break."""
+"""Inputs over time: their values, with the limits from either side of a jump."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gbspec.data.trajectories import Array, Signal
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Signal
 
 Interpolation = Literal["held", "linear"]
 Side = Literal["left", "right"]
@@ -28,23 +29,6 @@ def evaluate(signal: Signal, interpolation: Interpolation, t: ArrayLike, side: S
     index = np.searchsorted(signal.times, moments, side=side) - 1
     values: Array = signal.values[np.clip(index, 0, len(signal.values) - 1)]
     return values
-
-
-def breakpoints(signal: Signal, interpolation: Interpolation, start: float, end: float) -> Array:
-    """The times strictly between `start` and `end` where the input jumps (held) or has a kink (linear), increasing.
-
-    A solver's step must not go across them, or it loses its order.
-    """
-    if len(signal.times) < 2:
-        return np.zeros(0)
-    times, values = signal.times, signal.values
-    if interpolation == "held":
-        broken = times[1:][values[1:] != values[:-1]]
-    else:
-        slopes = np.concatenate([[0.0], np.diff(values) / np.diff(times), [0.0]])
-        broken = times[slopes[1:] != slopes[:-1]]
-    inside: Array = broken[(broken > start) & (broken < end)]
-    return inside
 
 
 def clipped(signal: Signal, interpolation: Interpolation, start: float, end: float) -> Signal:

@@ -1,4 +1,4 @@
-"""Location and spread of each measured channel: what residuals and network inputs are scaled by."""
+"""Location and scale of each measured channel: what residuals and network inputs are scaled by."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectories
 
 MAD_TO_SD = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""
+FLAT = 1e-9
+"""Values whose standard deviation (or range) is below this part of their size count as constant."""
 
 
 @dataclass(frozen=True)
 class ChannelStatistics:
-    """Of all measured values of one channel: how many, mean, standard deviation, extremes, median and robust spread.
+    """Of all measured values of one channel: how many, mean, standard deviation, extremes, median and robust
+    standard deviation.
 
     `spread` is 1.4826 times the median absolute deviation: the standard deviation where values are normal, and little
     moved by outliers. NaN where nothing was measured.
@@ -49,7 +53,32 @@ def channel_statistics(trajectories: Trajectories) -> tuple[ChannelStatistics, .
     )
 
 
-def _of(name: str, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> ChannelStatistics:
+def measured_scale(values: Array) -> float:
+    """A positive number to divide errors by: the standard deviation of the measured values (NaN left out).
+
+    Where they do not vary it is their size, and 1 where that is zero or nothing was measured.
+    """
+    measured = values[np.isfinite(values)]
+    if not measured.size:
+        return 1.0
+    deviation, size = float(measured.std()), float(np.abs(measured).max())
+    if FLAT * size < deviation < math.inf:
+        return deviation
+    return size or 1.0
+
+
+def channel_scales(trajectories: Trajectories) -> Array:
+    """`measured_scale` of each channel [C] over all measurements of a table with at least one trajectory."""
+    stacked = np.concatenate([item.values for item in trajectories.items])
+    return np.array([measured_scale(column) for column in stacked.T])
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """All of `count` positions, or `most` of them, evenly from the first to the last."""
+    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most))}) if count else []
+
+
+def _of(name: str, values: Array) -> ChannelStatistics:
     if not len(values):
         nan = math.nan
         return ChannelStatistics(name, 0, nan, nan, nan, nan, nan, nan)

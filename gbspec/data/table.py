@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array, Mask
 from gbspec.data.checks import check, first_times
 from gbspec.data.columns import quantities, recognise
 from gbspec.data.records import Records, records
 from gbspec.data.sheet import read_sheet
-from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir.model import Model
@@ -55,7 +56,7 @@ def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory,
     conditions = _conditions(table, model)
     inputs = [_pieces(table, "input", i) for i in range(len(model.inputs))]
     doses = [_pieces(table, "dose", i) for i in range(len(model.doses))]
-    hit: NDArray[np.bool_] = np.ones(len(table.time), dtype=bool)
+    hit: Mask = np.ones(len(table.time), dtype=bool)
     if measured_only:
         hit = np.any(counts > 0, axis=1)
     items: list[Trajectory] = []
@@ -102,9 +103,9 @@ def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array]:
         sd[cells.key, c] = cells.sd
         if several.any():
             mean = np.bincount(cells.key, weights=cells.value, minlength=size)
-            spread = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
+            variance = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
             values[several, c] = mean[several] / counts[several, c]
-            sd[several, c] = np.sqrt(spread[several]) / counts[several, c]
+            sd[several, c] = np.sqrt(variance[several]) / counts[several, c]
     return values, counts, sd
 
 

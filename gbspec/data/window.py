@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Array, Trajectory
+from gbspec.data.trajectories import Trajectory
 from gbspec.ir.model import Model
 
 PREFIX = "recognition."

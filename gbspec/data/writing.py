@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from gbspec.arrays import Array
 from gbspec.data.columns import TRAJECTORY, quantities
 from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Cell, Diagnostic, UserError
 from gbspec.ir.model import Model
 

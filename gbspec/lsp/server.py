@@ -16,7 +16,6 @@ from lsprotocol import types
 from pygls.exceptions import JsonRpcException
 from pygls.lsp.server import LanguageServer
 
-from gbspec import __version__
 from gbspec.diagnostics import Source, Span, UserError
 from gbspec.lsp import references
 from gbspec.lsp.checking import Checked, affected, check
@@ -26,6 +25,7 @@ from gbspec.lsp.messages import Messages, path_of, uri_of
 from gbspec.lsp.outline import outline
 from gbspec.lsp.workspace import Workspace, key
 from gbspec.syntax.formatter import format_text
+from gbspec.version import __version__
 
 DELAY = 0.15
 """Seconds without a change after which a file is checked."""

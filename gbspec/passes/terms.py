@@ -1,4 +1,4 @@
-"""Right sides as sums of terms, each a constant coefficient times something that varies; unknowns are left open."""
+"""Right sides as sums of terms, each a constant coefficient times something that varies; unknowns stay as they are."""
 
 from __future__ import annotations
 
@@ -96,11 +96,11 @@ class Opened:
     def split(self, expression: Expr) -> dict[Expr, Expr]:
         """Coefficients (of constants alone) by what varies; a term without it stands under 1."""
         table: dict[Expr, list[Expr]] = {}
-        still = self.constants | self.fixed
+        constant = self.constants | self.fixed
         for term in terms(expression):
             factors = sympy.Mul.make_args(term)
-            coefficient = [f for f in factors if f.free_symbols <= still]
-            varying = [f for f in factors if not f.free_symbols <= still]
+            coefficient = [f for f in factors if f.free_symbols <= constant]
+            varying = [f for f in factors if not f.free_symbols <= constant]
             table.setdefault(sympy.Mul(*varying), []).append(sympy.Mul(*coefficient))
         sums = {key: sympy.Add(*values) for key, values in table.items()}
         return {key: value for key, value in sums.items() if value != 0}

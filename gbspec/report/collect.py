@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.initial_states import InitialStates
-from gbspec.analysis.prediction.initial_states import initial_states as compare_starts
-from gbspec.analysis.prediction.metrics import spread
 from gbspec.analysis.prediction.predict import Start, input_values, learned_positions, learned_start, predict
+from gbspec.analysis.prediction.start_comparison import InitialStates
+from gbspec.analysis.prediction.start_comparison import initial_states as compare_starts
 from gbspec.analysis.systems.system import system_of
+from gbspec.arrays import Array
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.data.statistics import channel_scales
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
 from gbspec.passes import with_truth
 from gbspec.report.content import (
@@ -42,15 +43,9 @@ class Fitted:
     def __init__(self, run: Run, data: Trajectories) -> None:
         self.run, self.data, self.model = run, data, run.model
         self.evaluators = [Evaluator(member) for member in run.members]
-        self.spreads = self._spreads()
+        self.spreads = channel_scales(self.data)
         self.truth = self._truth()
         self._starts: dict[tuple[int, int], Start] = {}
-
-    def _spreads(self) -> Array:
-        """The standard deviation [C] of each channel over all measurements; 1 where it does not vary."""
-        everything = np.concatenate([item.values for item in self.data.items])
-        found = [spread(column[np.isfinite(column)]) for column in everything.T]
-        return np.array([s if s > 0 and math.isfinite(s) else 1.0 for s in found])
 
     def _truth(self) -> Evaluator | None:
         """The evaluator of the model's truth, None where an unknown or a learnable has none."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gbspec.analysis.bifurcation.diagram import Diagram
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.report import style
 
 if TYPE_CHECKING:

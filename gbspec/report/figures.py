@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
-from gbspec.analysis.prediction.metrics import spread
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.statistics import channel_scales
+from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report import collect, plots, unknowns
 from gbspec.report.collect import spaced
@@ -79,7 +80,7 @@ def liveliest(data: Trajectories) -> int:
     def change(values: Array) -> float:
         return float(sum(np.abs(np.diff(column[np.isfinite(column)])).sum() for column in values.T))
 
-    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in data.items]).T])
+    spreads = channel_scales(data)
     return int(np.argmax([change(item.values / np.where(spreads > 0, spreads, 1.0)) for item in data.items]))
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.prediction.initial_states import InitialStates
-from gbspec.data.trajectories import Array
+from gbspec.analysis.prediction.start_comparison import InitialStates
+from gbspec.arrays import Array
 from gbspec.report import style
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ TEXTS = (
     ("gbspec.analysis.bifurcation.diagram", "Diagram"),
     ("gbspec.analysis.bifurcation.plane_diagram", "PlaneDiagram"),
     ("gbspec.analysis.bifurcation.eigen", "Eigen"),
-    ("gbspec.analysis.prediction.initial_states", "InitialStates"),
+    ("gbspec.analysis.prediction.start_comparison", "InitialStates"),
     ("gbspec.analysis.validation.validate", "Validation"),
     ("gbspec.training.profile.likelihood", "Profile"),
 )
@@ -29,7 +29,7 @@ TEXTS = (
 FIGURES = (
     ("gbspec.analysis.bifurcation.diagram", "Diagram"),
     ("gbspec.analysis.bifurcation.plane_diagram", "PlaneDiagram"),
-    ("gbspec.analysis.prediction.initial_states", "InitialStates"),
+    ("gbspec.analysis.prediction.start_comparison", "InitialStates"),
     ("gbspec.training.profile.likelihood", "Profile"),
     ("matplotlib.figure", "Figure"),
 )
@@ -54,7 +54,7 @@ def figure(shown: Any) -> Figure:
 
     from gbspec.analysis.bifurcation.diagram import Diagram
     from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
-    from gbspec.analysis.prediction.initial_states import InitialStates
+    from gbspec.analysis.prediction.start_comparison import InitialStates
     from gbspec.report import diagram, initial_states, plane, profile
     from gbspec.training.profile.likelihood import Profile
 

@@ -8,9 +8,9 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
-from gbspec.data.trajectories import Array
 from gbspec.ir.model import NN, Channel, Condition, Constant, Expr, Model, State, Unknown
 from gbspec.passes import with_truth
 from gbspec.report.collect import Fitted, visited

@@ -14,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as dump_tensors
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 
 FIT, MODEL, MODULE, HISTORY, MEMBERS = "fit.json", "model.gb", "model.py", "history.csv", "members"
 WEIGHTS, CHECKPOINT, CHECKPOINT_BEST = "weights.safetensors", "checkpoint.safetensors", "checkpoint.best.safetensors"

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.backends.module import load_module
-from gbspec.data.trajectories import Array
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files

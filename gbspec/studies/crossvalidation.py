@@ -16,11 +16,10 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gbspec.analysis.prediction.metrics import finite
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
-from gbspec.files import write_text
+from gbspec.files import finite, write_text
 from gbspec.runs import files
 from gbspec.studies.folds import Fold, Over, folds, way
 from gbspec.studies.heldout import Errors, Point, errors, held_out

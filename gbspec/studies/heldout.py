@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.prediction.metrics import finite
-from gbspec.analysis.prediction.noise import Flags, interval, logarithmic, noise_at
-from gbspec.data.trajectories import Array
+from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
+from gbspec.arrays import Array, Mask
+from gbspec.files import finite
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _stretches(run: Run, fold: Fold) -> list[Point]:
 
 
 def _points(
-    label: str, times: Array, channels: Sequence[str], measured: Array, mean: Array, sd: Array, rows: Any, log: Flags
+    label: str, times: Array, channels: Sequence[str], measured: Array, mean: Array, sd: Array, rows: Any, log: Mask
 ) -> list[Point]:
     """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns)."""
     return [

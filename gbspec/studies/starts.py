@@ -18,7 +18,7 @@ from gbspec.analysis.prediction.predict import input_values, learned_start, need
 from gbspec.analysis.simulation.simulate import true_starts
 from gbspec.analysis.systems.steady import ordered_eigenvalues
 from gbspec.analysis.validation.truth_errors import truth_evaluator, truth_model
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 
 if TYPE_CHECKING:
     from gbspec.data.sampling import SimulateOptions

@@ -132,7 +132,7 @@ class TrainOptions:
         default=1.0,
         metadata={
             "help": "Factor on the scale of the networks' outputs, which is that of the data's slopes; with a large "
-            "one a fit can come to lean on its step.",
+            "one a fit can come to depend on its step.",
             "metavar": "FACTOR",
         },
     )

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from gbspec.analysis.prediction.metrics import channel_errors, norms, relative_errors, spread
+from gbspec.analysis.validation.metrics import channel_errors, norms, relative_errors
 
 
 def test_norms_are_those_of_the_appendix() -> None:
@@ -65,9 +65,3 @@ def test_a_channel_that_does_not_vary_has_no_r2() -> None:
     assert found.nrmse == pytest.approx(0.1)
     assert found.to_json()["r2"] is None
     assert channel_errors(np.full(2, np.nan), np.ones(2)).n == 0
-
-
-def test_spread_falls_back_to_the_size_of_the_values() -> None:
-    assert spread(np.array([np.nan, 3.0, 3.0])) == 3.0
-    assert spread(np.zeros(3)) == 1.0
-    assert spread(np.array([1.0, 3.0])) == 1.0

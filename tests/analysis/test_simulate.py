@@ -10,11 +10,12 @@ import pytest
 
 from gbspec.analysis.simulation.design import measurement_times
 from gbspec.analysis.simulation.simulate import SimulateOptions, simulate
+from gbspec.arrays import Array
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.sampling import fixed
 from gbspec.data.signals import evaluate
 from gbspec.data.table import read, write
-from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectories
+from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.diagnostics import ComputationError, Findings, UserError
 from gbspec.diagnostics.catalogue import entries
 from gbspec.ir.model import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.systems.points import spread_points
-from gbspec.analysis.systems.steady import ordered_eigenvalues, steady_states
+from gbspec.analysis.systems.steady import distinct, ordered_eigenvalues, steady_states
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import baltzis_fredrickson, brusselator, cusp, lorenz, urp
 
@@ -61,3 +61,10 @@ def test_points_are_spread() -> None:
     counts = np.histogramdd(points, bins=(2, 2, 2), range=[(0, 1)] * 3)[0]
     assert counts.min() >= 26
     assert not np.array_equal(points, spread_points(256, 3, seed=1))
+
+
+def test_distinct_points_come_in_lexical_order_whatever_their_units() -> None:
+    # In units of the first state's scale the first coordinates are 1e-4 apart: they decide, though small.
+    scale = np.array([1e-3, 1.0])
+    points = np.array([[2e-7, 0.0], [1e-7, 1.0], [2e-7, 1e-7], [3e-7, 0.0]])
+    assert distinct(points, scale).tolist() == [[1e-7, 1.0], [2e-7, 0.0], [3e-7, 0.0]]

@@ -1,4 +1,4 @@
-"""Every fit is checked for leaning on its step, and says so where it does: steps as long as a fast decay takes."""
+"""Every fit is checked for depending on its step, and says so where it does: steps as long as a fast decay takes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path
     run = driver.train(model_of(DECAY), data, tmp_path / "run", options(1.0))
     assert [check["half_step"] > 0.01 for check in run.fit["step_checks"]] == [True, True]
     assert [check["trajectories"] for check in run.fit["step_checks"]] == [8, 8]
-    told = [warning for warning in run.fit["warnings"] if "leans on its training step of 1" in warning]
+    told = [warning for warning in run.fit["warnings"] if "depends on its training step of 1" in warning]
     assert [warning.partition(":")[0] for warning in told] == ["member 0", "member 1"]
     assert all("Train with a smaller `--max-step`" in warning for warning in told)
     assert open_run(tmp_path / "run").fit == run.fit
@@ -54,7 +54,7 @@ def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path
 def test_a_fit_that_holds_at_any_step_has_its_check_and_no_warning(data: Trajectories, tmp_path: Path) -> None:
     run = driver.train(model_of(DECAY), data, tmp_path / "run", options(0.1))
     assert all(0 <= check[name] < 0.01 for check in run.fit["step_checks"] for name in ("half_step", "adaptive"))
-    assert not any("leans" in warning for warning in run.fit["warnings"])
+    assert not any("depends on its training step" in warning for warning in run.fit["warnings"])
 
 
 def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
     points = [Point("long", {}, options(1.0)), Point("short", {}, options(0.1))]
     driver.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
     assert len(open_run(tmp_path / "short").fit["step_checks"]) == 2
-    assert [text.partition(":")[0] for text in said if "leans" in text] == ["long", "long"]
+    assert [text.partition(":")[0] for text in said if "depends on its training step" in text] == ["long", "long"]
 
 
 def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_path: Path) -> None:

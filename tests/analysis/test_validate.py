@@ -17,7 +17,7 @@ from gbspec.analysis.simulation.simulate import simulate
 from gbspec.analysis.validation.comparison_points import sampling_for
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import has_reference, truth_errors, truth_model, without_truth
-from gbspec.analysis.validation.validate import shipped_case, validate
+from gbspec.analysis.validation.validate import bundled_case, validate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions
@@ -32,9 +32,9 @@ FEW = MetricsOptions(settle=60.0, horizon=5.0, conditions=3, points=4, spacing=0
 
 
 def measured(name: str, **options: Any) -> Trajectories:
-    """Simulated measurements of a shipped model's truth, sampled as in its case."""
+    """Simulated measurements of a bundled model's truth, sampled as in its case."""
     subject = reference(model_of(name))
-    case = shipped_case(model_of(name))
+    case = bundled_case(model_of(name))
     assert case is not None
     return simulate(subject.evaluator, subject.model, replace(case.sampling, **options))
 
@@ -47,7 +47,7 @@ def urp_data() -> Trajectories:
 # ---------------------------------------------------------------------- against the truth
 def test_a_near_fit_has_small_errors_of_the_right_size(urp_instance: Any) -> None:
     model = model_of("urp_gb2")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     found = truth_errors(model, [Evaluator(urp_instance)], case.sampling, FEW)
     assert 1e-5 < found.functions["phi"].L2 < 1e-2
@@ -60,7 +60,7 @@ def test_a_near_fit_has_small_errors_of_the_right_size(urp_instance: Any) -> Non
 def test_the_error_of_the_function_is_that_of_the_network(urp_instance: Any) -> None:
     # With the constants right, the right-hand side's errors are those of phi: once in x1, 11 times in x2.
     model = model_of("urp_gb2")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     evaluator = Evaluator(urp_instance)
     found = truth_errors(model, [evaluator], case.sampling, FEW)
@@ -69,7 +69,7 @@ def test_the_error_of_the_function_is_that_of_the_network(urp_instance: Any) -> 
 
 def test_wrong_constants_are_measured() -> None:
     model = model_of("urp_gb2")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     instance = nearly_true({"B": 12.1, "beta": 2.7})
     found = truth_errors(model, [Evaluator(instance)], case.sampling, FEW)
@@ -79,7 +79,7 @@ def test_wrong_constants_are_measured() -> None:
 
 def test_a_mean_of_members_is_the_mean_of_their_predictions() -> None:
     model = model_of("urp_gb2")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     pair = [Evaluator(nearly_true({"B": B})) for B in (10.0, 12.0)]
     both, one = (truth_errors(model, members, case.sampling, FEW) for members in (pair, pair[:1]))
@@ -89,7 +89,7 @@ def test_a_mean_of_members_is_the_mean_of_their_predictions() -> None:
 
 def test_the_same_points_are_drawn_again() -> None:
     model = model_of("urp_gb2")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     few = replace(FEW, rhs_points=10, conditions=2, points=2)
     evaluator = Evaluator(nearly_true())
@@ -99,7 +99,7 @@ def test_the_same_points_are_drawn_again() -> None:
 
 def test_several_unknowns_and_fallback_scales() -> None:
     model = model_of("bf_gb1")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     instance = load_module(model).random(3)
     few = replace(case.metrics, points=5, rhs_points=12)
@@ -112,7 +112,7 @@ def test_several_unknowns_and_fallback_scales() -> None:
 
 def test_a_function_applied_once_an_element_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     model = model_of("spreading_population")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     compiled: list[Any] = []
     own = sympy.lambdify
@@ -125,7 +125,7 @@ def test_a_function_applied_once_an_element_is_compiled_once(monkeypatch: pytest
 
 def test_a_driven_model_is_compared_along_its_trajectories() -> None:
     model = model_of("friction_oscillator")
-    case = shipped_case(model)
+    case = bundled_case(model)
     assert case is not None
     few = MetricsOptions(conditions=2, points=3, rhs_points=8)
     found = truth_errors(model, [Evaluator(load_module(model).random(0))], case.sampling, few)
@@ -296,7 +296,7 @@ def test_a_step_that_is_too_large_is_told(urp_data: Trajectories) -> None:
     assert checks[0].warning is None
     assert checks[1].adaptive is not None
     assert checks[1].adaptive > 0.01
-    assert "leans on its training step of 0.6" in str(checks[1].warning)
+    assert "depends on its training step of 0.6" in str(checks[1].warning)
 
 
 def test_a_fixed_step_that_blows_up_is_told() -> None:

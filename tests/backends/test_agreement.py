@@ -87,7 +87,6 @@ def check_derivatives(model: Model, at: Point, seed: int) -> None:
     reverse = torch.func.jacrev(rhs)(x)
     close(torch.func.jacfwd(rhs)(x), reverse, "torch's Jacobian, forward and reverse")
     close(evaluator.jacobian_at(at.t, at.x, at.condition, at.inputs), reverse, "casadi's Jacobian")
-    close(evaluator.jacobian_many([at.t], [at.x], at.condition, at.inputs)[0], reverse, "casadi's Jacobians")
 
 
 def check_step(model: Model, at: Point, seed: int) -> None:

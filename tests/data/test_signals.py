@@ -1,4 +1,4 @@
-"""Inputs between their cells, the limits at a jump, and where a solver's step must end."""
+"""Inputs between their cells and the limits at a jump."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gbspec.data.signals import breakpoints, clipped, evaluate
+from gbspec.data.signals import clipped, evaluate
 from gbspec.data.trajectories import Signal
 
 STEPS = Signal(np.array([0.0, 1.0, 2.0, 3.0]), np.array([5.0, 7.0, 7.0, 4.0]))
@@ -28,15 +28,6 @@ def test_a_linear_input_is_interpolated() -> None:
     t = [-1.0, 0.5, 1.5, 2.5, 4.0]
     for side in ("left", "right"):
         assert evaluate(STEPS, "linear", t, side=side).tolist() == [5, 6, 7, 5.5, 4]  # type: ignore[arg-type]  # one of the two
-
-
-def test_an_input_breaks_where_it_jumps_or_bends() -> None:
-    assert breakpoints(STEPS, "held", -1, 9).tolist() == [1, 3]
-    assert breakpoints(STEPS, "held", 1, 3).tolist() == []
-    assert breakpoints(STEPS, "linear", -1, 9).tolist() == [0, 1, 2, 3]
-    straight = Signal(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0]))
-    assert breakpoints(straight, "linear", 0, 2).tolist() == []
-    assert breakpoints(Signal(np.array([0.0]), np.array([1.0])), "held", -1, 1).tolist() == []
 
 
 def test_any_shape_of_times() -> None:

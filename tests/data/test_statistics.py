@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gbspec.data.statistics import channel_statistics
+from gbspec.data.statistics import channel_statistics, evenly_spaced, measured_scale
 from gbspec.data.trajectories import Trajectories, Trajectory
 
 
@@ -38,3 +38,17 @@ def test_the_robust_spread_of_normal_values_is_their_deviation() -> None:
     values = np.random.default_rng(0).normal(3.0, 2.0, 20_000)
     (found,) = channel_statistics(data(values.tolist()))
     assert found.spread == pytest.approx(2.0, rel=0.03) and found.sd == pytest.approx(2.0, rel=0.03)
+
+
+def test_the_scale_falls_back_to_the_size_of_the_values() -> None:
+    assert measured_scale(np.array([np.nan, 3.0, 3.0])) == 3.0
+    assert measured_scale(np.zeros(3)) == 1.0
+    assert measured_scale(np.full(2, np.nan)) == 1.0
+    assert measured_scale(np.array([1.0, 3.0])) == 1.0
+
+
+def test_evenly_spaced_positions_reach_from_the_first_to_the_last() -> None:
+    assert evenly_spaced(0, 3) == []
+    assert evenly_spaced(2, 3) == [0, 1]
+    assert evenly_spaced(9, 3) == [0, 4, 8]
+    assert evenly_spaced(9, 1) == [0]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.residuals import LOG_FLOOR, residuals, slopes
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.engine import Engine, Lack, UnableError, taken

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gbspec.passes.identifiability.directions import absorbers, find
-from gbspec.passes.identifiability.problem import pose
+from gbspec.passes.identifiability.question import pose
 from tests.texts import SHIPPED, model_at, model_of
 
 TWO = "state x\nstate y\ny' = -y\n"

@@ -47,6 +47,18 @@ def test_opens_with_model_members_and_mean(made: Path) -> None:
     assert len(run.history()) >= 4
 
 
+@pytest.mark.parametrize(
+    ("losses", "best"), [((0.2, 0.1), 1), ((0.1, 0.2), 0), ((0.1, 0.1), 0), ((None, 0.3), 1), ((0.3, None), 0)]
+)
+def test_the_best_member_has_the_smallest_loss(run: Path, losses: tuple[float | None, ...], best: int) -> None:
+    """A member whose loss is not a number (`null`, as JSON has no infinity) is never preferred."""
+    fit = json.loads((run / "fit.json").read_text())
+    for entry, loss in zip(fit["members"], losses, strict=True):
+        entry["loss"] = loss
+    (run / "fit.json").write_text(json.dumps(fit))
+    assert open_run(run).best == best
+
+
 def test_the_written_module_stands_alone(made: Path) -> None:
     import importlib.util
 

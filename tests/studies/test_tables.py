@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import gbspec
-from gbspec.analysis.prediction.metrics import ChannelErrors
+from gbspec.analysis.validation.metrics import ChannelErrors
 from gbspec.analysis.validation.step_check import StepCheck
 from gbspec.analysis.validation.validate import TrajectoryError, Validation
 from gbspec.runs import files

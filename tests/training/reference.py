@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines import objective
 from gbspec.training.engines.linearised import Linearised
 from gbspec.training.engines.native.engine import NativeEngine

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.objective import linearise
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.levenberg_marquardt import (

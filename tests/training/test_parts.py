@@ -21,6 +21,7 @@ from gbspec.training.problem.packing import pack
 from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.preparation import prepare
+from gbspec.training.recipe.stages import mean_loss
 from gbspec.training.starts.initial_states import refit_starts
 from gbspec.training.starts.splines import fit_curves
 from gbspec.training.starts.warm_start import eliminate
@@ -97,6 +98,8 @@ def test_residuals_of_a_solution_that_runs_away_are_no_warning() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert huber(np.array([1e200, 1.0]), 0.5) == pytest.approx(5e199)
+        assert huber(np.array([1e200, 1.0]), np.inf) == np.inf
+        assert mean_loss(np.array([1e200, 1.0])) == np.inf
         assert huber_each(np.array([1e200, np.inf, 0.1]), 0.5) == pytest.approx([5e199, np.inf, 0.005])
 
 

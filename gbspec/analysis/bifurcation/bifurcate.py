@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.bifurcation.continuation import Branch, Followed, SpecialPoint, SteadyCurve
 from gbspec.analysis.bifurcation.curve import CurvePoint, Steps
@@ -24,9 +23,8 @@ from gbspec.analysis.bifurcation.settle import settle
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.steady import steady_states
 from gbspec.analysis.systems.system import System
+from gbspec.arrays import Array
 from gbspec.diagnostics import Findings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.analysis.systems.family import Family
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from gbspec.arrays import Array, ComplexArray
 
 DEGREE = 4
 

@@ -12,14 +12,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps
+from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced, row_sizes
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.steady import ordered_eigenvalues
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from gbspec.arrays import Array, ComplexArray
 
 Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
 
@@ -102,12 +99,13 @@ class SteadyCurve:
         self._far = box_low - 10.0 * width, box_high + 10.0 * width
 
     def _evaluate(self, y: Array) -> tuple[Array, Array]:
+        return balanced(*self._raw(y))
+
+    def _raw(self, y: Array) -> tuple[Array, Array]:
+        """F and DF without the balancing of rows."""
         n = self.family.size
         f, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
-        derivative = np.column_stack([jacobian.reshape(n, n), slope]) * self.scale
-        # Rows are balanced, so that one fast state does not decide what Newton calls small.
-        rows = np.maximum(np.abs(derivative).max(axis=1), 1e-300)
-        return f / rows, derivative / rows[:, None]
+        return f, np.column_stack([jacobian.reshape(n, n), slope]) * self.scale
 
     def unscaled(self, y: Array) -> tuple[Array, float]:
         """State [n] and parameter of a scaled point."""
@@ -231,17 +229,18 @@ class SteadyCurve:
         """Unit tangents of the branches through a branch point other than the one it was found on.
 
         They solve the algebraic branching equation a r^2 + 2 b r s + c s^2 = 0 on the two-dimensional null space of
-        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF.
+        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF. These are left
+        undivided by the step: the ratio r : s does not change when a, b and c have a factor in common.
         """
         left, _, right = np.linalg.svd(at.derivative)
         psi, null = left[:, -1], right[-2:]
         step = 1e-5
 
         def second(direction: Array) -> Array:
-            ahead, behind = (self._raw(at.y + sign * step * direction) for sign in (1.0, -1.0))
-            return np.asarray((ahead - behind) / (2.0 * step))
+            ahead, behind = (self._raw(at.y + sign * step * direction)[1] for sign in (1.0, -1.0))
+            return np.asarray(ahead - behind)
 
-        psi = psi / np.maximum(np.abs(self._raw(at.y)).max(axis=1), 1e-300)
+        psi = psi / row_sizes(self._raw(at.y)[1])
         form = np.array([[psi @ second(u) @ v for v in null] for u in null])
         a, b, c = form[0, 0], (form[0, 1] + form[1, 0]) / 2.0, form[1, 1]
         discriminant = b * b - a * c
@@ -256,12 +255,6 @@ class SteadyCurve:
         tangents = [r * null[0] + s * null[1] for r, s in ratios]
         tangents = [tangent / np.linalg.norm(tangent) for tangent in tangents]
         return [tangent for tangent in tangents if abs(tangent @ at.tangent) < 0.999]
-
-    def _raw(self, y: Array) -> Array:
-        """DF without the balancing of rows."""
-        n = self.family.size
-        _, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
-        return np.asarray(np.column_stack([jacobian.reshape(n, n), slope]) * self.scale)
 
     def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
         """A point on the branch that leaves a branch point along `tangent`."""

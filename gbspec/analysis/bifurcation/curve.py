@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gbspec.arrays import Array
 
 TOLERANCE = 1e-11
 """Newton stops when its step is below this, in scaled variables."""
@@ -32,6 +31,17 @@ class Steps:
     most: float = 0.02
     turn: float = 0.99
     """Smallest cosine between the tangents of neighbouring points."""
+
+
+def row_sizes(derivative: Array) -> Array:
+    """The largest entry [m] of each row of DF [m, m+1], to divide by."""
+    return np.asarray(np.maximum(np.abs(derivative).max(axis=1), 1e-300))
+
+
+def balanced(f: Array, derivative: Array) -> tuple[Array, Array]:
+    """F [m] and DF [m, m+1] with rows of the same size: one fast state must not decide what Newton calls small."""
+    sizes = row_sizes(derivative)
+    return f / sizes, derivative / sizes[:, None]
 
 
 class Curve:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.bifurcation.collocation import (
     DEGREE,
@@ -26,14 +25,13 @@ from gbspec.analysis.bifurcation.collocation import (
     inner,
     phase,
 )
-from gbspec.analysis.bifurcation.limit_cycle import ComplexArray, Cycle, limit_cycle, others
+from gbspec.analysis.bifurcation.limit_cycle import Cycle, limit_cycle, others
+from gbspec.arrays import Array, ComplexArray, Mask
 
 if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.continuation import Kind
     from gbspec.analysis.bifurcation.hopf import Hopf
     from gbspec.analysis.systems.family import Family
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -314,7 +312,7 @@ def _apart(orbit: Orbit) -> float:
     return float(np.max(np.abs(orbit.at(s + 0.5) - orbit.at(s)))) / 2.0
 
 
-def _count(multipliers: ComplexArray, which: Callable[[ComplexArray], NDArray[np.bool_]]) -> int:
+def _count(multipliers: ComplexArray, which: Callable[[ComplexArray], Mask]) -> int:
     return int(np.sum(which(multipliers)))
 
 
@@ -323,11 +321,11 @@ def _trustworthy(multipliers: ComplexArray) -> bool:
     return bool(np.min(np.abs(multipliers - 1.0)) < 1e-3 and np.abs(multipliers[0]) < 1e10)
 
 
-def _outside(multipliers: ComplexArray) -> NDArray[np.bool_]:
+def _outside(multipliers: ComplexArray) -> Mask:
     return np.abs(multipliers) > 1.0
 
 
-def _beyond_minus_one(multipliers: ComplexArray) -> NDArray[np.bool_]:
+def _beyond_minus_one(multipliers: ComplexArray) -> Mask:
     return (multipliers.real < -1.0) & (np.abs(multipliers.imag) < 1e-9)
 
 

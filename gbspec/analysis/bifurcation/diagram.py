@@ -5,14 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gbspec.analysis.bifurcation.continuation import Branch, SpecialPoint
 from gbspec.analysis.bifurcation.cycles import CycleBranch
 from gbspec.analysis.bifurcation.limit_cycle import Cycle
-
-Array = NDArray[np.float64]
+from gbspec.arrays import Array
 
 
 @dataclass(frozen=True)

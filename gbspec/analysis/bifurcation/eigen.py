@@ -7,18 +7,15 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.steady import ordered_eigenvalues, ordered_modes, steady_states
 from gbspec.analysis.systems.system import System, state_at
+from gbspec.arrays import Array, ComplexArray
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction.predict import Prediction
     from gbspec.data.trajectories import Trajectories
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def _pairs(values: ComplexArray) -> list[list[float]]:

@@ -13,12 +13,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.family import Family
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from gbspec.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.bifurcation.collocation import Orbit
+from gbspec.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from gbspec.analysis.systems.family import Family
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)

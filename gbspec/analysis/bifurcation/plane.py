@@ -18,15 +18,14 @@ from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps
+from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.bifurcation.hopf import critical_pair, normal_form
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.system import Box, System
+from gbspec.arrays import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]
 
 
@@ -95,17 +94,9 @@ class PlaneFamily:
         """MX symbols x, (a, b) and f."""
         import casadi
 
-        system = self.system
-        x, p = casadi.MX.sym("x", self.size), casadi.MX.sym("p", 2)
-
-        def column(names: tuple[str, ...]) -> Any:
-            values = [
-                p[self.names.index(name)] if name in self.names else casadi.MX(system.values[name]) for name in names
-            ]
-            return casadi.vertcat(*values) if values else casadi.MX(0, 1)
-
-        arguments = (column(system.conditions), column(system.inputs), column(system.constants))
-        return x, p, system.rhs(casadi.MX(system.time), x, *arguments)
+        p = casadi.MX.sym("p", 2)
+        x, f = self.system.symbolic_rhs({name: p[i] for i, name in enumerate(self.names)})
+        return x, p, f
 
     def fold(self) -> Compiled:
         """(x, v, a, b) -> the extended system of folds [2n + 1] and its Jacobian."""
@@ -218,7 +209,7 @@ def hopf_curve(
     q = q / complex(reference @ q)
     function = family.hopf(reference)
     scale = np.concatenate([system.scale, np.ones(2 * n), [frequency], _widths(boxes)])
-    tracer = _Tracer(family, function, (n, n, n, 1, 2), scale, boxes)
+    tracer = _Tracer(family, function, (n, n, n, 1, 2), scale, boxes, _Takens(family, reference, scale))
 
     def lyapunov(y: Array) -> float:
         z = y * scale
@@ -229,16 +220,6 @@ def hopf_curve(
         return family.point(z, float(z[3 * n]), lyapunov(y))
 
     start = np.concatenate([state, q.real, q.imag, [frequency], values]) / scale
-    takens = family.bogdanov_takens(reference)
-
-    def at_zero(a: CurvePoint, b: CurvePoint) -> PlanePoint | None:
-        """The Bogdanov-Takens point between two points of the curve."""
-        z = b.y * scale if abs(b.y[3 * n]) < abs(a.y[3 * n]) else a.y * scale
-        guess = np.concatenate([z[: 2 * n], z[2 * n : 3 * n] / z[3 * n], z[-2:]])
-        found = _newton(takens, (n, n, n, 2), guess)
-        return None if found is None else family.point(found, 0.0)
-
-    tracer.frequency, tracer.at_zero = 3 * n, at_zero
     return tracer.both_ways("hopf", start, describe, (("bautin", lambda point: lyapunov(point.y)),))
 
 
@@ -263,24 +244,50 @@ def _widths(boxes: tuple[Box, Box]) -> list[float]:
     return [high - low for low, high in boxes]
 
 
+class _Takens:
+    """Bogdanov-Takens points, at which a Hopf curve ends: its frequency passes through zero there.
+
+    `reference` [n] is the vector q0 of the extended system, `scale` [3n + 3] that of the curve's variables.
+    """
+
+    def __init__(self, family: PlaneFamily, reference: Array, scale: Array) -> None:
+        self.family, self.scale, self.size = family, scale, family.size
+        self.function = family.bogdanov_takens(reference)
+
+    def passed(self, a: CurvePoint, b: CurvePoint) -> bool:
+        """Whether the frequency changes its sign from one point of the curve to the next."""
+        return bool(a.y[3 * self.size] * b.y[3 * self.size] <= 0.0)
+
+    def between(self, a: CurvePoint, b: CurvePoint) -> PlanePoint | None:
+        """The point between two points of the curve; None where Newton's iteration does not find it."""
+        n = self.size
+        z = (b if abs(b.y[3 * n]) < abs(a.y[3 * n]) else a).y * self.scale
+        guess = np.concatenate([z[: 2 * n], z[2 * n : 3 * n] / z[3 * n], z[-2:]])
+        found = _newton(self.function, (n, n, n, 2), guess)
+        return None if found is None else self.family.point(found, 0.0)
+
+
 class _Tracer:
     """Follows the zero set of an extended system inside a box of the two last variables."""
 
     def __init__(
-        self, family: PlaneFamily, function: Compiled, sizes: tuple[int, ...], scale: Array, boxes: tuple[Box, Box]
+        self,
+        family: PlaneFamily,
+        function: Compiled,
+        sizes: tuple[int, ...],
+        scale: Array,
+        boxes: tuple[Box, Box],
+        takens: _Takens | None = None,
     ) -> None:
         self.family, self.function, self.scale, self.boxes = family, function, scale, boxes
         self.cuts = list(np.cumsum(sizes))[:-1]
         self.curve = Curve(self._evaluate)
         self.heading = np.zeros(2)
-        self.frequency: int | None = None
-        self.at_zero: Callable[[CurvePoint, CurvePoint], PlanePoint | None] = lambda a, b: None
+        self.takens = takens
 
     def _evaluate(self, y: Array) -> tuple[Array, Array]:
         f, derivative = self.function(*np.split(y * self.scale, self.cuts))
-        derivative = derivative * self.scale
-        rows = np.maximum(np.abs(derivative).max(axis=1), 1e-300)
-        return f / rows, derivative / rows[:, None]
+        return balanced(f, derivative * self.scale)
 
     def both_ways(
         self,
@@ -315,9 +322,9 @@ class _Tracer:
         before = start
         self.heading = start.tangent[-2:]
         for point, length in self.curve.walk(start, Steps(first=0.002, most=0.02, turn=0.98)):
-            if self.frequency is not None and before.y[self.frequency] * point.y[self.frequency] <= 0.0:
-                takens = self.at_zero(before, point)
-                special.extend([("bogdanov_takens", takens)] if takens is not None else [])
+            if self.takens is not None and self.takens.passed(before, point):
+                found = self.takens.between(before, point)
+                special.extend([("bogdanov_takens", found)] if found is not None else [])
                 return points, special, "bogdanov_takens"
             for name, test in tests:
                 if test(before) * test(point) < 0.0:

@@ -10,13 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate, require_range
 from gbspec.analysis.bifurcation.plane import PlaneCurve, PlaneFamily, PlanePoint, fold_curve, hopf_curve
 from gbspec.analysis.systems.system import Box, System
-
-Array = NDArray[np.float64]
+from gbspec.arrays import Array
 
 LINES = 5
 """At how many values of either parameter diagrams over the other are made."""

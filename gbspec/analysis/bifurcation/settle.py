@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.family import Family
+from gbspec.arrays import Array
 
-Array = NDArray[np.float64]
 Field = Callable[[float, Array], Array]
 
 TOLERANCE = 1e-8

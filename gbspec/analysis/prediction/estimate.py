@@ -1,9 +1,9 @@
 """Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
 
 Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are the differences at all measured values, each over its channel's spread; what
-is known beforehand, from the trajectories of the training, pulls towards its centre: as strongly as the noise says
-where that is known, else just enough to keep what the data do not determine from running away.
+trajectory has its own. The residuals are the differences at all measured values, each over its channel's standard
+deviation; what is known beforehand, from the trajectories of the training, pulls towards its centre: as strongly as the
+noise says where that is known, else just enough to keep what the data do not determine from running away.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.analysis.prediction.metrics import spread
 from gbspec.analysis.prediction.predict import (
     Prediction,
     Start,
@@ -26,16 +24,17 @@ from gbspec.analysis.prediction.predict import (
     predict,
 )
 from gbspec.analysis.systems.points import spread_points
+from gbspec.arrays import Array
+from gbspec.data.statistics import channel_scales
 from gbspec.data.window import recognised
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
 
-Array = NDArray[np.float64]
 
 PULL = 1e-3
-"""Least weight of the pull towards what was known beforehand, whose spread is its unit."""
+"""Least weight of the pull towards what was known beforehand, in units of its standard deviation."""
 TOLERANCE = 1e-6
 """Relative tolerance of the solutions while a start is sought."""
 TRIALS = 8
@@ -44,25 +43,25 @@ TRIALS = 8
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of starts before a trajectory is looked at: centre and spread [n] of the states."""
+    """What is known of starts before a trajectory is looked at: centre and standard deviation [n] of the states."""
 
     centre: Array
-    spread: Array
+    sd: Array
 
 
 def prior_of(member: Any, model: Model) -> Prior:
     """From the learned starts of the training data; where there are none, from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
-        spread = learned.std(axis=0)
-        return Prior(learned.mean(axis=0), np.where(spread > 0, spread, np.maximum(np.abs(learned).max(axis=0), 1.0)))
-    centre, spread = [], []
+        sd = learned.std(axis=0)
+        return Prior(learned.mean(axis=0), np.where(sd > 0, sd, np.maximum(np.abs(learned).max(axis=0), 1.0)))
+    centre, sd = [], []
     for state in model.states:
         box = state.range if state.range is not None and state.range.bounded else None
         guess = state.start if state.start is not None else ((box.low + box.high) / 2 if box else 0.0)
         centre.append(guess)
-        spread.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
-    return Prior(np.array(centre, dtype=float), np.array(spread, dtype=float))
+        sd.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
+    return Prior(np.array(centre, dtype=float), np.array(sd, dtype=float))
 
 
 def predictions(
@@ -72,8 +71,8 @@ def predictions(
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
-    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in trajectories.items]).T])
-    estimator = Estimator(evaluator, model, spreads)
+    scales = channel_scales(trajectories)
+    estimator = Estimator(evaluator, model, scales)
     positions = learned_positions(evaluator.instance, trajectories, data or {})
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
@@ -83,27 +82,27 @@ def predictions(
 
 
 class Estimator:
-    """Least squares for the start of one trajectory. `spreads` [C] scale the channels' residuals; `noise` [C], where it
+    """Least squares for the start of one trajectory. `scales` [C] scale the channels' residuals; `noise` [C], where it
     is known, is the standard deviation of their measurements."""
 
-    def __init__(self, evaluator: Any, model: Model, spreads: Array, noise: Array | None = None) -> None:
-        self.evaluator, self.model, self.spreads = evaluator, model, spreads
-        self.pull = PULL if noise is None else max(PULL, float(np.median(noise / spreads)))
+    def __init__(self, evaluator: Any, model: Model, scales: Array, noise: Array | None = None) -> None:
+        self.evaluator, self.model, self.scales = evaluator, model, scales
+        self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))
         self.prior = prior_of(evaluator.instance, model)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
-        self.own_spread = self._spread_of_own()
+        self.own_sd = self._sd_of_own()
         bounds = {k.name: (k.range.low, k.range.high) for k in model.learnables}
         ends = [bounds.get(name, (-np.inf, np.inf)) for name in evaluator.instance.constants]
         self.low, self.high = np.array(ends, dtype=float).reshape(-1, 2).T
 
-    def _spread_of_own(self) -> Array:
-        """The spread of each constant that a trajectory has for itself, over the training's trajectories."""
+    def _sd_of_own(self) -> Array:
+        """The standard deviation, over the training's trajectories, of each constant that these have for themselves."""
         centre = np.abs(np.asarray(self.evaluator.constants, dtype=float)[list(self.own)])
         found = [
             self.evaluator.instance.weights.get(f"per_trajectory.{n}") for n in self.evaluator.instance.per_trajectory
         ]
-        spread = [0.0 if values is None or len(values) < 2 else float(np.std(values, ddof=1)) for values in found]
-        return np.where(np.array(spread) > 0, spread, np.maximum(centre, 1e-3))
+        sd = [0.0 if values is None or len(values) < 2 else float(np.std(values, ddof=1)) for values in found]
+        return np.where(np.array(sd) > 0, sd, np.maximum(centre, 1e-3))
 
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` where no start can be integrated."""
@@ -114,10 +113,10 @@ class Estimator:
             return Start(self.evaluator.initial(state, item.condition, constants), constants, "known")
         return self._estimate(item, state, constants, free)
 
-    def spread(self, item: Trajectory) -> Array:
+    def start_sd(self, item: Trajectory) -> Array:
         """How uncertain each state's start [n] is before the trajectory is fitted: less where it was recognised."""
         found = recognised(self.evaluator.instance.weights, self.model, item)
-        return self.prior.spread if found is None else np.minimum(self.prior.spread, found[1])
+        return self.prior.sd if found is None else np.minimum(self.prior.sd, found[1])
 
     def _nearest(self, item: Trajectory) -> Array:
         """The prior's centre, or what a recognition network says; with early measurements of states put in."""
@@ -134,8 +133,8 @@ class Estimator:
         from scipy.optimize import least_squares
 
         columns = list(free)
-        scale = np.concatenate([self.spread(item)[columns], self.own_spread])
-        weights = np.isfinite(item.values) / self.spreads
+        scale = np.concatenate([self.start_sd(item)[columns], self.own_sd])
+        weights = np.isfinite(item.values) / self.scales
         measured = np.nan_to_num(item.values)
         worst = np.full(int(np.sum(weights > 0)) + len(scale), 1e3)
 
@@ -154,15 +153,16 @@ class Estimator:
             return np.concatenate([error, self.pull * z])
 
         trials = self._trials(len(scale))
-        costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
-        best = trials[int(np.argmin(costs))]
-        if min(costs) >= float(np.sum(worst**2)):
-            return Start(state, constants, "failed", "no start was found from which it can be integrated")
-        solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
+        with np.errstate(over="ignore"):  # squares of a solution that runs away: its cost is infinite
+            costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
+            best = trials[int(np.argmin(costs))]
+            if min(costs) >= float(np.sum(worst**2)):
+                return Start(state, constants, "failed", "no start was found from which it can be integrated")
+            solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
         return moved(np.asarray(solution.x, dtype=float))
 
     @staticmethod
     def _trials(size: int) -> list[Array]:
-        """The guess itself and points around it, in units of the spread."""
+        """The guess itself and points around it, in units of the standard deviation."""
         around = 3.0 * spread_points(TRIALS, size) - 1.5
         return [np.zeros(size), *around]

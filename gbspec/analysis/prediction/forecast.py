@@ -1,4 +1,4 @@
-"""Predictions on new trajectories: what is per trajectory is estimated from their first rows, the rest is foretold.
+"""Predictions on new trajectories: what is per trajectory is estimated from their first rows, the rest is predicted.
 
 The weights, and the constants that all trajectories share, stay as they were learned. Of each trajectory only the rows
 of its window are looked at; what was measured later is compared with what was predicted, never used.
@@ -12,32 +12,33 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.metrics import finite, spread
 from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
 from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.systems.system import trained_ranges
+from gbspec.arrays import Array, Mask
+from gbspec.data.statistics import channel_scales
 from gbspec.diagnostics import ComputationError
+from gbspec.files import finite
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
 
-Array = NDArray[np.float64]
 Use = Literal["training", "window", "predicted"]
 """What a row was to the prediction: seen in training, used to estimate the start, or neither."""
 
 SHARE, LEAST = 3, 3
 """Without `--window`, the first third of the measured rows is the window, and at least three of them."""
 NUDGE = 1e-4
-"""The step of the differences by which an estimated start's uncertainty is carried on, in units of its spread."""
+"""The step of the differences by which an estimated start's uncertainty is propagated, in units of its prior standard
+deviation."""
 
 
 @dataclass(frozen=True)
-class Foretold:
+class PredictedTrajectory:
     """One trajectory: at its R rows the mean, and the standard deviation of a new measurement, of V variables.
 
     `used` says of each row what it was to the prediction; `outside` names what lies beyond the trained range there;
@@ -53,7 +54,7 @@ class Foretold:
     outside: tuple[tuple[str, ...], ...]
     start: Start
     estimated: tuple[str, ...]
-    in_logarithms: NDArray[np.bool_]
+    in_logarithms: Mask
     failure: str = ""
 
     @property
@@ -88,7 +89,7 @@ class Forecast:
     variables: tuple[str, ...]
     channels: tuple[str, ...]
     states: tuple[str, ...]
-    items: tuple[Foretold, ...]
+    items: tuple[PredictedTrajectory, ...]
     members: int
     warnings: tuple[str, ...] = ()
 
@@ -135,7 +136,7 @@ class Forecast:
         for name, one in self.errors().items():
             lines.append(
                 f"{name}: {one.n} measurements that were not used; rmse {one.rmse:.4g}, {one.nrmse:.3g} of their "
-                f"spread, {100 * one.covered:.0f} % inside of the 90 % intervals"
+                f"standard deviation, {100 * one.covered:.0f} % inside of the 90 % intervals"
             )
         for origin, words in ORIGINS.items():
             of_it = [item for item in self.items if item.start.origin == origin]
@@ -163,17 +164,17 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
     `window` is the number of measured rows, from the first, that the start of a new trajectory is estimated from
     (None: a third of them, at least three). A trajectory of the training data, recognised by content, starts as it was
-    learned. The interval is of a new measurement: it holds the spread of the members, the uncertainty of what
-    was estimated (linearised), and the noise that the fit found.
+    learned. The interval is of a new measurement: it holds the standard deviation over the members, the uncertainty of
+    what was estimated (linearised), and the noise that the fit found.
 
     Raises ComputationError where no trajectory can be solved.
     """
     from gbspec.backends.casadi.evaluator import Evaluator
 
-    spreads = _spreads(trajectories)
-    seers = [_Seer(Evaluator(member), run, trajectories, spreads) for member in run.members]
+    scales = channel_scales(trajectories)
+    each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]
     ranges = trained_ranges(run.model, run.members[0])
-    items = tuple(_foretell(seers, index, window, ranges) for index in range(len(trajectories)))
+    items = tuple(_joined(each, index, window, ranges) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
         first = items[0]
         raise ComputationError(
@@ -186,8 +187,8 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         channels=trajectories.channels,
         states=tuple(state.name for state in run.model.states),
         items=items,
-        members=len(seers),
-        warnings=tuple(_warnings(items, len(seers))),
+        members=len(each),
+        warnings=tuple(_warnings(items, len(each))),
     )
 
 
@@ -197,20 +198,13 @@ def hidden_states(model: Model) -> tuple[int, ...]:
     return tuple(i for i, state in enumerate(model.states) if state.name not in named)
 
 
-def _spreads(trajectories: Trajectories) -> Array:
-    """The standard deviation [C] of each channel over the table; 1 where it does not vary or is not measured."""
-    columns = np.concatenate([item.values for item in trajectories.items]).T
-    found = [spread(column[np.isfinite(column)]) for column in columns]
-    return np.array([s if math.isfinite(s) and s > 0 else 1.0 for s in found])
-
-
 def _sizes(trajectories: Trajectories) -> Array:
     """The typical size [C] of each channel's values over the table; 1 where it is not measured."""
     columns = np.abs(np.concatenate([item.values for item in trajectories.items]).T)
     return np.array([np.nanmedian(column) if np.isfinite(column).any() else 1.0 for column in columns])
 
 
-def _warnings(items: Sequence[Foretold], members: int) -> list[str]:
+def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if members == 1:
         found.append(
@@ -233,14 +227,14 @@ class _View:
     variance: Array
 
 
-class _Seer:
+class _MemberPredictions:
     """One member over a table."""
 
-    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, spreads: Array) -> None:
+    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, scales: Array) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
-        self.estimator = Estimator(evaluator, run.model, spreads, noise_at(run, _sizes(trajectories)))
+        self.estimator = Estimator(evaluator, run.model, scales, noise_at(run, _sizes(trajectories)))
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
-        self.spreads = spreads
+        self.scales = scales
 
     def view(self, index: int, rows: int) -> _View:
         """The prediction of a trajectory from its first `rows` rows."""
@@ -265,7 +259,7 @@ class _Seer:
         """
         free = [*needed(self.model, seen)]
         own = list(self.estimator.own)
-        scale = np.concatenate([self.estimator.spread(seen)[free], self.estimator.own_spread])
+        scale = np.concatenate([self.estimator.start_sd(seen)[free], self.estimator.own_sd])
         columns = []
         for k in range(len(scale)):
             state, constants = start.state.copy(), start.constants.copy()
@@ -279,9 +273,9 @@ class _Seer:
         rows, channels = len(seen.times), seen.values.shape[1]
         misfit = seen.values - variables[:rows, :channels]
         measured = np.isfinite(misfit)
-        typical = float(np.sqrt(np.mean((misfit / self.spreads)[measured] ** 2))) if measured.any() else 0.0
+        typical = float(np.sqrt(np.mean((misfit / self.scales)[measured] ** 2))) if measured.any() else 0.0
         noise = noise_at(self.run, variables[:rows, :channels])
-        deviation = np.maximum(np.maximum(noise, typical * self.spreads), 1e-9 * self.spreads)
+        deviation = np.maximum(np.maximum(noise, typical * self.scales), 1e-9 * self.scales)
         weighted = (slopes[:rows, :channels] / deviation[:, :, None])[measured]
         precision = weighted.T @ weighted + np.eye(len(scale))
         return np.asarray(np.einsum("rvi,ij,rvj->rv", slopes, np.linalg.inv(precision), slopes), dtype=np.float64)
@@ -304,21 +298,21 @@ def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -
     return int(measured[min(wanted, len(measured)) - 1]) + 1
 
 
-def _foretell(
-    seers: Sequence[_Seer], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
-) -> Foretold:
+def _joined(
+    each: Sequence[_MemberPredictions], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
+) -> PredictedTrajectory:
     """The members' predictions of a trajectory joined."""
-    model, item = seers[0].model, seers[0].trajectories.items[index]
-    own = bool(seers[0].estimator.own)
-    trained = seers[0].positions[index] is not None
+    model, item = each[0].model, each[0].trajectories.items[index]
+    own = bool(each[0].estimator.own)
+    trained = each[0].positions[index] is not None
     rows = len(item.times) if trained else window_rows(model, item, own, window)
-    views = [one.view(index, rows) for one in seers]
+    views = [one.view(index, rows) for one in each]
     failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
     values = np.stack([v.variables for v in views])
     mean = values.mean(axis=0)
     between = values.var(axis=0, ddof=1) if len(views) > 1 else np.zeros_like(mean)
     channels = len(model.channels)
-    added = np.pad(noise_at(seers[0].run, mean[:, :channels]) ** 2, ((0, 0), (0, mean.shape[1] - channels)))
+    added = np.pad(noise_at(each[0].run, mean[:, :channels]) ** 2, ((0, 0), (0, mean.shape[1] - channels)))
     sd = np.sqrt(between + np.mean([v.variance for v in views], axis=0) + added)
     states = np.mean([v.prediction.states for v in views], axis=0)
     first = views[0].prediction.start
@@ -327,13 +321,14 @@ def _foretell(
     if start.origin == "estimated":
         free = needed(model, first_rows(item, rows))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
-                     *(model.constant_names[i] for i in seers[0].estimator.own))  # fmt: skip
+                     *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
     used: tuple[Use, ...] = tuple(
         "training" if trained else "window" if i < rows else "predicted" for i in range(len(item.times))
     )
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
-    return Foretold(item.label, item.times, mean, sd, item.values, used, _outside(model, item, states, ranges), start,
-                    estimated, in_logarithms, failure)  # fmt: skip
+    outside = _outside(model, item, states, ranges)
+    return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
+                               in_logarithms, failure)  # fmt: skip
 
 
 def _outside(

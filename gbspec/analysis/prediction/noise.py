@@ -9,20 +9,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from gbspec.arrays import Array, Mask
 
 if TYPE_CHECKING:
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 NORMAL_90 = 1.6448536269514722
 """Half of the width of a normal distribution's 90 % interval, in standard deviations."""
 
 
-def logarithmic(model: Model) -> Flags:
+def logarithmic(model: Model) -> Mask:
     """Which channels [C] have lognormal noise."""
     return np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=bool)
 
@@ -33,7 +32,7 @@ def noise_at(run: Run, values: Array) -> Array:
     return np.asarray(found * np.where(logarithmic(run.model), np.abs(values), 1.0), dtype=np.float64)
 
 
-def interval(mean: Array, sd: Array, in_logarithms: Flags | bool) -> tuple[Array, Array]:
+def interval(mean: Array, sd: Array, in_logarithms: Mask | bool) -> tuple[Array, Array]:
     """The 90 % interval around `mean`: both ends, of the same shape; by a factor where the noise is of logarithms."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         factor = np.exp(NORMAL_90 * sd / np.abs(mean))

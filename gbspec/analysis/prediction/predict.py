@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.signals import evaluate
 from gbspec.diagnostics import ComputationError
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
 
-Array = NDArray[np.float64]
 Origin = Literal["learned", "known", "estimated", "failed"]
 """Where an initial state comes from: learned in training; known (expressed by the model, or measured at the first row);
 estimated from the trajectory's own data; or none could be found."""

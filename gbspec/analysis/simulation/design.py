@@ -10,16 +10,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gbspec.arrays import Array, Mask
 from gbspec.data.names import similar
 from gbspec.data.sampling import Box, SimulateOptions, regimen
 from gbspec.data.signals import clipped
-from gbspec.data.trajectories import Array, DoseEvents, Signal, Trajectory
+from gbspec.data.trajectories import DoseEvents, Signal, Trajectory
 from gbspec.diagnostics import Findings
 from gbspec.ir.model import Model, Range
 
-Mask = NDArray[np.bool_]
 SHAPE = 4.0
 """Shape of the gamma distribution of intervals (standard deviation: half of the mean)."""
 PIECES = 5
@@ -208,7 +207,7 @@ def plan_like(
 
 
 def random_signal(interpolation: str, ends: Array, start: float, end: float, random: np.random.Generator) -> Signal:
-    """An input that takes values drawn evenly from its range, for gamma-distributed stretches of a fifth of the span.
+    """An input that takes values drawn evenly from its range, for gamma-distributed times of a fifth of the span.
 
     A held input steps from one to the next, a linear one runs through them.
     """

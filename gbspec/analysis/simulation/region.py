@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Source
 from gbspec.ir.model import Model
 

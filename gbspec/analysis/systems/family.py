@@ -6,13 +6,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.system import System, require_autonomous, suggestion
 from gbspec.diagnostics import Findings
-
-Array = NDArray[np.float64]
 
 
 class Family:
@@ -49,15 +46,9 @@ class Family:
         """MX symbols x and p, and f(x, p)."""
         import casadi
 
-        system = self.system
-        x, p = casadi.MX.sym("x", self.size), casadi.MX.sym("p")
-
-        def column(names: tuple[str, ...]) -> Any:
-            values = [p if name == self.name else casadi.MX(system.values[name]) for name in names]
-            return casadi.vertcat(*values) if values else casadi.MX(0, 1)
-
-        arguments = (column(system.conditions), column(system.inputs), column(system.constants))
-        return x, p, system.rhs(casadi.MX(system.time), x, *arguments)
+        p = casadi.MX.sym("p")
+        x, f = self.system.symbolic_rhs({self.name: p})
+        return x, p, f
 
     @cached_property
     def rhs(self) -> Compiled:

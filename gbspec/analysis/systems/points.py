@@ -7,9 +7,8 @@ effectiveness of quasirandom sequences"): a low discrepancy in few dimensions, e
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gbspec.arrays import Array
 
 
 def spread_points(count: int, size: int, seed: int = 0) -> Array:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from gbspec.analysis.systems.points import spread_points
 from gbspec.analysis.systems.system import System, require_autonomous
+from gbspec.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Linear = Callable[[Array], tuple[Array, Array]]
 """States [N, n] -> right-hand sides [N, n] and Jacobians [N, n, n]."""
 

@@ -14,9 +14,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.compiled import Compiled
+from gbspec.arrays import Array
 from gbspec.data.signals import Interpolation, evaluate
 from gbspec.data.trajectories import Signal
 from gbspec.diagnostics import Findings
@@ -24,7 +24,6 @@ from gbspec.diagnostics import Findings
 if TYPE_CHECKING:
     from gbspec.ir.model import Condition, Input, Model, Range, State
 
-Array = NDArray[np.float64]
 Box = tuple[float, float]
 ANYTHING: Box = (-math.inf, math.inf)
 
@@ -111,6 +110,19 @@ class System:
         """The size [n] by which differences of states are judged: the width of the box of starts."""
         low, high = self.start_box
         return np.where(high > low, high - low, 1.0)
+
+    def symbolic_rhs(self, varied: Mapping[str, Any]) -> tuple[Any, Any]:
+        """MX symbols x and f(x), with `varied` in the places of some parameters and numbers in those of all others."""
+        import casadi
+
+        x = casadi.MX.sym("x", self.size)
+
+        def column(names: tuple[str, ...]) -> Any:
+            values = [varied[name] if name in varied else casadi.MX(self.values[name]) for name in names]
+            return casadi.vertcat(*values) if values else casadi.MX(0, 1)
+
+        arguments = (column(self.conditions), column(self.inputs), column(self.constants))
+        return x, self.rhs(casadi.MX(self.time), x, *arguments)
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan
 from gbspec.analysis.simulation.region import Region, regions
 from gbspec.analysis.systems.points import spread_points
 from gbspec.analysis.systems.system import trained_ranges
+from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError, Findings
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from gbspec.data.trajectories import Signal
     from gbspec.ir.model import Condition, Input, Model
 
-Array = NDArray[np.float64]
 
 RTOL = 1e-8
 """Relative tolerance of the truth's solutions, from given starts."""
@@ -159,8 +158,8 @@ class Sampler:
 
     def _attractor(self, horizon: float) -> tuple[Array, Array, Array, tuple[tuple[Signal, ...], ...]]:
         options = self.options
-        stretch = options.period if options.period is not None else horizon
-        spacing = options.spacing if options.spacing is not None else stretch / options.points
+        length = options.period if options.period is not None else horizon
+        spacing = options.spacing if options.spacing is not None else length / options.points
         starts, conditions = [], []
         for i, condition in enumerate(self._conditions()):
             random = np.random.default_rng([options.seed, i, 3])

@@ -1,6 +1,6 @@
 """Does the learned right-hand side hold without the step that it was trained with?
 
-A model trained through a Runge-Kutta step can come to lean on the step's own error (paper: case B). The same starts
+A model trained through a Runge-Kutta step can come to depend on the step's own error (paper: case B). The same starts
 are solved with the training's step, with half of it, and adaptively; the differences say whether it does.
 """
 
@@ -9,23 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.analysis.prediction.metrics import finite, truth_scale
+from gbspec.analysis.validation.metrics import truth_scale
+from gbspec.arrays import Array
+from gbspec.data.statistics import evenly_spaced
+from gbspec.files import finite
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction.predict import Prediction
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.runs.store import Run
 
-Array = NDArray[np.float64]
-T = TypeVar("T")
 
-LEANS = 0.01
-"""A difference above this part of the states' range means that the right-hand side leans on its step."""
+DEPENDS = 0.01
+"""A difference above this part of the states' range means that the right-hand side depends on its step."""
 CONVERGED = 1e-4
 """Where half the step changes less than this, it is not the step that the adaptive solution differs by."""
 LOOKED_AT = 24
@@ -61,17 +61,17 @@ class StepCheck:
 
     @property
     def warning(self) -> str | None:
-        """What to say where the right-hand side leans on its step."""
+        """What to say where the right-hand side depends on its step."""
         if self.unsolved:
             return (
-                f"the learned right-hand side leans on its training step of {self.step:.6g}: {self.unsolved} of "
+                f"the learned right-hand side depends on its training step of {self.step:.6g}: {self.unsolved} of "
                 f"{self.unsolved + self.trajectories} trajectories that were looked at can be followed with that step "
                 "alone, not by an adaptive solver. Train with a smaller `--max-step`"
             )
         if self.half_step is None or self.adaptive is None or self.half_step <= CONVERGED:
             return None
         worst = max(self.half_step, self.adaptive)
-        if worst <= LEANS:
+        if worst <= DEPENDS:
             return None
         if not math.isfinite(worst):
             return (
@@ -79,9 +79,9 @@ class StepCheck:
                 "follow: train with a smaller `--max-step`"
             )
         return (
-            f"the learned right-hand side leans on its training step of {self.step:.6g}: solutions with half the step "
-            f"or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a smaller "
-            "`--max-step` before reading eigenvalues or bifurcations off it"
+            f"the learned right-hand side depends on its training step of {self.step:.6g}: solutions with half the "
+            f"step or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a "
+            "smaller `--max-step` before reading eigenvalues or bifurcations off it"
         )
 
 
@@ -95,20 +95,13 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     for member in run.members:
         positions = learned_positions(member, trajectories, run.fit.get("data", {}))
         fitted = [(i, position) for i, position in enumerate(positions) if position is not None]
-        chosen = _spread(fitted, count)
+        chosen = [fitted[k] for k in evenly_spaced(len(fitted), count)]
         evaluator = Evaluator(member)
         items = [trajectories.items[i] for i, _ in chosen]
         starts = [learned_start(evaluator, position, trajectories.items[i]) for i, position in chosen]
         predicted = [predict(evaluator, run.model, item, start) for item, start in zip(items, starts, strict=True)]
         checks.append(step_check(evaluator, member.info.get("max_step"), items, predicted))
     return tuple(checks)
-
-
-def _spread(items: Sequence[T], count: int) -> list[T]:
-    """At most `count` of the items, evenly from the first to the last."""
-    if not items:
-        return []
-    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).astype(int))]
 
 
 def step_check(
@@ -118,11 +111,12 @@ def step_check(
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
     if step is None:
         return StepCheck(None, None, step)
-    failed = _spread([(item, one) for item, one in zip(items, predictions, strict=True) if one.failure], LOOKED_AT)
-    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in failed)
+    failed = [(item, one) for item, one in zip(items, predictions, strict=True) if one.failure]
+    tried = [failed[k] for k in evenly_spaced(len(failed), LOOKED_AT)]
+    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in tried)
     if not pairs:
         return StepCheck(None, None, step, 0, unsolved)
-    chosen = _spread(pairs, LOOKED_AT)
+    chosen = [pairs[k] for k in evenly_spaced(len(pairs), LOOKED_AT)]
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])

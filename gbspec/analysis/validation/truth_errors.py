@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy
-from numpy.typing import NDArray
 
-from gbspec.analysis.prediction.metrics import Norms, finite, norms, relative_errors
 from gbspec.analysis.validation.comparison_points import RhsPoints, Sampler, SolutionPoints, sampling_for, solve_ends
+from gbspec.analysis.validation.metrics import Norms, norms, relative_errors
+from gbspec.arrays import Array
+from gbspec.files import finite
 from gbspec.ir.model import symbol, unknown_function
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from gbspec.data.sampling import SimulateOptions
     from gbspec.ir.model import Model
 
-Array = NDArray[np.float64]
 
 LEARNED_RTOL = 1e-7
 """Relative tolerance at which learned solutions are compared: far below any error of a fit."""

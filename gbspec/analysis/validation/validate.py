@@ -7,14 +7,16 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.prediction.metrics import ChannelErrors, channel_errors, finite, spread
 from gbspec.analysis.prediction.predict import Prediction, mean_prediction
+from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
+from gbspec.arrays import Array
+from gbspec.data.statistics import channel_scales
 from gbspec.diagnostics import ComputationError, UserError
+from gbspec.files import finite
 
 if TYPE_CHECKING:
     from gbspec.data.cases import Case, MetricsOptions
@@ -23,12 +25,11 @@ if TYPE_CHECKING:
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class TrajectoryError:
-    """The NRMSE of one trajectory over all its measured values (each channel over its spread in the whole data set).
+    """The NRMSE of one trajectory over all its measured values (each channel over its standard deviation in
+    the whole data set).
 
     `initial` says where its start came from; `failure` why it could not be solved, and then `nrmse` is NaN.
     """
@@ -113,7 +114,7 @@ def validate(
     Predictions run from each trajectory's initial state to its end without looking at the data again, solved by CVODES:
     the initial state is the learned one on training data, the known one where the first row or the model gives it, and
     else estimated from the trajectory itself. The mean of the members is the mean of their predictions. `sampling` and
-    `metrics` say where the truth is compared; without them, the model's case if it is a shipped one, else defaults.
+    `metrics` say where the truth is compared; without them, the model's case if it is a bundled one, else defaults.
 
     Raises UserError where there is no such member.
     """
@@ -155,10 +156,10 @@ def _on_data(
     channels = {
         channel.name: channel_errors(measured[:, j], predicted[:, j]) for j, channel in enumerate(model.channels)
     }
-    spreads = np.array([spread(column) for column in measured.T])
+    scales = channel_scales(trajectories)
     errors = []
     for item, one in zip(trajectories.items, predictions, strict=True):
-        relative = ((one.channels - item.values) / spreads)[np.isfinite(item.values)]
+        relative = ((one.channels - item.values) / scales)[np.isfinite(item.values)]
         nrmse = float(np.sqrt(np.mean(relative**2))) if relative.size and not one.failure else float("nan")
         errors.append(TrajectoryError(item.label, nrmse, one.start.origin, one.failure))
     return channels, tuple(errors)
@@ -197,7 +198,7 @@ def _against_truth(
         warnings.append(
             f"{names} has no `truth`, so the truth that the model is compared with stands at its start there"
         )
-    case = shipped_case(model)
+    case = bundled_case(model)
     if sampling is None:
         sampling = case.sampling if case is not None else Sampling()
     if metrics is None:
@@ -219,8 +220,8 @@ def _against_truth(
     return found
 
 
-def shipped_case(model: Model) -> Case | None:
-    """The case of a shipped model of this name, if its sampling fits this one's states and conditions."""
+def bundled_case(model: Model) -> Case | None:
+    """The case of a bundled model of this name, if its sampling fits this one's states and conditions."""
     from gbspec.data.cases import find_cases
     from gbspec.data.shipped import shipped_models
 

@@ -9,12 +9,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
 from gbspec.diagnostics import ComputationError
-
-Array = NDArray[np.float64]
 
 LOCAL = 1e-2
 """CVODES' tolerances, which bound the error of a step, in units of those asked for the whole trajectory; measured on
@@ -31,7 +29,7 @@ KEPT = 512
 
 
 @dataclass(frozen=True)
-class Problem:
+class InitialValueProblem:
     """What is constant over a trajectory; `scales` [n_states] are the sizes that states are divided by inside."""
 
     condition: Array
@@ -58,7 +56,9 @@ class Integrator:
         self._kept: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
         self._stiff = False
 
-    def run(self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: Problem) -> Array:
+    def run(
+        self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: InitialValueProblem
+    ) -> Array:
         """States [n_times, n_states] at `outputs`; the pieces cover [begin, outputs[-1]]."""
         states = np.empty((len(outputs), len(x0)))
         states[outputs <= begin] = x0
@@ -75,7 +75,7 @@ class Integrator:
             x = found[-1]
         return states
 
-    def _piece(self, x: Array, piece: Segment, times: Array, problem: Problem) -> Array:
+    def _piece(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem) -> Array:
         """States [n, n_states] at `times` in a piece, the last of which is its end."""
         try:
             return self._solve(x, piece, times, problem, self._stiff)
@@ -92,7 +92,7 @@ class Integrator:
                 return found
         raise self._failure(x, piece, times, problem)
 
-    def _solve(self, x: Array, piece: Segment, times: Array, problem: Problem, stiff: bool) -> Array:
+    def _solve(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem, stiff: bool) -> Array:
         """Raises `_Stopped` where CVODES gives up or a state is not finite."""
         length = piece.end - piece.begin
         grid = (*((times - piece.begin) / length).tolist()[:-1], 1.0)
@@ -109,7 +109,7 @@ class Integrator:
             raise _Stopped
         return found
 
-    def _solver(self, grid: tuple[float, ...], problem: Problem, stiff: bool) -> Any:
+    def _solver(self, grid: tuple[float, ...], problem: InitialValueProblem, stiff: bool) -> Any:
         key = (grid, problem.rtol, problem.atol, stiff)
         if key in self._kept:
             self._kept.move_to_end(key)
@@ -128,7 +128,7 @@ class Integrator:
             self._kept.popitem(last=False)
         return self._kept[key]
 
-    def _failure(self, x: Array, piece: Segment, times: Array, problem: Problem) -> ComputationError:
+    def _failure(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem) -> ComputationError:
         """What to say of a piece that cannot be integrated: how far it goes."""
         last = piece.begin
         for time in times:

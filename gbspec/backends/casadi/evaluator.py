@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gbspec.arrays import Array
 from gbspec.backends.casadi import rk4
-from gbspec.backends.casadi.cvodes import Integrator, Problem
+from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
-
-Array = NDArray[np.float64]
-
 
 MAPS = 64
 """Functions over a number of points that an evaluator keeps for the next call with as many."""
@@ -81,19 +78,6 @@ class Evaluator:
     ) -> Array:
         """d(dx/dt)/dx [n_states, n_states] at one point."""
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
-
-    def jacobian_many(
-        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
-    ) -> Array:
-        """Jacobians [N, n_states, n_states]; arguments as for `rhs_many`."""
-        points = self._points(t, x, condition, inputs, constants)
-        flat = self._many("jacobian", self._flat_jacobian, points)
-        return flat.reshape(len(flat), self.n_states, self.n_states).swapaxes(1, 2)
-
-    @cached_property
-    def _flat_jacobian(self) -> Any:
-        arguments = self.jacobian.mx_in()
-        return ca.Function("jacobian", arguments, [ca.vec(self.jacobian(*arguments))])
 
     def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: Any = None) -> Array:
         """The start x0 [n_states] with every state in its place whose start the model expresses."""
@@ -165,7 +149,7 @@ class Evaluator:
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
         nominal = self._scales(x0) if scales is None else np.asarray(scales, dtype=np.float64)
-        problem = Problem(
+        problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
         )
         return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)

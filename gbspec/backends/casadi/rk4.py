@@ -12,9 +12,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

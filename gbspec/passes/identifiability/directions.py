@@ -10,10 +10,11 @@ from math import comb
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.ir.model import Expr
-from gbspec.passes.identifiability.jets import Base, Jet, OutOfTime, System, size
-from gbspec.passes.identifiability.problem import Problem
-from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
+from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, OutOfTime, size
+from gbspec.passes.identifiability.question import Question
+from gbspec.passes.identifiability.series import Algebra, Evaluation
 
 SMALL = 1e-8
 """Singular values below this part of the largest count as zero."""
@@ -33,24 +34,24 @@ class Directions:
     """
 
     basis: Array
-    systems: tuple[System, ...]
+    systems: tuple[LinearSystem, ...]
     bases: tuple[Base, ...]
     functions: tuple[str, ...]
     order: int
 
 
-def find(problem: Problem, deadline: float) -> Directions | None:
+def find(question: Question, deadline: float) -> Directions | None:
     """The directions that remain at growing order; None (undecided) if time or size runs out before they settle.
 
     With every state known two equal ranks in a row settle it, with hidden ones three: each hidden state may take one
     more derivative before it shows.
     """
-    needed = 3 if problem.hidden else 2
+    needed = 3 if question.hidden else 2
     ranks: list[tuple[int, tuple[str, ...]]] = []
     for order in ORDERS:
-        if size(problem, order) > MOST_COLUMNS or time.process_time() > deadline:
+        if size(question, order) > MOST_COLUMNS or time.process_time() > deadline:
             break
-        found = at_order(problem, order, deadline)
+        found = at_order(question, order, deadline)
         if found is None:
             break
         if not found.basis.shape[1] and not found.functions:
@@ -61,54 +62,54 @@ def find(problem: Problem, deadline: float) -> Directions | None:
     return None
 
 
-def at_order(problem: Problem, order: int, deadline: float = math.inf) -> Directions | None:
+def at_order(question: Question, order: int, deadline: float = math.inf) -> Directions | None:
     """The directions that remain at one order; None where an expression has no value or time runs out."""
-    still = not problem.hidden and all(start is None for start in problem.starts)
-    algebra = Algebra(order, 0 if still else order)
+    instantaneous = not question.hidden and all(start is None for start in question.starts)
+    algebra = Algebra(order, 0 if instantaneous else order)
     rng = np.random.default_rng(SEED + order)
-    bases = _bases(problem, rng)
-    systems: list[System] = []
-    columns = size(problem, order)
-    space = len(problem.model.states) + len(problem.model.conditions) + len(problem.model.inputs)
-    equations = max(1, len(problem.known) + len(problem.outputs)) * (order + 1)
+    bases = _bases(question, rng)
+    systems: list[LinearSystem] = []
+    columns = size(question, order)
+    space = len(question.model.states) + len(question.model.conditions) + len(question.model.inputs)
+    equations = max(1, len(question.known) + len(question.outputs)) * (order + 1)
     lines = min(LINES, comb(order + space, order) + 4, 8 + 2 * columns // equations)
     for base in bases:
         try:
             with np.errstate(all="ignore"):
-                system = Jet(problem, base, algebra, lines, rng, deadline).system()
+                system = Jet(question, base, algebra, lines, rng, deadline).system()
         except OutOfTime:
             return None
         if not np.all(np.isfinite(system.matrix)) or time.process_time() > deadline:
             return None
         systems.append(_scaled(system))
-    basis = _common_null([_reduced(system) for system in systems], len(problem.sought))
-    functions = _free_functions(systems) if not problem.hidden else ()
+    basis = _common_null([_reduced(system) for system in systems], len(question.sought))
+    functions = _free_functions(systems) if not question.hidden else ()
     return Directions(basis, tuple(systems), tuple(bases), functions, order)
 
 
 # ----------------------------------------------------------------------------------------------------- base points
 
 
-def _bases(problem: Problem, rng: np.random.Generator) -> list[Base]:
+def _bases(question: Question, rng: np.random.Generator) -> list[Base]:
     """A generic point, points at the zeros of unknowns, and where two applications of one have the same arguments."""
-    bases = [_generic(problem, rng)]
-    for application in problem.applications:
+    bases = [_generic(question, rng)]
+    for application in question.applications:
         for r, place in application.zeros:
-            base = _agreeing(problem, [application.arguments[r]], [place], rng)
+            base = _agreeing(question, [application.arguments[r]], [place], rng)
             if base is not None:
                 bases.append(base)
-    for i, first in enumerate(problem.applications):
-        for second in problem.applications[:i]:
+    for i, first in enumerate(question.applications):
+        for second in question.applications[:i]:
             if first.unknown == second.unknown and len(bases) < 6:
-                base = _agreeing(problem, first.arguments, second.arguments, rng)
+                base = _agreeing(question, first.arguments, second.arguments, rng)
                 if base is not None:
                     bases.append(base)
     return bases
 
 
-def _generic(problem: Problem, rng: np.random.Generator) -> Base:
-    model = problem.model
-    symbols = [s.symbol for s, start in zip(model.states, problem.starts, strict=True) if start is None]
+def _generic(question: Question, rng: np.random.Generator) -> Base:
+    model = question.model
+    symbols = [s.symbol for s, start in zip(model.states, question.starts, strict=True) if start is None]
     symbols += [*(c.symbol for c in model.conditions), *(i.symbol for i in model.inputs)]
     if model.time.start is None:
         symbols.append(model.time.symbol)
@@ -121,20 +122,22 @@ def _generic(problem: Problem, rng: np.random.Generator) -> Base:
     return Base(variables, constants)
 
 
-def _agreeing(problem: Problem, first: Sequence[Expr], second: Sequence[Expr], rng: np.random.Generator) -> Base | None:
+def _agreeing(
+    question: Question, first: Sequence[Expr], second: Sequence[Expr], rng: np.random.Generator
+) -> Base | None:
     """A point where expressions have the same values, by Newton's method with steps of least length."""
-    values = {a.value for a in problem.applications}
+    values = {a.value for a in question.applications}
     expressions = [*first, *second]
     if any(e.free_symbols & values for e in expressions):
         return None
-    base = _generic(problem, rng)
+    base = _generic(question, rng)
     names = list(base.variables)
     point = np.array([base.variables[n] for n in names])
     algebra = Algebra(0, 0)
 
     def gap(at: Array) -> Array:
         table = {n: algebra.constant(np.array([v])) for n, v in (*zip(names, at, strict=True), *base.constants.items())}
-        for state, start in zip(problem.model.states, problem.starts, strict=True):
+        for state, start in zip(question.model.states, question.starts, strict=True):
             if start is not None and start.free_symbols <= set(table):
                 table[state.symbol] = Evaluation(algebra, table, 1)(start)
         evaluation = Evaluation(algebra, table, 1)
@@ -157,7 +160,7 @@ def _agreeing(problem: Problem, first: Sequence[Expr], second: Sequence[Expr], r
 # ------------------------------------------------------------------------------------------------------ linear algebra
 
 
-def _scaled(system: System) -> System:
+def _scaled(system: LinearSystem) -> LinearSystem:
     """Rows of the same size, so that high orders do not drown low ones; empty rows left out."""
     norms = np.max(np.abs(system.matrix), axis=1, initial=0.0)
     kept = norms > 1e-13
@@ -170,7 +173,7 @@ def _compressed(matrix: Array) -> Array:
     return np.asarray(np.linalg.qr(matrix, mode="r")) if matrix.shape[0] > matrix.shape[1] else matrix
 
 
-def _reduced(system: System) -> Array:
+def _reduced(system: LinearSystem) -> Array:
     """The equations in the constants alone: what no function and no start can absorb."""
     matrix = _compressed(system.matrix)
     constants, others = matrix[:, : system.constants], matrix[:, system.constants :]
@@ -197,7 +200,7 @@ def _common_null(equations: Sequence[Array], count: int) -> Array:
     return np.asarray(right[rank:].T)
 
 
-def _free_functions(systems: Sequence[System]) -> tuple[str, ...]:
+def _free_functions(systems: Sequence[LinearSystem]) -> tuple[str, ...]:
     """Unknowns whose value can change while constants, starts and everything seen stay."""
     moving: set[str] | None = None
     for system in systems:

@@ -18,12 +18,12 @@ from itertools import combinations_with_replacement
 from math import comb
 
 import numpy as np
-import numpy.typing as npt
 import sympy
 
+from gbspec.arrays import Array, Mask
 from gbspec.ir.model import Expr
-from gbspec.passes.identifiability.problem import Application, Problem
-from gbspec.passes.identifiability.series import Algebra, Array, Evaluation
+from gbspec.passes.identifiability.question import Application, Question
+from gbspec.passes.identifiability.series import Algebra, Evaluation
 
 
 def monomials(variables: int, order: int) -> list[tuple[int, ...]]:
@@ -44,7 +44,7 @@ class Germ:
     exponents: list[tuple[int, ...]]
     coefficients: Array
     column: int
-    free: npt.NDArray[np.bool_]
+    free: Mask
     """Which coefficients can be anything: not those that a contract makes 0."""
 
 
@@ -57,7 +57,7 @@ class Base:
 
 
 @dataclass
-class System:
+class LinearSystem:
     """The residuals' coefficients, one row each, by columns: constants, then everything else."""
 
     matrix: Array
@@ -88,41 +88,41 @@ class OutOfTime(Exception):  # noqa: N818 - no error, a budget that is spent
 
 
 class Jet:
-    """One base point of one problem, expanded."""
+    """One base point of one question, expanded."""
 
     def __init__(
         self,
-        problem: Problem,
+        question: Question,
         base: Base,
         algebra: Algebra,
         lines: int,
         rng: np.random.Generator,
         deadline: float = math.inf,
     ) -> None:
-        self._problem, self._algebra, self._lines = problem, algebra, lines
+        self._question, self._algebra, self._lines = question, algebra, lines
         self._deadline = deadline
-        model = problem.model
+        model = question.model
         self._states = [s.symbol for s in model.states]
         self._base = base
         self._rng = rng
         self.germs: list[Germ] = []
-        self._columns = Columns(len(problem.sought))
-        self._parameters = [s for s, start in zip(self._states, problem.starts, strict=True) if start is None]
+        self._columns = Columns(len(question.sought))
+        self._parameters = [s for s, start in zip(self._states, question.starts, strict=True) if start is None]
         self._parameters += [c.symbol for c in model.conditions] + [i.symbol for i in model.inputs]
-        if problem.uses_time and model.time.start is None:
+        if question.uses_time and model.time.start is None:
             self._parameters.append(model.time.symbol)
         self._slopes = [i.symbol for i in model.inputs if i.interpolation == "linear"]
         self._directions = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
 
     # -------------------------------------------------------------------------------------------------------- values
 
-    def system(self) -> System:
+    def system(self) -> LinearSystem:
         """All residuals at this base point. Raises `OutOfTime` when the deadline (of processor time) has passed."""
         starts = self._start_values()
         values = dict(starts)
         for _ in range(self._algebra.time_order + 1):
             evaluation = self._evaluation(values)
-            rates = [evaluation(rate) for rate in self._problem.rates]
+            rates = [evaluation(rate) for rate in self._question.rates]
             values.update(
                 (state, starts[state] + self._algebra.integral(rate))
                 for state, rate in zip(self._states, rates, strict=True)
@@ -136,10 +136,10 @@ class Jet:
         for (kind, name), column in self._columns.free.items():
             first[kind][name] = column
         parameters = [*self._parameters, *(sympy.Dummy() for _ in self._slopes)]
-        return System(matrix, self.germs, len(self._problem.sought), first["start"], parameters, first["own"])
+        return LinearSystem(matrix, self.germs, len(self._question.sought), first["start"], parameters, first["own"])
 
     def _start_values(self) -> dict[sympy.Symbol, Array]:
-        algebra, model = self._algebra, self._problem.model
+        algebra, model = self._algebra, self._question.model
         values: dict[sympy.Symbol, Array] = {}
         for symbol, value in (*self._base.constants.items(), *self._base.variables.items()):
             values[symbol] = algebra.constant(np.full(self._lines, value))
@@ -156,7 +156,7 @@ class Jet:
                 model.time.symbol, algebra.constant(np.full(self._lines, model.time.start or 0.0))
             )
             clock[..., algebra.index[1, 0]] = 1.0
-        waiting = {s: e for s, e in zip(self._states, self._problem.starts, strict=True) if e is not None}
+        waiting = {s: e for s, e in zip(self._states, self._question.starts, strict=True) if e is not None}
         while waiting:
             ready = [s for s, e in waiting.items() if not (e.free_symbols & set(waiting))]
             for state in ready:
@@ -168,7 +168,7 @@ class Jet:
         table = dict(values)
         evaluation = Evaluation(self._algebra, table, self._lines)
         self._powers: list[tuple[Germ, Array]] = []
-        for application in self._problem.applications:
+        for application in self._question.applications:
             arguments = [evaluation(argument) for argument in application.arguments]
             germ = self._germ(application, [float(a[0, 0]) for a in arguments])
             powers = self._monomials(arguments, germ)
@@ -216,19 +216,19 @@ class Jet:
 
     def _residuals(self, evaluation: Evaluation) -> Iterator[Array]:
         """Rows as columns: arrays of shape [columns so far, number of coefficients]."""
-        problem, algebra = self._problem, self._algebra
+        question, algebra = self._question, self._algebra
         starts = self._start_changes()
-        changes = {i: starts[i] for i in problem.hidden}
+        changes = {i: starts[i] for i in question.hidden}
         networks = self._network_changes(evaluation, changes)
-        for _ in range(algebra.time_order if problem.hidden else 0):
-            rates = {i: self._change(problem.rates[i], evaluation, changes, networks) for i in problem.hidden}
-            changes = {i: self._sum(starts[i], algebra.integral(rates[i])) for i in problem.hidden}
+        for _ in range(algebra.time_order if question.hidden else 0):
+            rates = {i: self._change(question.rates[i], evaluation, changes, networks) for i in question.hidden}
+            changes = {i: self._sum(starts[i], algebra.integral(rates[i])) for i in question.hidden}
             networks = self._network_changes(evaluation, changes)
-        for i in sorted(problem.known):
-            yield self._flat(self._change(problem.rates[i], evaluation, changes, networks))
-            if problem.starts[i] is not None:
+        for i in sorted(question.known):
+            yield self._flat(self._change(question.rates[i], evaluation, changes, networks))
+            if question.starts[i] is not None:
                 yield self._flat(starts[i])
-        for output in problem.outputs:
+        for output in question.outputs:
             yield self._flat(self._change(output, evaluation, changes, networks))
 
     @staticmethod
@@ -260,14 +260,14 @@ class Jet:
 
     def _start_changes(self) -> dict[int, Array]:
         """Changes of the starts: free ones for hidden states, of expressions by what they hold, none for the rest."""
-        problem = self._problem
+        question = self._question
         at_start = Evaluation(self._algebra, self._start_values(), self._lines)
         found: dict[int, Array] = {}
-        for i, start in enumerate(problem.starts):
+        for i, start in enumerate(question.starts):
             if start is None:
-                free = i in problem.hidden
-                found[i] = self._free("start", problem.model.states[i].name) if free else self._zero()
-        waiting = {i: e for i, e in enumerate(problem.starts) if e is not None}
+                free = i in question.hidden
+                found[i] = self._free("start", question.model.states[i].name) if free else self._zero()
+        waiting = {i: e for i, e in enumerate(question.starts) if e is not None}
         while waiting:
             pending = {self._states[i] for i in waiting}
             for i in [i for i, e in waiting.items() if not (e.free_symbols & pending)]:
@@ -276,7 +276,7 @@ class Jet:
 
     def _network_changes(self, evaluation: Evaluation, changes: dict[int, Array]) -> list[Array]:
         found: list[Array] = []
-        for application, (germ, powers) in zip(self._problem.applications, self._powers, strict=True):
+        for application, (germ, powers) in zip(self._question.applications, self._powers, strict=True):
             change = self._zero()
             change[germ.column : germ.column + len(germ.exponents)] = powers * germ.free[:, None, None]
             for r, argument in enumerate(application.arguments):
@@ -300,25 +300,25 @@ class Jet:
         """The change of an expression: of its constants, of hidden states, of networks; shape [columns, lines, L]."""
         if time.process_time() > self._deadline:
             raise OutOfTime
-        problem, algebra = self._problem, self._algebra
+        question, algebra = self._question, self._algebra
         total = self._zero()
         present = e.free_symbols
-        for column, learnable in enumerate(problem.sought):
+        for column, learnable in enumerate(question.sought):
             if learnable.symbol in present:
                 total[column] += evaluation(sympy.diff(e, learnable.symbol))
         parts = {self._states[i]: change for i, change in changes.items()}
-        parts.update((k.symbol, self._free("own", k.name)) for k in problem.own if k.symbol in present)
-        parts.update((a.value, c) for a, c in zip(problem.applications, networks, strict=False))
+        parts.update((k.symbol, self._free("own", k.name)) for k in question.own if k.symbol in present)
+        parts.update((a.value, c) for a, c in zip(question.applications, networks, strict=False))
         for symbol, change in parts.items():
             if symbol in present and np.any(change):
                 total = self._sum(total, algebra.times(evaluation(sympy.diff(e, symbol)), change))
         return total
 
 
-def size(problem: Problem, order: int) -> int:
+def size(question: Question, order: int) -> int:
     """How many columns a jet of that order has, about."""
-    model = problem.model
+    model = question.model
     space = len(model.states) + len(model.conditions) + len(model.inputs)
-    free = len(problem.own) + sum(problem.starts[i] is None for i in problem.hidden)
-    germs = sum(comb(order + len(a.arguments), order) for a in problem.applications)
-    return len(problem.sought) + germs + free * comb(order + space, order)
+    free = len(question.own) + sum(question.starts[i] is None for i in question.hidden)
+    germs = sum(comb(order + len(a.arguments), order) for a in question.applications)
+    return len(question.sought) + germs + free * comb(order + space, order)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir.model import Model
 from gbspec.passes.identifiability.directions import Directions, absorbers, find
-from gbspec.passes.identifiability.problem import Problem, pose
-from gbspec.passes.identifiability.series import Array
+from gbspec.passes.identifiability.question import Question, pose
 from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries
 from gbspec.passes.terms import larger_than
 
@@ -64,30 +64,30 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     deadline = time.process_time() + budget
     try:
         everything = find(pose(model, all_states=True), deadline)
-        problem = pose(model, all_states=False)
-        declared = find(problem, deadline)
+        question = pose(model, all_states=False)
+        declared = find(question, deadline)
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
         return Identifiability(False)
     if declared is None:
         return Identifiability(False)
-    sets = _sets(problem, declared, everything)
+    sets = _sets(question, declared, everything)
     told = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
         if not any(name in told or model.accepts("GB404", name) for name in found.constants):
-            _warn(model, problem, found, findings)
+            _warn(model, question, found, findings)
     return Identifiability(True, tuple(sets))
 
 
-def _sets(problem: Problem, declared: Directions, everything: Directions | None) -> list[Inseparable]:
-    names = [k.name for k in problem.sought]
-    known = symmetries(problem, declared) if declared.basis.shape[1] else []
+def _sets(question: Question, declared: Directions, everything: Directions | None) -> list[Inseparable]:
+    names = [k.name for k in question.sought]
+    known = symmetries(question, declared) if declared.basis.shape[1] else []
     sets: list[Inseparable] = []
     for group in _groups(declared.basis):
         members = [i for i in range(len(names)) if np.max(np.abs(group[i])) > 1e-6]
         constants = tuple(names[i] for i in members)
         unknowns = {u for direction in group.T for u in absorbers(declared, direction)}
-        constants += tuple(k.name for k in problem.own if k.name in unknowns)
-        ordered = tuple(u.name for u in problem.model.unknowns if u.name in unknowns)
+        constants += tuple(k.name for k in question.own if k.name in unknowns)
+        ordered = tuple(u.name for u in question.model.unknowns if u.name in unknowns)
         proofs = [s for s in known if set(s.constants) <= set(constants)]
         measured = everything is not None and _within(group, everything.basis)
         sets.append(Inseparable(constants, ordered, _proof(proofs, group.shape[1]), measured))
@@ -124,7 +124,7 @@ def _within(group: Array, basis: Array) -> bool:
 # -------------------------------------------------------------------------------------------------------- reporting
 
 
-def _warn(model: Model, problem: Problem, found: Inseparable, findings: Findings) -> None:
+def _warn(model: Model, question: Question, found: Inseparable, findings: Findings) -> None:
     code = "GB401" if len(found.names) > 1 else "GB402"
     if any(model.accepts(code, name) for name in found.names):
         return
@@ -145,7 +145,7 @@ def _warn(model: Model, problem: Problem, found: Inseparable, findings: Findings
         label="learnable constant" if found.constants else "unknown function",
         labels=labels,
         notes=[_note(found)],
-        help=_help(model, problem, found, code),
+        help=_help(model, question, found, code),
         subject=found.names[0],
     )
 
@@ -162,9 +162,9 @@ def _note(found: Inseparable) -> str:
     return "they can change together so that everything that is observed stays as it is"
 
 
-def _help(model: Model, problem: Problem, found: Inseparable, code: str) -> str:
+def _help(model: Model, question: Question, found: Inseparable, code: str) -> str:
     ways: list[str] = []
-    hidden = [model.states[i].name for i in problem.hidden]
+    hidden = [model.states[i].name for i in question.hidden]
     if not found.measured_states and hidden:
         ways.append(f"observe {_list(hidden, 'or')}")
     if found.constants:

@@ -13,12 +13,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import sympy
 
+from gbspec.arrays import Array, Mask
 from gbspec.ir.model import Expr
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -202,7 +200,7 @@ class Evaluation:
             result = np.where(self._condition(condition)[..., None], self(value), result)
         return result
 
-    def _condition(self, condition: Any) -> npt.NDArray[np.bool_]:
+    def _condition(self, condition: Any) -> Mask:
         if condition in (sympy.true, sympy.false):
             return np.full(self.lines, condition == sympy.true)
         if isinstance(condition, sympy.Not):

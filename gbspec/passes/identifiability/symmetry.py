@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.passes.identifiability.directions import Directions, at_order
-from gbspec.passes.identifiability.jets import Base, Germ, System
-from gbspec.passes.identifiability.problem import Problem
-from gbspec.passes.identifiability.series import Array
+from gbspec.passes.identifiability.jets import Base, Germ, LinearSystem
+from gbspec.passes.identifiability.question import Question
 
 Kind = Literal["scaling", "translation"]
 Key = tuple[str, str, int]
@@ -91,19 +91,19 @@ class Symmetry:
         return text
 
 
-def symmetries(problem: Problem, directions: Directions) -> list[Symmetry]:
+def symmetries(question: Question, directions: Directions) -> list[Symmetry]:
     """Scalings, then translations, that change some constant and nothing that is seen."""
     found: list[Symmetry] = []
-    arguments = {u.name: problem.model.networks[u.network].arguments for u in problem.model.unknowns}
+    arguments = {u.name: question.model.networks[u.network].arguments for u in question.model.unknowns}
     formals = {name: [a.name for a in items] for name, items in arguments.items()}
     if directions.order < CLEAR:
-        directions = at_order(problem, CLEAR) or directions
+        directions = at_order(question, CLEAR) or directions
     kinds: tuple[Kind, ...] = ("scaling", "translation")
     for kind in kinds:
-        keys = _keys(problem, kind)
+        keys = _keys(question, kind)
         blocks = []
         for system, base in zip(directions.systems, directions.bases, strict=True):
-            generators = np.stack([_column(problem, system, base, key, kind) for key in keys], axis=1)
+            generators = np.stack([_column(question, system, base, key, kind) for key in keys], axis=1)
             blocks.append(system.matrix @ generators)
         for weights in _rational_null(np.concatenate(blocks), keys):
             symmetry = Symmetry(kind, weights, formals)
@@ -112,27 +112,27 @@ def symmetries(problem: Problem, directions: Directions) -> list[Symmetry]:
     return found
 
 
-def _keys(problem: Problem, kind: Kind) -> list[Key]:
+def _keys(question: Question, kind: Kind) -> list[Key]:
     """Weights; those further on are put to use only where those before them do not do."""
-    arguments: dict[str, int] = {a.unknown: len(a.arguments) for a in problem.applications}
+    arguments: dict[str, int] = {a.unknown: len(a.arguments) for a in question.applications}
     keys: list[Key] = [("value", name, 0) for name in arguments]
-    keys += [("state", problem.model.states[i].name, 0) for i in problem.hidden if problem.starts[i] is None]
+    keys += [("state", question.model.states[i].name, 0) for i in question.hidden if question.starts[i] is None]
     keys += [("argument", name, r) for name, count in arguments.items() for r in range(count)]
     if kind == "translation":
         keys += [("shift", name, r) for name, count in arguments.items() for r in range(count)]
-    keys += [("constant", k.name, 0) for k in reversed(problem.sought)]
+    keys += [("constant", k.name, 0) for k in reversed(question.sought)]
     return keys
 
 
-def _column(problem: Problem, system: System, base: Base, key: Key, kind: Kind) -> Array:
+def _column(question: Question, system: LinearSystem, base: Base, key: Key, kind: Kind) -> Array:
     """What a unit of one weight changes, in the columns of a system."""
     what, name, position = key
     column = np.zeros(system.matrix.shape[1])
     if what == "constant":
-        index = next(i for i, k in enumerate(problem.sought) if k.name == name)
-        column[index] = base.constants[problem.sought[index].symbol] if kind == "scaling" else 1.0
+        index = next(i for i, k in enumerate(question.sought) if k.name == name)
+        column[index] = base.constants[question.sought[index].symbol] if kind == "scaling" else 1.0
     elif what == "state":
-        _move_start(problem, system, base, name, kind, column)
+        _move_start(question, system, base, name, kind, column)
     else:
         for germ in system.germs:
             if germ.unknown == name:
@@ -141,8 +141,8 @@ def _column(problem: Problem, system: System, base: Base, key: Key, kind: Kind) 
     return column
 
 
-def _move_start(problem: Problem, system: System, base: Base, name: str, kind: Kind, column: Array) -> None:
-    symbol = next(s.symbol for s in problem.model.states if s.name == name)
+def _move_start(question: Question, system: LinearSystem, base: Base, name: str, kind: Kind, column: Array) -> None:
+    symbol = next(s.symbol for s in question.model.states if s.name == name)
     first = system.starts[name]
     if kind == "translation":
         column[first] = 1.0

@@ -10,8 +10,8 @@ import numpy as np
 
 from gbspec.analysis.bifurcation.diagram import NAMES, Diagram
 from gbspec.analysis.bifurcation.eigen import Eigen
-from gbspec.analysis.prediction.initial_states import InitialStates
-from gbspec.data.trajectories import Array
+from gbspec.analysis.prediction.start_comparison import InitialStates
+from gbspec.arrays import Array
 from gbspec.report.content import ChannelFit, History, LearnedFunction, Orbit, Plane, Residuals, Slice
 from gbspec.report.style import LEARNED, MEASURED, MEMBERS, MUTED, TRUTH
 

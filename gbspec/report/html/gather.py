@@ -10,7 +10,7 @@ import numpy as np
 import sympy
 
 from gbspec.analysis.prediction.predict import input_values
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import UserError
 from gbspec.ir.model import NN, Model, Unknown
 from gbspec.report import collect, unknowns

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import gbspec
 from gbspec.ir.model import Model
 from gbspec.report import collect
 from gbspec.report.html import charts, gather, mathml
 from gbspec.runs.store import Run
+from gbspec.version import __version__
 
 if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.diagram import Diagram
@@ -176,6 +176,6 @@ def _reproduce(run: Run) -> dict[str, Any]:
         "sha256": data.get("sha256", "-"),
         "path": data.get("path", "-"),
         "versions": versions,
-        "made": f"gbspec {gbspec.__version__}, Python {platform.python_version()}",
+        "made": f"gbspec {__version__}, Python {platform.python_version()}",
         "text": run.model.text,
     }

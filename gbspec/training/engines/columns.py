@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Observed
 from gbspec.training.engines.torch.unroll import observe_rows
 from gbspec.training.problem.bounds import STRETCH

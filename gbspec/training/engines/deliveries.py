@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.path import Path, path_of
 from gbspec.training.problem.problem import Problem

@@ -15,7 +15,7 @@ from typing import Protocol, Self, TypeVar
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Jacobian
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters

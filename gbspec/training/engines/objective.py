@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.engine import Engine, Moments
 from gbspec.training.engines.linearised import Linearised

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 
 BETAS, EPSILON, CLIP = (0.9, 0.999), 1e-8, 1.0
 

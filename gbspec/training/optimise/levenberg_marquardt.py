@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.linearised import Linearised
 from gbspec.training.engines.objective import linearise, residual_vector

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Linearised
 from gbspec.training.optimise.nystrom import LEAST, Blocks, Sketch, TooSlowError
 from gbspec.training.problem.parameters import Parameters
@@ -45,7 +45,8 @@ def huber(residuals: Array, delta: float) -> float:
     if not np.isfinite(residuals).all():
         return float("inf")
     if np.isinf(delta):
-        return 0.5 * float(residuals @ residuals)
+        with np.errstate(over="ignore"):  # the residuals of a solution that runs away: their sum is infinite
+            return 0.5 * float(residuals @ residuals)
     return float(huber_each(residuals, delta).sum())
 
 

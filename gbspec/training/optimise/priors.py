@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.model import Prior
 from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.linearised import Linearised

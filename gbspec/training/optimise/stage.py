@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.torch.failure import explain_failure
 

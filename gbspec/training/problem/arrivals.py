@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Dose, Expr, Model
 
 Integers = NDArray[np.int64]

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.model import Learnable
 
 STRETCH = 3.0

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
 from gbspec.ir.model import Model
 from gbspec.training.problem.packing import Packed
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
 from gbspec.ir.tableaus import RK4
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.model import Model
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.bounds import STRETCH, Bijections

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.packing import NODES, Packed
 

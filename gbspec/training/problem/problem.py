@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
 from gbspec.ir.model import Model
-from gbspec.training.problem.forcing import Forcing, Mask, teacher_forcing
+from gbspec.training.problem.forcing import Forcing, teacher_forcing
 from gbspec.training.problem.packing import Packed
 from gbspec.training.problem.scaling import Scaling
 

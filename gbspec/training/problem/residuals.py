@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.residuals import residuals, slopes
 from gbspec.training.problem.problem import Problem
 
@@ -32,7 +32,8 @@ def mean_loss(residuals: Array) -> float:
     """Mean of half squared residuals; infinite if one is not finite."""
     if not np.isfinite(residuals).all():
         return float("inf")
-    return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
+    with np.errstate(over="ignore"):  # a mean that overflows is infinite too
+        return 0.5 * float(np.mean(residuals**2)) if len(residuals) else 0.0
 
 
 def typical(residuals: Array) -> float:

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array, Mask
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
-from gbspec.training.problem.forcing import Mask
 from gbspec.training.problem.packing import Packed
 
 

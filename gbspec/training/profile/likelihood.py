@@ -21,14 +21,15 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs.store import Run
 from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.anchored import Anchor, Penalised, Rest, minimise
 from gbspec.training.optimise.levenberg_marquardt import evidence, noise_variance
 from gbspec.training.optimise.normal_equations import NormalEquations
+from gbspec.training.optimise.preconditioned_lbfgs import Anchor, Penalised, Rest, minimise
 from gbspec.training.optimise.stage import require_finite
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.runs import files
 from gbspec.runs.store import Run
-from gbspec.training.optimise.anchored import Rest
+from gbspec.training.optimise.preconditioned_lbfgs import Rest
 
 FORMAT = "1"
 """To be changed with what a fit means, so that older ones are not taken for new."""

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array, Trajectories, Trajectory
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.training.engines.objective import predicted, residual_vector
 from gbspec.training.optimise.stage import Outcome, State
 from gbspec.training.problem.forcing import teacher_forcing

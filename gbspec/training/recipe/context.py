@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.engines.choice import Choice, choose
 from gbspec.training.engines.engine import Engine

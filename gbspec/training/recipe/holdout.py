@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
 from gbspec.training.engines.objective import residual_vector
-from gbspec.training.problem.forcing import Mask, teacher_forcing
+from gbspec.training.problem.forcing import teacher_forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem

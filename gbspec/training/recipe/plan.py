@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.descent import Adam, LimitedMemory
+from gbspec.training.optimise.adam import Adam
+from gbspec.training.optimise.lbfgs_stage import LimitedMemory
 from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.optimise.stage import Stage
 from gbspec.training.problem.parameters import Parameters

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.engines.objective import residual_vector
 from gbspec.training.options import TrainOptions

@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data.window import PREFIX, features
 from gbspec.training.engines.objective import predicted
-from gbspec.training.problem.forcing import Mask
 from gbspec.training.problem.parameters import Parameters, Weights
 from gbspec.training.recipe.context import Context
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.objective import residual_vector
 from gbspec.training.optimise.stage import Outcome, State

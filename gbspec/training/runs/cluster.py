@@ -18,7 +18,6 @@ from queue import Queue
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import gbspec
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.runs import files
 from gbspec.training.optimise.normal_equations import use_threads
@@ -26,6 +25,7 @@ from gbspec.training.progress import Update
 from gbspec.training.runs.member import Interrupted
 from gbspec.training.runs.parallel import Engine, Job, Pending, Sender, fit
 from gbspec.training.runs.summary import MemberResult
+from gbspec.version import __version__
 
 PATIENCE = 10
 """Seconds to wait for the scheduler's answer."""
@@ -91,7 +91,7 @@ class _Cluster:
             kept,
             self.name,
             self.threads,
-            gbspec.__version__,
+            __version__,
             key=f"{self.name}-{job.number}",
             pure=False,
         )
@@ -124,8 +124,8 @@ class _Cluster:
 def _work(job: Job, kept: Files, name: str, threads: int, version: str) -> tuple[MemberResult | None, Files]:
     """One member; with its files, unless the caller sees them anyway. Raises ComputationError as training does."""
     worker = _distributed().get_worker()
-    if version != gbspec.__version__:
-        what = f"the worker has gbspec {gbspec.__version__}, but {version} asked for the fit"
+    if version != __version__:
+        what = f"the worker has gbspec {__version__}, but {version} asked for the fit"
         raise ComputationError(what, where=f"worker {worker.address}", remedy="install one version everywhere")
     stopped = _stopped(name)
     if stopped():

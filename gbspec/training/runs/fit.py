@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-import gbspec
 from gbspec.backends.module import generate, load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
@@ -29,6 +28,7 @@ from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.plan import plan
 from gbspec.training.runs.parallel import Job, fit_jobs
 from gbspec.training.runs.summary import MemberResult
+from gbspec.version import __version__
 
 TOGETHER = 0.95
 """Correlations beyond this are warned of."""
@@ -131,7 +131,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
     """What is known before training: the first part of `fit.json`."""
     packages = ("torch", "numpy", "scipy", "sympy", "casadi")
     return {
-        "gbspec": gbspec.__version__,
+        "gbspec": __version__,
         "model": model.name,
         "data": {
             "path": trajectories.path,

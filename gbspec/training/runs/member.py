@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from gbspec.arrays import Array
 from gbspec.data.fingerprint import fingerprint
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files

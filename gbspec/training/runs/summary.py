@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.objective import predicted, residual_table
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.recipe.context import Context

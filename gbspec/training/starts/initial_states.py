@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.engine import Engine, taken
 from gbspec.training.engines.objective import linearise, residual_table, residual_vector
-from gbspec.training.optimise.normal_equations import huber_each
+from gbspec.training.optimise.normal_equations import huber_each, huber_weights
 from gbspec.training.optimise.priors import LEAST_NOISE, Priors
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.forcing import Forcing
@@ -151,8 +151,7 @@ def _polish(engine: Engine, theta: Array, losses: Array) -> Array:
             break
         system = Priors.of(engine.problem, parameters, np.zeros(0)).with_rows(system, theta)
         residuals = system.residuals.numpy()
-        size = np.abs(residuals)
-        weight = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, 1e-300))
+        weight = huber_weights(residuals, HUBER)
         local, owner = system.local.numpy(), system.owner.numpy()
         hessian, gradient = np.zeros((n, width, width)), np.zeros((n, width))
         np.add.at(hessian, owner, local[:, :, None] * (weight[:, None] * local)[:, None, :])

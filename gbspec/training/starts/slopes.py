@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.arrays import Array
 from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.problem import torch_arithmetic

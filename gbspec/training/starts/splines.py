@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_smoothing_spline
 
-from gbspec.data.trajectories import Array, Trajectories
+from gbspec.arrays import Array
+from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 
 Curve = Callable[[Array], Array]

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.ir.model import NN, Model
 from gbspec.training.optimise.adam_update import Moments, one_cycle
 from gbspec.training.optimise.priors import spread_of

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from gbspec.arrays import Array
 from gbspec.backends.module.template.networks import _layers, _torch_like
-from gbspec.data.trajectories import Array
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import terms_of
 from gbspec.training.engines.engine import Moments

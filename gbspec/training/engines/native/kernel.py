@@ -21,11 +21,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from gbspec.arrays import Array
 from gbspec.backends.module.template.networks import _folded, _layers, _torch_like
 from gbspec.backends.native import CompilerError, compiled, source
 from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
 from gbspec.backends.native.source import TILE, Precision
-from gbspec.data.trajectories import Array
 from gbspec.ir.model import Model
 from gbspec.training.engines.deliveries import delivered
 from gbspec.training.engines.engine import Lack, Unable

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step

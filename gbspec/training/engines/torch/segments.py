@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Batch
 from gbspec.training.engines.torch.sub_steps import SubStep, sub_step
 from gbspec.training.problem.arrivals import Integers

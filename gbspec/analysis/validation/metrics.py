@@ -18,17 +18,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
-FLAT = 1e-9
-"""A variable whose truth varies by less than this part of its fallback scale (or of its size) counts as constant."""
-
-
-def finite(value: float) -> float | None:
-    """A number for JSON: `null` where it is not finite, since JSON has no NaN."""
-    return float(value) if math.isfinite(value) else None
+from gbspec.arrays import Array, Mask
+from gbspec.data.statistics import FLAT, measured_scale
+from gbspec.files import finite
 
 
 @dataclass(frozen=True)
@@ -60,7 +53,7 @@ class Norms:
         return f"L1 {self.L1:.3g}  L2 {self.L2:.3g}  Linf {self.Linf:.3g}{failed}"
 
 
-def truth_scale(truth: Array, fallback: Array) -> tuple[Array, NDArray[np.bool_]]:
+def truth_scale(truth: Array, fallback: Array) -> tuple[Array, Mask]:
     """Range of each variable of `truth` [N, V], and which variables take `fallback` [V] since theirs is zero."""
     width = truth.max(axis=0) - truth.min(axis=0)
     reference = np.maximum(fallback, np.abs(truth).max(axis=0))
@@ -120,17 +113,6 @@ class ChannelErrors:
         }
 
 
-def spread(values: Array) -> float:
-    """The standard deviation of measured values (NaN left out); their size, then 1, where they do not vary."""
-    measured = values[np.isfinite(values)]
-    if not measured.size:
-        return 1.0
-    deviation, size = float(measured.std()), float(np.abs(measured).max())
-    if deviation > FLAT * size:
-        return deviation
-    return size or 1.0
-
-
 def channel_errors(measured: Array, predicted: Array) -> ChannelErrors:
     """Errors of one channel; both arrays of the same shape, NaN where there is no value to compare."""
     compared = np.isfinite(measured) & np.isfinite(predicted)
@@ -142,4 +124,4 @@ def channel_errors(measured: Array, predicted: Array) -> ChannelErrors:
     total = float(np.sum((values - values.mean()) ** 2))
     varies = total > (FLAT * float(np.abs(values).max())) ** 2 * n
     r2 = 1.0 - float(np.sum(error**2)) / total if varies else math.nan
-    return ChannelErrors(n, rmse, rmse / spread(values), float(np.mean(np.abs(error))), r2)
+    return ChannelErrors(n, rmse, rmse / measured_scale(values), float(np.mean(np.abs(error))), r2)

@@ -13,21 +13,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.metrics import spread
 from gbspec.analysis.prediction.predict import learned_positions, learned_start, needed
 from gbspec.analysis.systems.steady import ordered_modes
 from gbspec.analysis.systems.system import System
+from gbspec.arrays import Array, ComplexArray
+from gbspec.data.statistics import channel_scales
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories
     from gbspec.ir.model import Model
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -129,10 +126,9 @@ def initial_states(
     """
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
-    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in data.items]).T])
-    spreads = np.where((spreads > 0) & np.isfinite(spreads), spreads, 1.0)
-    breeder = Estimator(evaluator, model, spreads)
-    judge = None if truth is None else Estimator(truth, model, spreads)
+    scales = channel_scales(data)
+    breeder = Estimator(evaluator, model, scales)
+    judge = None if truth is None else Estimator(truth, model, scales)
     found = []
     for index in chosen:
         item, position = data.items[index], positions[index]

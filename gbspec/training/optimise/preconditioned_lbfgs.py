@@ -11,15 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.data.trajectories import Array
+from gbspec.arrays import Array
 from gbspec.training.engines.engine import Engine
 from gbspec.training.engines.objective import half_squares, linearise, residual_vector
+from gbspec.training.optimise.lbfgs import MEMORY, Pair, inverse_times
 from gbspec.training.optimise.normal_equations import NormalEquations
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.problem.parameters import Parameters
 
-MEMORY = 20
-"""Pairs of steps and gradient changes that are kept."""
 SUFFICIENT = 1e-4
 """The part of the promised decrease that a step must bring (Armijo)."""
 HALVINGS = 8
@@ -61,7 +60,8 @@ class Penalised:
     def value(self, theta: Array) -> float:
         """Phi at a vector [size]; infinite where the solution blows up."""
         residuals = residual_vector(self.engine, theta)
-        found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
+        with np.errstate(over="ignore"):
+            found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
         return found if np.isfinite(found) else float("inf")
 
     def gradient(self, theta: Array) -> tuple[float, Array]:
@@ -113,11 +113,11 @@ def minimise(target: Penalised, anchor: Anchor, theta: Array, enough: float, mos
 
     It also ends where no step along the direction brings a decrease: the anchor is then too far away.
     """
-    pairs: list[tuple[Array, Array]] = []
+    pairs: list[Pair] = []
     value, slope = target.gradient(theta)
     promised = float("inf")
     for step in range(most):
-        direction = -_two_loops(slope, pairs, anchor)
+        direction = -inverse_times(slope, pairs, anchor.solve)
         promised = -0.5 * float(slope @ direction)
         if promised <= enough:
             return Rest(theta, value, promised, step)
@@ -144,16 +144,3 @@ def _search(
             return trial, new, slope
         length *= 0.4
     return None
-
-
-def _two_loops(slope: Array, pairs: list[tuple[Array, Array]], anchor: Anchor) -> Array:
-    """The inverse Hessian as the pairs and the anchor know it, times the gradient."""
-    rest, parts = slope.copy(), []
-    for moved, changed in reversed(pairs):
-        part = float(moved @ rest) / float(moved @ changed)
-        rest -= part * changed
-        parts.append(part)
-    found = anchor.solve(rest)
-    for (moved, changed), part in zip(pairs, reversed(parts), strict=True):
-        found += (part - float(changed @ found) / float(moved @ changed)) * moved
-    return found

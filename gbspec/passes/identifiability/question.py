@@ -24,7 +24,7 @@ class Application:
 
 
 @dataclass(frozen=True)
-class Problem:
+class Question:
     """What varies, what is sought, and what is seen.
 
     `known` are the states that are measured as they are; `hidden` the others. `starts` has the expression of a state's
@@ -64,7 +64,7 @@ class Problem:
         return [argument for a in self.applications for argument in a.arguments]
 
 
-def pose(model: Model, *, all_states: bool) -> Problem:
+def pose(model: Model, *, all_states: bool) -> Question:
     """The question with every state measured and every start free, or with what `observe` and `initial` say."""
     channels = [c.value for c in model.channels if c.state is None]
     expressions = model.inlined([*model.balances, *channels])
@@ -74,7 +74,7 @@ def pose(model: Model, *, all_states: bool) -> Problem:
     measured = {c.state for c in model.channels if c.state is not None}
     known = frozenset(range(n)) if all_states else frozenset(measured)
     starts = tuple(None if all_states or s.initial.kind != "expression" else s.initial.value for s in model.states)
-    return Problem(model, applications, tuple(opened[:n]), tuple(opened[n:]), known, starts)
+    return Question(model, applications, tuple(opened[:n]), tuple(opened[n:]), known, starts)
 
 
 def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr, Expr], tuple[Application, ...]]:

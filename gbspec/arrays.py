@@ -1,0 +1,11 @@
+"""The types of numerical arrays that the whole package speaks of."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
+"""Which entries count."""

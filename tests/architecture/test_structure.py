@@ -1,0 +1,164 @@
+"""The shape of the sources: no import circle, no file or function that does not fit, no private name imported.
+
+import-linter holds the order of packages and rooms; this holds what it does not see, computed from the syntax trees:
+circles between single modules, with the imports inside functions and those for types alone, since both say that
+neither module can be understood without the other.
+
+What does not hold yet is listed below with its reason. An entry that is no longer needed fails too: the lists only
+shrink.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "gbspec"
+
+MOST_LINES = 450
+MOST_LINES_OF_A_FUNCTION = 60
+
+CIRCLES: set[frozenset[str]] = {
+    # a fit in parallel may go to a cluster, whose workers do what a parallel worker does
+    frozenset({"gbspec.training.runs.cluster", "gbspec.training.runs.parallel"}),
+}
+"""Circles of imports that are known, each as the set of its modules."""
+
+LONG_FILES: set[str] = {
+    "gbspec/backends/native/driver.c",  # steps, residuals and the reverse sweep in one file
+}
+LONG_FUNCTIONS: set[str] = {
+    # the class of torch operations stands inside a function, since a generated module imports torch only when asked to
+    "gbspec.backends.module.template.arithmetic._torch_arithmetic",
+}
+PRIVATE: set[str] = {
+    # the native kernel builds its networks as the generated module does, from helpers of the module's template
+    "gbspec.training.engines.native.jacobian imports gbspec.backends.module.template.networks._layers",
+    "gbspec.training.engines.native.jacobian imports gbspec.backends.module.template.networks._torch_like",
+    "gbspec.training.engines.native.kernel imports gbspec.backends.module.template.networks._folded",
+    "gbspec.training.engines.native.kernel imports gbspec.backends.module.template.networks._layers",
+    "gbspec.training.engines.native.kernel imports gbspec.backends.module.template.networks._torch_like",
+}
+
+
+@cache
+def trees() -> dict[str, tuple[Path, ast.Module]]:
+    """Every module of the package: its path and its syntax tree."""
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        found[name] = path, ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def imports(module: str) -> Iterator[tuple[str, str | None, str]]:
+    """Of each import of something of gbspec, wherever it stands: the module, the name taken from it, the name given."""
+    known = trees()
+    for node in ast.walk(known[module][1]):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module} imports relatively"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                if whole in known:
+                    yield whole, None, alias.asname or alias.name
+                elif node.module in known:
+                    yield str(node.module), alias.name, alias.asname or alias.name
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name in known:
+                    yield alias.name, None, alias.asname or alias.name
+
+
+def circles() -> set[frozenset[str]]:
+    """The strongly connected sets of two modules and more (Tarjan 1972), a module that imports itself included."""
+    graph = {module: sorted({target for target, _, _ in imports(module)}) for module in trees()}
+    number: dict[str, int] = {}
+    lowest: dict[str, int] = {}
+    stack: list[str] = []
+    found: set[frozenset[str]] = set()
+
+    def visit(module: str) -> None:
+        number[module] = lowest[module] = len(number)
+        stack.append(module)
+        for target in graph[module]:
+            if target not in number:
+                visit(target)
+                lowest[module] = min(lowest[module], lowest[target])
+            elif target in stack:
+                lowest[module] = min(lowest[module], number[target])
+        if lowest[module] == number[module]:
+            cut = stack.index(module)
+            together = frozenset(stack[cut:])
+            del stack[cut:]
+            if len(together) > 1 or module in graph[module]:
+                found.add(together)
+
+    for module in graph:
+        if module not in number:
+            visit(module)
+    return found
+
+
+def compare(kind: str, found: set[str], allowed: set[str]) -> None:
+    """Fails for what is new and for what is listed without need."""
+    new, stale = found - allowed, allowed - found
+    assert not new, f"{kind}: " + "; ".join(sorted(new))
+    assert not stale, f"no longer needed in the list of {kind}: " + "; ".join(sorted(stale))
+
+
+def test_no_modules_import_each_other() -> None:
+    found, allowed = ({" <-> ".join(sorted(circle)) for circle in each} for each in (circles(), CIRCLES))
+    compare("import circles", found, allowed)
+
+
+def test_files_are_short() -> None:
+    paths = [path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".c")]
+    long = {
+        path.relative_to(ROOT).as_posix()
+        for path in paths
+        if len(path.read_text(encoding="utf-8").splitlines()) > MOST_LINES
+    }
+    compare("long files", long, LONG_FILES)
+
+
+def test_functions_fit_on_a_screen() -> None:
+    long = {
+        f"{module}.{node.name}"
+        for module, (_, tree) in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or node.lineno) - node.lineno + 1 > MOST_LINES_OF_A_FUNCTION
+    }
+    compare("long functions", long, LONG_FUNCTIONS)
+
+
+def test_private_names_stay_in_their_package() -> None:
+    """A name that begins with an underscore is known in the folder of its module, and nowhere else."""
+    known = trees()
+    found = set()
+    for module, (path, tree) in known.items():
+        foreign = {}
+        for target, taken, given in imports(module):
+            if known[target][0].parent == path.parent:
+                continue
+            foreign[given] = target if taken is None else f"{target}.{taken}"
+            for part in (target.rpartition(".")[2], taken or ""):
+                if _private(part):
+                    found.add(f"{module} imports {foreign[given]}")
+        for node in ast.walk(tree):
+            if (
+                isinstance(node, ast.Attribute)
+                and _private(node.attr)
+                and isinstance(node.value, ast.Name)
+                and node.value.id in foreign
+            ):
+                found.add(f"{module} uses {foreign[node.value.id]}.{node.attr}")
+    compare("private names used from outside", found, PRIVATE)
+
+
+def _private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
