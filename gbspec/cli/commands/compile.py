@@ -36,7 +36,7 @@ def run(
         typer.Option(
             "--emit",
             parser=form,
-            metavar=f"[{'|'.join(FORMS)}]",
+            metavar="FORM",
             help="; ".join(f"{name}: {said}" for name, said in FORMS.items()) + ".",
         ),
     ] = "module",
