@@ -52,5 +52,9 @@ def _module(name: str, path: Path) -> ModuleType:
         raise Defect(f"{path} cannot be imported")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]  # so that the next call says what is wrong, too
+        raise
     return module
