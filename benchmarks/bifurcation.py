@@ -23,12 +23,13 @@ HEAD = """\
 
 def line(name: str, over: str, low: float, high: float) -> str:
     """One diagram as a line of the table."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.diagnostics import Findings
+    from gbspec.operations import analysing, models
 
-    subject = driver.reference(driver.load_model(name, Findings()))
+    subject = models.reference(frontend.load_model(name, Findings()))
     began = time.process_time()
-    found = driver.bifurcate(subject, over, low, high)
+    found = analysing.bifurcate(subject, over, low, high)
     seconds = time.process_time() - began
     steady = sum(len(branch.points) for branch in found.branches)
     cycles = sum(len(family.cycles) for family in found.cycles)

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import statistics
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -23,11 +22,8 @@ from benchmarks.harness import clock
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings, Source
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model
-from gbspec.lower import lower
-from gbspec.passes.contracts import with_contracts
-from gbspec.semantics import check
-from gbspec.syntax.parser import parse
 from gbspec.training.engines.objective import linearise, objective
 from gbspec.training.options import TrainOptions
 from gbspec.training.recipe.context import build_context
@@ -65,16 +61,8 @@ ALONE = "of x2 alone"
 
 
 def model_of(contracts: str, arguments: str) -> Model:
-    findings = Findings()
-    file = parse(Source("urp.gb", TEXT.format(contracts=contracts, arguments=arguments)), findings)
-    findings.raise_if_failed()
-    assert file is not None
-    checked = check(file, findings, lambda path: Source(str(path), Path(path).read_text()))
-    findings.raise_if_failed()
-    assert checked is not None
-    model = with_contracts(lower(checked, findings), findings)
-    findings.raise_if_failed()
-    return model
+    text = TEXT.format(contracts=contracts, arguments=arguments)
+    return load_model("urp.gb", Findings(), lambda path: Source(str(path), text))
 
 
 def data(count: int) -> Trajectories:

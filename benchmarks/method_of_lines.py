@@ -24,7 +24,7 @@ from benchmarks.harness import Timing, busyness, clock, interleaved, markdown, p
 from gbspec.backends.module import load_module
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 
 TRAJECTORIES, STEPS, STEP = 8, 20, 0.01
 

@@ -15,11 +15,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.diagnostics import Diagnostic, Findings
 from gbspec.ir.model import Model
+from gbspec.operations import analysing, fitting, models, reporting, tables
 from gbspec.report.notebook import register
 
 register()
@@ -62,22 +63,25 @@ class Specification:
         examine(self.model, findings)
         return tuple(findings)
 
-    def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str:
-        """The model in a form of `gbspec compile --emit`, written to `path` where one is given.
+    @overload
+    def compile(self, path: str | Path | None = None) -> str: ...
 
-        Raises `ValueError` where there is no such form.
+    @overload
+    def compile(self, path: str | Path | None = None, *, emit: str) -> str | bytes: ...
+
+    def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str | bytes:
+        """The model in a form of `gbspec compile --emit`, written to `path` where one is given; bytes of a binary form.
+
+        Raises `ValueError` where there is no such form, `UserError` (GB808) where it cannot express the model.
         """
-        from gbspec.backends.registry import BACKENDS
-        from gbspec.files import write_text
+        from gbspec.files import write_bytes
 
-        if emit not in BACKENDS:
-            raise ValueError(f"there is no form `{emit}`; there are {', '.join(BACKENDS)}")
-        backend = BACKENDS[emit]
-        instance = driver.reference(self.model).evaluator.instance if backend.numbers else None
-        text = backend.emit(self.model, instance)
+        if emit not in models.forms():
+            raise ValueError(f"there is no form `{emit}`; there are {', '.join(models.forms())}")
+        made = models.compile_model(self.model, emit).content
         if path is not None:
-            write_text(path, text)
-        return text
+            write_bytes(path, made if isinstance(made, bytes) else made.encode("utf-8"))
+        return made
 
     def simulate(
         self,
@@ -88,7 +92,7 @@ class Specification:
         **options: Any,
     ) -> Trajectories:
         """Measurements from the model's truth; `options` are the fields of `SimulateOptions`."""
-        return _simulate(driver.reference(self.model, values), path, like, options)
+        return _simulate(models.reference(self.model, values), path, like, options)
 
     def train(
         self,
@@ -102,8 +106,8 @@ class Specification:
         """Learns what is unknown, into a run directory; `options` are the fields of `TrainOptions`."""
         from gbspec.training.options import TrainOptions
 
-        model = driver.specified(self.model, values or {})
-        made = driver.train(model, _table(data, model), Path(directory), TrainOptions(**options), progress)
+        model = models.specified(self.model, values or {})
+        made = fitting.train(model, _table(data, model), Path(directory), TrainOptions(**options), progress)
         return FittedRun(made)
 
     def crossvalidate(
@@ -136,7 +140,7 @@ class Specification:
     ) -> Eigen:
         """Eigenvalues of the truth's Jacobian at points, along data, or at steady states."""
         data = None if along is None else _table(along, self.model)
-        return driver.eigen(driver.reference(self.model, values), at=at, along=data, steady=steady)
+        return analysing.eigen(models.reference(self.model, values), at=at, along=data, steady=steady)
 
     def bifurcate(
         self,
@@ -152,8 +156,8 @@ class Specification:
 
         Where the period of a cycle doubles, the doubled cycles are followed too, at most `doublings` times.
         """
-        subject = driver.reference(self.model, values)
-        return driver.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
+        subject = models.reference(self.model, values)
+        return analysing.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 
 
 @dataclass(frozen=True)
@@ -179,7 +183,7 @@ class FittedRun:
         self, data: str | Path | Trajectories | None = None, *, member: int | Literal["mean"] = "mean"
     ) -> Validation:
         """Errors on data (default: those trained on), at half the step, and against the truth."""
-        return driver.validate(self.run, self._data(data), member)
+        return analysing.validate(self.run, self._data(data), member)
 
     def simulate(
         self,
@@ -191,7 +195,7 @@ class FittedRun:
         **options: Any,
     ) -> Trajectories:
         """Measurements from what was learned; `options` are the fields of `SimulateOptions`."""
-        return _simulate(driver.learned(self.run, values, member), path, like, options)
+        return _simulate(models.learned(self.run, values, member), path, like, options)
 
     def eigen(
         self,
@@ -204,7 +208,7 @@ class FittedRun:
     ) -> Eigen:
         """Eigenvalues of the learned Jacobian, beside the truth's where there is one."""
         data = None if along is None else _table(along, self.run.model)
-        return driver.eigen(driver.learned(self.run, values, member), at=at, along=data, steady=steady)
+        return analysing.eigen(models.learned(self.run, values, member), at=at, along=data, steady=steady)
 
     def predict(
         self, data: str | Path | Trajectories, path: str | Path | None = None, *, window: int | None = None
@@ -212,8 +216,8 @@ class FittedRun:
         """Predictions for new trajectories from their first `window` measured rows (1: from the start alone)."""
         table = data
         if isinstance(table, str | Path):
-            table = driver.read_data(table, self.run.model, Findings(), require_channels=False)
-        return driver.predict(self.run, table, window=window, path=path)
+            table = tables.read_data(table, self.run.model, Findings(), require_channels=False)
+        return analysing.predict(self.run, table, window=window, path=path)
 
     def bifurcate(
         self,
@@ -227,8 +231,8 @@ class FittedRun:
         member: int | None = None,
     ) -> Diagram:
         """The bifurcation diagram of what was learned over a condition, input or constant, as for a model."""
-        subject = driver.learned(self.run, values, member)
-        return driver.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
+        subject = models.learned(self.run, values, member)
+        return analysing.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 
     def bifurcation_plane(
         self,
@@ -240,12 +244,12 @@ class FittedRun:
     ) -> PlaneDiagram:
         """Hopf and fold curves of what was learned over two parameters, each given as (name, low, high)."""
         names, boxes = (first[0], second[0]), (first[1:], second[1:])
-        return driver.bifurcation_plane(driver.learned(self.run, values, member), names, boxes)
+        return analysing.bifurcation_plane(models.learned(self.run, values, member), names, boxes)
 
     def initial_states(self, data: str | Path | None = None, *, member: int | None = None) -> InitialStates:
         """Learned, bred and true initial states of the trajectories that it was trained on."""
-        table = driver.trained_on(self.run, data, Findings())
-        return driver.initial_states(driver.learned(self.run, None, member), table)
+        table = tables.trained_on(self.run, data, Findings())
+        return analysing.initial_states(models.learned(self.run, None, member), table)
 
     def plot(
         self,
@@ -258,7 +262,7 @@ class FittedRun:
         """A figure of one of the kinds of `gbspec plot`, also written to `path` where one is given."""
         from gbspec.report.style import save
 
-        made = driver.figure(kind, self.run, self._data(data), show)
+        made = reporting.figure(kind, self.run, self._data(data), show)
         if path is not None:
             save(made, path)
         return made
@@ -276,10 +280,10 @@ class FittedRun:
         """The profile likelihood of a learned constant, drawn to `path` where one is given."""
         from gbspec.report.style import save
 
-        table = driver.trained_on(self.run, data, Findings())
-        found = driver.profile(self.run, name, table, member=member, points=points, iterations=iterations)
+        table = tables.trained_on(self.run, data, Findings())
+        found = fitting.profile(self.run, name, table, member=member, points=points, iterations=iterations)
         if path is not None:
-            save(driver.profile_figure(self.run, found), path)
+            save(reporting.profile_figure(self.run, found), path)
         return found
 
     def report(
@@ -292,17 +296,17 @@ class FittedRun:
     ) -> Path:
         """Writes the page of `gbspec report` (by default `report.html` in the run) and gives its path."""
         target = self.run.path / "report.html" if path is None else Path(path)
-        driver.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
+        reporting.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
         return target
 
     def _data(self, data: str | Path | Trajectories | None) -> Trajectories | None:
-        return driver.training_data(self.run, Findings()) if data is None else _table(data, self.run.model)
+        return tables.training_data(self.run, Findings()) if data is None else _table(data, self.run.model)
 
 
 def load(path: str | Path) -> Specification:
     """Reads and checks a model file, or a shipped model by name. Raises `UserError` with everything that is wrong."""
     findings = Findings()
-    model = driver.load_model(path, findings)
+    model = frontend.load_model(path, findings)
     return Specification(str(path), model, tuple(findings))
 
 
@@ -313,7 +317,7 @@ def check(path: str | Path) -> tuple[Diagnostic, ...]:
 
     findings = Findings()
     try:
-        examine(driver.load_model(path, findings), findings)
+        examine(frontend.load_model(path, findings), findings)
     except UserError as error:
         findings.extend(error.diagnostics)
     return tuple(findings)
@@ -321,12 +325,12 @@ def check(path: str | Path) -> tuple[Diagnostic, ...]:
 
 def open_run(path: str | Path) -> FittedRun:
     """Opens a run directory. Raises `UserError` where it is none."""
-    return FittedRun(driver.open_run(path))
+    return FittedRun(models.open_run(path))
 
 
 def simulate(source: str | Path, path: str | Path | None = None, **options: Any) -> Trajectories:
     """Measurements from a model's truth or from a run, by path; see `Specification.simulate`."""
-    subject: Specification | FittedRun = open_run(source) if driver.is_run(source) else load(source)
+    subject: Specification | FittedRun = open_run(source) if models.is_run(source) else load(source)
     return subject.simulate(path, **options)
 
 
@@ -342,7 +346,7 @@ def validate(run: str | Path, data: str | Path | Trajectories | None = None) -> 
 
 def bifurcate(source: str | Path, over: str, low: float, high: float, **options: Any) -> Diagram:
     """The bifurcation diagram of a model's truth or of a run, by path; see `Specification.bifurcate`."""
-    subject: Specification | FittedRun = open_run(source) if driver.is_run(source) else load(source)
+    subject: Specification | FittedRun = open_run(source) if models.is_run(source) else load(source)
     return subject.bifurcate(over, low, high, **options)
 
 
@@ -369,11 +373,11 @@ def study(cases: str | Sequence[str], directory: str | Path, **options: Any) -> 
 
 
 def _table(data: str | Path | Trajectories, model: Model) -> Trajectories:
-    return driver.read_data(data, model, Findings()) if isinstance(data, str | Path) else data
+    return tables.read_data(data, model, Findings()) if isinstance(data, str | Path) else data
 
 
 def _simulate(
-    subject: driver.Subject,
+    subject: models.Subject,
     path: str | Path | None,
     like: str | Path | Trajectories | None,
     options: Mapping[str, Any],
@@ -382,8 +386,8 @@ def _simulate(
     from gbspec.data.table import write
 
     if isinstance(like, str | Path):
-        like = driver.read_data(like, subject.model, Findings(), require_channels=False)
-    made = driver.simulate(subject, SimulateOptions(**options), like)
+        like = tables.read_data(like, subject.model, Findings(), require_channels=False)
+    made = tables.simulate(subject, SimulateOptions(**options), like)
     if path is not None:
         write(path, made, subject.model)
     return made

@@ -1,4 +1,4 @@
-"""Reading and writing of text files and the numbers in them, with the user's mistakes as diagnostics."""
+"""Reading and writing of files and the numbers in them, with the user's mistakes as diagnostics."""
 
 from __future__ import annotations
 
@@ -38,15 +38,20 @@ def writable(path: str | Path) -> Path:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Writes a text (UTF-8, LF) at once: a reader sees the old file or the new one, never a half."""
+    """Writes a text (UTF-8, LF) as `write_bytes` does."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: str | Path, data: bytes) -> None:
+    """Writes a file at once: a reader sees the old file or the new one, never a half."""
     target = writable(path)
     if target.exists() and not target.is_file():  # /dev/stdout and the like are written to, not replaced
-        target.write_text(text, encoding="utf-8", newline="\n")
+        target.write_bytes(data)
         return
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
         mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
         os.chmod(name, mode)
         os.replace(name, target)

@@ -194,7 +194,7 @@ class Outcome:
 
 def front_end(text: str) -> str:
     """Does all that `gbspec check` does up to the Model, formats the text, and renders what is found."""
-    from gbspec.driver import load_model, read_source
+    from gbspec.frontend import load_model, read_source
     from gbspec.syntax.formatter import format_text
 
     source = Source(str(ROOT / "models" / "bf" / "mutated.gb"), text)

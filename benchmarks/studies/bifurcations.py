@@ -62,22 +62,23 @@ QUESTIONS = (
 
 def fitted(name: str, runs: Path) -> Run:
     """The run of a shipped model, trained unless it is there."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.data.cases import find_cases
     from gbspec.data.table import write
     from gbspec.diagnostics import Findings
+    from gbspec.operations import fitting, models, tables
     from gbspec.training.options import TrainOptions
 
     directory = runs / name
     if directory.is_dir():
-        return driver.open_run(directory)
-    model = driver.load_model(name, Findings())
-    case = find_cases(driver.resolve(name)).of_model(name)
+        return models.open_run(directory)
+    model = frontend.load_model(name, Findings())
+    case = find_cases(frontend.resolve(name)).of_model(name)
     table = runs / f"{name}.csv"
     runs.mkdir(parents=True, exist_ok=True)
-    write(table, driver.simulate(driver.reference(model), dataclasses.replace(case.sampling, seed=SEED)), model)
-    data = driver.read_data(table, model, Findings())
-    return driver.train(model, data, directory, TrainOptions(seed=SEED, max_step=0.1))
+    write(table, tables.simulate(models.reference(model), dataclasses.replace(case.sampling, seed=SEED)), model)
+    data = tables.read_data(table, model, Findings())
+    return fitting.train(model, data, directory, TrainOptions(seed=SEED, max_step=0.1))
 
 
 def rows(question: Question, shown: Diagram, truth: Diagram) -> list[str]:
@@ -116,7 +117,7 @@ def stable_cycles(diagram: Diagram) -> tuple[np.ndarray, list[np.ndarray]]:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fits, follows, writes."""
-    from gbspec import driver
+    from gbspec.operations import analysing, models, reporting
     from gbspec.report.style import save
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -127,13 +128,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given.figures.mkdir(parents=True, exist_ok=True)
     lines = []
     for question in QUESTIONS:
-        source = driver.learned(fitted(question.model, given.runs), dict(question.values))
+        source = models.learned(fitted(question.model, given.runs), dict(question.values))
         asked = (question.over, question.low, question.high)
-        shown, truth = driver.bifurcate(source, *asked), driver.true_diagram(source, *asked)
+        shown, truth = analysing.bifurcate(source, *asked), analysing.true_diagram(source, *asked)
         if truth is None:
             raise SystemExit(f"{question.model} has no truth")
         lines += rows(question, shown, truth)
-        save(driver.diagram_figure([shown], truth), given.figures / f"{question.name}.png")
+        save(reporting.diagram_figure([shown], truth), given.figures / f"{question.name}.png")
         print("\n".join(rows(question, shown, truth)), flush=True)
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(HEAD + "\n".join(lines) + "\n", encoding="utf-8")

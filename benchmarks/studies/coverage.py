@@ -37,20 +37,21 @@ class Design:
 
 def one_set(design: Design, seed: int) -> list[Row]:
     """Simulates and fits one set; a row for each constant, its interval empty where the fit gave none."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.data.cases import find_cases
     from gbspec.diagnostics import Findings
+    from gbspec.operations import fitting, models, tables
     from gbspec.training import TrainOptions
 
-    model = driver.load_model(design.model, Findings())
-    sampling = find_cases(driver.resolve(design.model)).of_model(model.name).sampling
+    model = frontend.load_model(design.model, Findings())
+    sampling = find_cases(frontend.resolve(design.model)).of_model(model.name).sampling
     drawn = dataclasses.replace(sampling, trajectories=design.trajectories, noise=design.noise, seed=seed)
-    data = driver.simulate(driver.reference(model), drawn)
+    data = tables.simulate(models.reference(model), drawn)
     began = time.process_time()
     with tempfile.TemporaryDirectory() as place:
-        fit = driver.train(model, data, Path(place) / "run", TrainOptions(threads=1, workers=1)).fit
+        fit = fitting.train(model, data, Path(place) / "run", TrainOptions(threads=1, workers=1)).fit
     seconds = time.process_time() - began
-    truths = {k.name: k.value for k in driver.reference(model).model.constants}
+    truths = {k.name: k.value for k in models.reference(model).model.constants}
     rows: list[Row] = []
     for name, found in fit["constants"].items():
         low, high = found["interval"] or (math.nan, math.nan)

@@ -27,26 +27,27 @@ LINE = "| {} | {:.1e} | {:.1e} | {:.1e} | {:.1e} | {:.0f} |"
 
 def errors(form: str, trajectories: int, noise: float, effort: str) -> tuple[float, ...]:
     """Errors of phi, right-hand side, solution and constants, and the seconds of processor time of the fit."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.data.cases import find_cases
     from gbspec.diagnostics import Findings, Source
+    from gbspec.operations import analysing, fitting, models, tables
     from gbspec.training import TrainOptions
 
-    path = driver.resolve("urp_gb2")
+    path = frontend.resolve("urp_gb2")
     sampling = find_cases(path).of_model("urp_gb2").sampling
-    data = driver.simulate(
-        driver.reference(driver.load_model(path, Findings())),
+    data = tables.simulate(
+        models.reference(frontend.load_model(path, Findings())),
         dataclasses.replace(sampling, trajectories=trajectories, noise=noise),
     )
-    base = driver.resolve("urp_gb1").read_text(encoding="utf-8")
+    base = frontend.resolve("urp_gb1").read_text(encoding="utf-8")
     base = base.replace("unknown phi(x1, x2, Da)", f"unknown phi(x1, x2, Da) = {form}")
     texts = {"urp_gb1.gb": base, "urp_gb2.gb": path.read_text(encoding="utf-8")}
-    model = driver.load_model(path, Findings(), lambda name: Source(str(name), texts[Path(name).name]))
+    model = frontend.load_model(path, Findings(), lambda name: Source(str(name), texts[Path(name).name]))
     began = time.process_time()
     with tempfile.TemporaryDirectory() as place:
-        run = driver.train(model, data, Path(place) / "run", TrainOptions(effort=effort, threads=1, workers=1))  # type: ignore[arg-type]
+        run = fitting.train(model, data, Path(place) / "run", TrainOptions(effort=effort, threads=1, workers=1))  # type: ignore[arg-type]
         seconds = time.process_time() - began
-        found = driver.validate(run, data, "mean").to_json()["truth"]
+        found = analysing.validate(run, data, "mean").to_json()["truth"]
     assert isinstance(found, dict)
     return (
         found["functions"]["all"]["L2"],

@@ -49,27 +49,27 @@ PARTS = {
 
 def model_of(part: Part) -> Model:
     """The model of a part."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.diagnostics import Findings, Source
 
-    text = driver.resolve(part.model).read_text(encoding="utf-8")
+    text = frontend.resolve(part.model).read_text(encoding="utf-8")
     for old, new in (part.replaced or {}).items():
         if old not in text:
             raise SystemExit(f"{part.model}: the text has no `{old}`")
         text = text.replace(old, new)
-    return driver.load_model(part.model, Findings(), lambda _: Source(f"{part.model}.gb", text))
+    return frontend.load_model(part.model, Findings(), lambda _: Source(f"{part.model}.gb", text))
 
 
 def judged(name: str, data: Path, out: Path, options: TrainOptions) -> CrossValidation:
     """The cross-validation of a part, run or taken from `out`."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import tables
     from gbspec.studies.crossvalidation import CrossOptions, crossvalidate
     from gbspec.training.progress import Silent
 
     part = PARTS[name]
     model = model_of(part)
-    table = driver.read_data(data / f"{part.model}.csv", model, Findings())
+    table = tables.read_data(data / f"{part.model}.csv", model, Findings())
     division = CrossOptions(part.folds, part.over, part.window)  # type: ignore[arg-type]  # a literal, out of a table
     return crossvalidate(model, table, out / name.split()[-1], options, division, lambda fold: Silent())
 
@@ -89,19 +89,19 @@ def draw(name: str, data: Path, out: Path, figures: Path, options: TrainOptions)
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import analysing, fitting, models, tables
     from gbspec.training.progress import Silent
 
     model = model_of(PARTS[name])
-    table = driver.read_data(data / f"{name}.csv", model, Findings())
+    table = tables.read_data(data / f"{name}.csv", model, Findings())
     place = out / f"{name}_all"
     run = (
-        driver.open_run(place)
+        models.open_run(place)
         if (place / "fit.json").is_file()
-        else driver.train(model, table, place, options, Silent())
+        else fitting.train(model, table, place, options, Silent())
     )
-    seen = driver.predict(run, table)
+    seen = analysing.predict(run, table)
     shown = seen.variables if len(seen.items) == 1 else seen.channels
     panels = [(i, j) for i in range(len(seen.items)) for j in range(len(shown))]
     columns = min(len(panels), 4)

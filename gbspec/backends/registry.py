@@ -1,83 +1,60 @@
-"""The forms that `gbspec compile --emit` writes: one line a backend."""
+"""The backends that there are, by the folders beside this file: adding one is adding its folder."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+import importlib.util
+import pkgutil
+import sys
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType, ModuleType
 
-from gbspec.backends.latex import document
-from gbspec.backends.module import generate
+import gbspec.backends
+from gbspec.backends import Backend
 from gbspec.diagnostics import Defect
-from gbspec.ir.dump import dump
-from gbspec.ir.model import Model
+
+REGISTRATION = "backend"
+"""The module of a folder that has its `BACKEND`."""
 
 
-class Backend(Protocol):
-    """What can be asked of a backend."""
-
-    @property
-    def name(self) -> str:
-        """Its name after `--emit`."""
-        ...
-
-    @property
-    def suffix(self) -> str:
-        """The usual suffix of its files, with the dot."""
-        ...
-
-    @property
-    def numbers(self) -> bool:
-        """Whether it writes down what was learned, or the truth: whether `emit` needs an instance."""
-        ...
-
-    def emit(self, model: Model, instance: Any = None) -> str:
-        """The text for a verified model, or for an instance of its generated module with weights."""
-        ...
+@cache
+def backends() -> Mapping[str, Backend]:
+    """Every backend by its name, in the order of the names."""
+    found = (_registered(Path(folder) / name, name) for folder in gbspec.backends.__path__ for name in _folders(folder))
+    return MappingProxyType({b.name: b for b in sorted((b for b in found if b), key=lambda b: b.name)})
 
 
-@dataclass(frozen=True)
-class ModelText:
-    """A backend that needs the model alone."""
-
-    name: str
-    suffix: str
-    text: Callable[[Model], str]
-    numbers: bool = False
-
-    def emit(self, model: Model, instance: Any = None) -> str:
-        """The text for the model; an instance changes nothing."""
-        return self.text(model)
+def _folders(path: str) -> list[str]:
+    return [module.name for module in pkgutil.iter_modules([path]) if module.ispkg]
 
 
-@dataclass(frozen=True)
-class InstanceText:
-    """A backend that writes numbers: weights and constants."""
-
-    name: str
-    suffix: str
-    text: Callable[[Any], str]
-    numbers: bool = True
-
-    def emit(self, model: Model, instance: Any = None) -> str:
-        """The text for an instance of the model's module; a Defect without one."""
-        if instance is None:
-            raise Defect(f"the backend `{self.name}` was asked for the model `{model.name}` without its numbers")
-        return self.text(instance)
+def _registered(folder: Path, name: str) -> Backend | None:
+    """The backend of a folder; None where it registers none."""
+    path = folder / f"{REGISTRATION}.py"
+    if not path.is_file():
+        return None
+    backend: object = getattr(_module(f"{gbspec.backends.__name__}.{name}.{REGISTRATION}", path), "BACKEND", None)
+    if not isinstance(backend, Backend) or backend.name != name:
+        raise Defect(f"{path} has no BACKEND that is called `{name}`")
+    return backend
 
 
-def _c_code(instance: Any) -> str:
-    from gbspec.backends.casadi.c_code import c_code  # casadi takes a while to load
+def _module(name: str, path: Path) -> ModuleType:
+    """The module of that file under its own name, without its package's `__init__`.
 
-    return c_code(instance)
-
-
-_ALL: tuple[Backend, ...] = (
-    ModelText("module", ".py", generate),
-    ModelText("ir", ".ir.txt", dump),
-    ModelText("latex", ".tex", document),
-    InstanceText("c", ".c", _c_code),
-)
-
-BACKENDS: Mapping[str, Backend] = {backend.name: backend for backend in _ALL}
-"""Every backend by its name; the first is the default."""
+    That loads the backend itself (sympy, casadi); `gbspec --help` only lists which there are.
+    """
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise Defect(f"{path} cannot be imported")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]  # so that the next call says what is wrong, too
+        raise
+    return module

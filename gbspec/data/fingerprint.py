@@ -7,7 +7,7 @@ import hashlib
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.data.trajectories import Trajectory
 
 
 def fingerprint(trajectory: Trajectory) -> str:
@@ -35,8 +35,3 @@ def fingerprint(trajectory: Trajectory) -> str:
         digest.update(np.array(numbers.shape, dtype="<i8").tobytes())
         digest.update(np.ascontiguousarray(numbers).tobytes())
     return digest.hexdigest()
-
-
-def matches(trajectories: Trajectories, known: dict[str, int]) -> list[int | None]:
-    """For each trajectory, where it stands among `known` (fingerprint to position), None where it is new."""
-    return [known.get(fingerprint(item)) for item in trajectories.items]

@@ -9,7 +9,8 @@ import sympy
 from sympy.core.function import AppliedUndef
 
 from gbspec.diagnostics import Defect
-from gbspec.ir.model import NN, Expr, Model, symbol
+from gbspec.ir.forms import Form, described
+from gbspec.ir.model import NN, Expr, Model, Network, symbol
 
 
 def verify(model: Model) -> None:
@@ -22,6 +23,7 @@ def verify(model: Model) -> None:
     _networks(model)
     _expressions(model)
     _families(model)
+    _forms(model)
     _numbers(model)
 
 
@@ -122,6 +124,42 @@ def _families(model: Model) -> None:
         covered = sum(1 if isinstance(run, int) else run.count for run in model.runs(vector))
         size = len({"channels": model.channels, "intermediates": model.intermediates}.get(vector, model.states))
         _require(len(set(places)) == len(places) and covered == size, f"families of {vector} overlap")
+
+
+def _forms(model: Model) -> None:
+    """A layout covers its network; a form evaluates it at its arguments, and uses what the evaluations give."""
+    for network in model.networks:
+        if network.layout is not None:
+            widths = tuple(sum(block.count for block in layer) for layer in network.layout.hidden)
+            _require(widths == network.hidden, f"the layout of the network `{network.name}`")
+            outputs = len(network.outputs) + network.layout.gates
+            _require(len(network.layout.outputs) == outputs, f"the outputs of the layout of `{network.name}`")
+    constants = {symbol(name) for name in model.constant_names}
+    for unknown in model.unknowns:
+        if unknown.form is None:
+            continue
+        network = model.networks[unknown.network]
+        known = constants | {argument.symbol for argument in network.arguments}
+        sizes = {len(evaluation) for evaluation in unknown.form.evaluations}
+        _require(sizes <= {len(network.arguments)}, f"the evaluations of the form of `{unknown.name}`")
+        for part in (unknown.form.value, *(p for evaluation in unknown.form.evaluations for p in evaluation)):
+            used = [(s, described(s.name)) for s in part.free_symbols - known]
+            wrong = sorted(str(s) for s, meant in used if meant is None or not _inside(meant, unknown.form, network))
+            _require(not wrong, f"the form of `{unknown.name}` uses {wrong}")
+
+
+def _inside(meant: tuple[str, tuple[int, ...]], form: Form, network: Network) -> bool:
+    """Whether what a symbol of a form stands for is there: an evaluation, an output (gates counted), an argument."""
+    outputs = len(network.outputs) + (0 if network.layout is None else network.layout.gates)
+    match meant:
+        case "raw", (evaluation, output):
+            return evaluation < len(form.evaluations) and output < outputs
+        case "center" | "scale", (output,):
+            return output < outputs
+        case "spread", (argument,):
+            return argument < len(network.arguments)
+        case _:
+            return False
 
 
 def _numbers(model: Model) -> None:

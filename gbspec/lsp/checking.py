@@ -26,14 +26,14 @@ def check(workspace: Workspace, path: str | Path) -> Checked:
     Raises `UserError` where the file itself cannot be read at all; a finding in an extended file is shown where this
     one names it, with the place itself beside it.
     """
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.passes.examine import examine
 
     source = workspace.source(path)
     findings = Findings()
     values: dict[str, float] = {}
     try:
-        model = driver.load_model(path, findings, workspace.source)
+        model = frontend.load_model(path, findings, workspace.source)
         examine(model, findings)
         values = {constant.name: constant.value for constant in model.constants}
     except UserError as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model
 from gbspec.runs import files
 
@@ -133,7 +134,7 @@ def open_run(path: str | Path) -> Run:
     if not (directory / files.MODEL).is_file():
         findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=_DAMAGED)
     findings.raise_if_failed()
-    model = read_model(directory / files.MODEL)
+    model = load_model(directory / files.MODEL, Findings())
     numbers = member_numbers(directory)
     if not numbers:
         message = f"no member of the run `{directory}` has weights"
@@ -160,33 +161,8 @@ def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
     return content
 
 
-def read_model(path: Path) -> Model:
-    """The model of a run, from its text. Raises `UserError` with what is wrong with it."""
-    from gbspec.lower import lower
-    from gbspec.passes.contracts import with_contracts
-    from gbspec.semantics import check
-    from gbspec.syntax.parser import parse
-    from gbspec.syntax.reading import read_source
-
-    findings = Findings()
-    file = parse(read_source(path), findings)
-    checked = check(file, findings, read_source) if file is not None else None
-    if checked is None:
-        raise UserError(findings)
-    model = lower(checked, findings)
-    findings.raise_if_failed()
-    model = with_contracts(model, findings)
-    findings.raise_if_failed()
-    return model
-
-
 def member_numbers(directory: Path) -> tuple[int, ...]:
     """The members of a run that have weights, in order."""
     folder = directory / files.MEMBERS
     found = folder.iterdir() if folder.is_dir() else ()
     return tuple(sorted(int(d.name) for d in found if d.name.isdigit() and (d / files.WEIGHTS).is_file()))
-
-
-def names(values: Sequence[str]) -> str:
-    """Names in backticks, joined by commas."""
-    return ", ".join(f"`{value}`" for value in values)

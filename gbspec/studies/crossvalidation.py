@@ -161,13 +161,13 @@ def _fitted(
     path: Path,
 ) -> dict[str, Any]:
     """Fits without a fold, predicts it, and writes its record."""
-    from gbspec import driver
+    from gbspec.operations import fitting
 
     place = directory / "folds" / str(fold.number)
     resumed = replace(training, resume=(place / files.FIT).is_file())
     record: dict[str, Any] = {"fold": fold.number, "points": []}
     try:
-        run = driver.fit(model, fold.kept, place, resumed, progress)
+        run = fitting.fit(model, fold.kept, place, resumed, progress)
         points = held_out(run, fold, options.window)
         record["points"] = [{k: v for k, v in asdict(p).items() if k in _KNOWN or math.isfinite(v)} for p in points]
     except ComputationError as error:

@@ -95,13 +95,14 @@ def discard(task: Task, place: Place) -> None:
 
 
 def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple[float, float]) -> dict[str, Any]:
-    from gbspec import driver
+    from gbspec import frontend
+    from gbspec.operations import fitting
 
-    model = driver.load_model(str(task.case.model), Findings())
+    model = frontend.load_model(str(task.case.model), Findings())
     data = measured(task, model, place)
     prepared = time.process_time(), time.monotonic()
     options = replace(task.training, seed=task.seed, resume=resumed, threads=threads)
-    run = driver.fit(model, data, place.run(task), options)
+    run = fitting.fit(model, data, place.run(task), options)
     fitted = time.process_time(), time.monotonic()
     found = check(run, data, task)
     return {
@@ -121,19 +122,19 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
 
 def measured(task: Task, model: Model, place: Place) -> Trajectories:
     """The member's data: the case's table, or simulated ones, read back from a table as a user's would be."""
-    from gbspec import driver
     from gbspec.data.table import write
+    from gbspec.operations import models, tables
 
     if task.case.data is not None:
-        return driver.read_data(task.case.data, model, Findings())
+        return tables.read_data(task.case.data, model, Findings())
     path = place.table(task)
     if not path.is_file():
-        made = driver.simulate(driver.reference(model), replace(task.case.sampling, seed=task.seed))
+        made = tables.simulate(models.reference(model), replace(task.case.sampling, seed=task.seed))
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".part.csv")
         write(temporary, made, model)
         temporary.replace(path)
-    return driver.read_data(path, model, Findings())
+    return tables.read_data(path, model, Findings())
 
 
 def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:

@@ -86,10 +86,10 @@ def share_records(equal: Mapping[str, tuple[Task, Task]], place: Place) -> None:
 
 def check_models(study: Study) -> None:
     """Raises UserError where a case's model is wrong, or has no truth though its data are to be simulated."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.passes import with_truth
 
-    models = {case.model: driver.load_model(str(case.model), Findings()) for case in study.cases}
+    models = {case.model: frontend.load_model(str(case.model), Findings()) for case in study.cases}
     for case in study.cases:
         if case.data is None:
             with_truth(models[case.model])

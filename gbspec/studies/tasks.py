@@ -65,12 +65,12 @@ class Task:
 
         Raises UserError where the model is wrong.
         """
-        from gbspec import driver
+        from gbspec import frontend
 
         sampling, metrics = (dataclasses.asdict(part) for part in (self.case.sampling, self.case.metrics))
         training = {name: value for name, value in self.training.to_json().items() if name not in SET_BY_THE_STUDY}
         sampling.pop("seed")
-        source = driver.load_model(str(self.case.model), Findings()).text.encode()  # what it extends is in there
+        source = frontend.load_model(str(self.case.model), Findings()).text.encode()  # what it extends is in there
         data = self.case.data.read_bytes() if self.case.data else b""
         parts = [hashlib.sha256(source).hexdigest(), hashlib.sha256(data).hexdigest(), sampling, metrics, training]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -11,7 +11,7 @@ import pytest
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Findings
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model
 from gbspec.runs.store import Run, open_run
 

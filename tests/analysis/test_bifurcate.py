@@ -14,7 +14,7 @@ from gbspec.analysis.bifurcation.members import with_intervals
 from gbspec.analysis.systems.system import system_of
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.diagnostics import UserError
-from gbspec.driver import reference
+from gbspec.operations.models import reference
 from tests.analysis.conftest import model_of, nearly_true
 from tests.analysis.textbook import baltzis_fredrickson, lorenz, pitchfork, urp, van_der_pol
 

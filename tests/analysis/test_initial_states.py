@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gbspec import driver
 from gbspec.analysis.prediction.start_comparison import InitialStates, _modes, initial_states
 from gbspec.analysis.simulation.simulate import simulate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import UserError
+from gbspec.operations import analysing, models
 from gbspec.report.initial_states import initial_states as draw
 from tests.analysis.conftest import model_of, nearly_true
 
@@ -26,7 +26,7 @@ OFF = 0.05
 
 @pytest.fixture(scope="module")
 def data() -> Trajectories:
-    subject = driver.reference(model_of("urp_gb2"))
+    subject = models.reference(model_of("urp_gb2"))
     return replace(simulate(subject.evaluator, subject.model, OPTIONS), sha256="known")
 
 
@@ -34,7 +34,7 @@ def data() -> Trajectories:
 def found(data: Trajectories) -> InitialStates:
     """Starts of a nearly true network, learned ones `OFF` away from the true ones in x1."""
     model, instance = model_of("urp_gb2"), nearly_true()
-    subject = driver.reference(model)
+    subject = models.reference(model)
     instance.weights["initial"] = np.tile([0.5, 1.0], (len(data), 1))
     starts = [item.true for item in compare(instance, data, subject.evaluator).items if item.true is not None]
     instance.weights["initial"] = np.add(starts, [OFF, 0.0])
@@ -43,7 +43,7 @@ def found(data: Trajectories) -> InitialStates:
 
 def compare(instance: Any, data: Trajectories, truth: Any) -> InitialStates:
     model, evaluator = model_of("urp_gb2"), Evaluator(instance)
-    system = driver.system(driver.Subject(model, evaluator))
+    system = analysing.system(models.Subject(model, evaluator))
     return initial_states(evaluator, model, data, {"sha256": "known"}, system, truth)
 
 
@@ -92,7 +92,7 @@ def test_trajectories_that_were_not_trained_on(data: Trajectories) -> None:
 
 
 def test_starts_that_were_measured_need_no_comparison() -> None:
-    subject = driver.reference(model_of("urp_gb2"))
+    subject = models.reference(model_of("urp_gb2"))
     options = replace(OPTIONS, channels="all", keep_start=True)
     full = replace(simulate(subject.evaluator, subject.model, options), sha256="known")
     instance = nearly_true()

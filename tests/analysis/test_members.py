@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
+from gbspec.operations import analysing
 from gbspec.report import diagram as figures
 from tests.analysis.conftest import model_of, nearly_true
 
@@ -32,7 +33,7 @@ def test_every_member_is_drawn_and_gives_an_interval(
     monkeypatch.setattr(
         figures, "diagram", lambda shown, others, truth: drawn.append(1 + len(others)) or plain(shown, others, truth)
     )
-    monkeypatch.setattr(driver, "true_diagram", lambda *asked, cycles, doublings: None)
+    monkeypatch.setattr(analysing, "true_diagram", lambda *asked, cycles, doublings: None)
     asked = (run.path, "--over", "Da", "--range", 0.15, 0.3, "--json")
     result = call(*asked, "--members", "all", "-o", tmp_path / "members.svg")
     assert result.exit_code == 0, result.stderr
@@ -66,7 +67,7 @@ def cusp_run(write_run: Callable[..., Any], tmp_path: Path, *slopes: float) -> A
     """A run of the cusp whose members learned these slopes."""
     source = tmp_path / "cusp.gb"
     source.write_text(CUSP)
-    model = driver.load_model(str(source), Findings())
+    model = frontend.load_model(str(source), Findings())
     module = load_module(model)
     weights = [{**module.random(0).weights, "constants": np.array([r])} for r in slopes]
     return write_run(model, *(module(one, {"max_step": 0.1}) for one in weights))

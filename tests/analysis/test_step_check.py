@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec import driver
 from gbspec.analysis.validation.step_check import StepCheck
 from gbspec.analysis.validation.validate import validate
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings
+from gbspec.operations import fitting, tables
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions
 from gbspec.training.runs.variations import Point
@@ -31,7 +31,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Trajectories:
     path = tmp_path_factory.mktemp("decay") / "decay.csv"
     rows = [(k, t, float((1 + 0.1 * k) * np.exp(-2.4 * t))) for k in range(8) for t in (0.0, 1.0, 2.0, 3.0)]
     path.write_text("trajectory,t,x\n" + "".join(f"{k},{t},{x!r}\n" for k, t, x in rows))
-    return driver.read_data(str(path), model_of(DECAY), Findings())
+    return tables.read_data(str(path), model_of(DECAY), Findings())
 
 
 def options(step: float) -> TrainOptions:
@@ -39,7 +39,7 @@ def options(step: float) -> TrainOptions:
 
 
 def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path) -> None:
-    run = driver.train(model_of(DECAY), data, tmp_path / "run", options(1.0))
+    run = fitting.train(model_of(DECAY), data, tmp_path / "run", options(1.0))
     assert [check["half_step"] > 0.01 for check in run.fit["step_checks"]] == [True, True]
     assert [check["trajectories"] for check in run.fit["step_checks"]] == [8, 8]
     told = [warning for warning in run.fit["warnings"] if "depends on its training step of 1" in warning]
@@ -52,7 +52,7 @@ def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path
 
 
 def test_a_fit_that_holds_at_any_step_has_its_check_and_no_warning(data: Trajectories, tmp_path: Path) -> None:
-    run = driver.train(model_of(DECAY), data, tmp_path / "run", options(0.1))
+    run = fitting.train(model_of(DECAY), data, tmp_path / "run", options(0.1))
     assert all(0 <= check[name] < 0.01 for check in run.fit["step_checks"] for name in ("half_step", "adaptive"))
     assert not any("depends on its training step" in warning for warning in run.fit["warnings"])
 
@@ -70,8 +70,8 @@ def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> No
             rows += [(start, t, x + (k1 + 2 * k2 + 2 * k3 + 0.75 * (x + k3) ** 2) / 6)]
     (tmp_path / "blow.csv").write_text("trajectory,t,x\n" + "".join(f"{a},{t},{x!r}\n" for a, t, x in rows))
     found = Findings()
-    data = driver.read_data(str(tmp_path / "blow.csv"), model, found)
-    run = driver.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
+    data = tables.read_data(str(tmp_path / "blow.csv"), model, found)
+    run = fitting.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
     assert run.fit["step_checks"][0]["unsolved"] == 2
     assert any("2 of 2 trajectories" in w and "alone, not by an adaptive solver" in w for w in run.fit["warnings"])
 
@@ -83,7 +83,7 @@ def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:
 
 def test_the_rest_of_a_single_trajectory_is_known_again(data: Trajectories, tmp_path: Path) -> None:
     one = data.subset([3])
-    fit = driver.train(model_of(DECAY), one, tmp_path / "run", replace(options(1.0), holdout=0.3)).fit
+    fit = fitting.train(model_of(DECAY), one, tmp_path / "run", replace(options(1.0), holdout=0.3)).fit
     assert [check["trajectories"] for check in fit["step_checks"]] == [1, 1]
 
 
@@ -97,7 +97,7 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
             said.append(text)
 
     points = [Point("long", {}, options(1.0)), Point("short", {}, options(0.1))]
-    driver.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
+    fitting.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
     assert len(open_run(tmp_path / "short").fit["step_checks"]) == 2
     assert [text.partition(":")[0] for text in said if "depends on its training step" in text] == ["long", "long"]
 
@@ -105,5 +105,5 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
 def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_path: Path) -> None:
     model = model_of(DECAY.replace("-lost", "-run*lost").replace("unknown", "learn run = 1 in [0.1, 3]\nunknown"))
     points = [Point("one", {}, replace(options(0.1), members=1))]
-    driver.sweep(model, data, points, tmp_path, TrainOptions(workers=1))
+    fitting.sweep(model, data, points, tmp_path, TrainOptions(workers=1))
     assert len(open_run(tmp_path / "one").fit["step_checks"]) == 1

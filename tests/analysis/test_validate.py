@@ -24,8 +24,10 @@ from gbspec.data.cases import MetricsOptions
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories
-from gbspec.driver import reference
-from gbspec.runs.store import Run, read_model
+from gbspec.diagnostics import Findings
+from gbspec.frontend import load_model
+from gbspec.operations.models import reference
+from gbspec.runs.store import Run
 from tests.analysis.conftest import model_of, nearly_true
 
 FEW = MetricsOptions(settle=60.0, horizon=5.0, conditions=3, points=4, spacing=0.5, window=(5.0, 15.0), rhs_points=40)
@@ -159,7 +161,7 @@ def test_the_truth_itself_has_no_errors_on_its_own_data(
 ) -> None:
     path = tmp_path / "reactor.gb"
     path.write_text(REACTOR, encoding="utf-8")
-    model = read_model(path)
+    model = load_model(path, Findings())
     run = write_run(model, load_module(model)(None, {"max_step": 0.1}))
     found = validate(run, urp_data, truth=False)
     for errors in found.channels.values():

@@ -17,7 +17,7 @@ from gbspec.backends.casadi.timeline import Segment
 from gbspec.backends.module import load_module
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model
 from tests.backends.truth import Truth
 from tests.strategies import Point, models, point

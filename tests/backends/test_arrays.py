@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gbspec.backends.casadi.c_code import c_code
+from gbspec.backends.c import c_code
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.latex import document
 from gbspec.backends.module import generate, load_module

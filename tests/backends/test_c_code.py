@@ -12,11 +12,11 @@ import casadi
 import numpy as np
 import pytest
 
-from gbspec.backends.casadi.c_code import c_code, step
+from gbspec.backends.c import c_code, step
 from gbspec.backends.module import load_module
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 from tests.backends.examples import clinic, reactor
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

@@ -12,10 +12,10 @@ from matplotlib.mathtext import MathTextParser
 
 from gbspec.backends.latex import document, expression, name
 from gbspec.backends.latex.document import text
-from gbspec.backends.registry import BACKENDS
+from gbspec.backends.registry import backends
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 from gbspec.ir.model import symbol, unknown_function
 from tests.backends.examples import clinic
 
@@ -66,7 +66,7 @@ def test_golden() -> None:
 @pytest.mark.parametrize("model", sorted(shipped_models()))
 def test_shipped_models_are_well_formed(model: str) -> None:
     page = document(load_model(shipped_models()[model], Findings()))
-    assert page == BACKENDS["latex"].emit(load_model(shipped_models()[model], Findings()))
+    assert page == backends()["latex"].emit(load_model(shipped_models()[model], Findings()))
     bare = re.sub(r"\\[{}]", "", page)
     assert bare.count("{") == bare.count("}")
     assert page.count(r"\begin{") == page.count(r"\end{")

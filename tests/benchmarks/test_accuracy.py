@@ -13,6 +13,7 @@ import gbspec
 from benchmarks import accuracy, plot, startup
 from benchmarks.accuracy import Record, network, points, prepared, reached, right_hand_side, table_of
 from gbspec.backends.module import load_module
+from gbspec.operations.models import reference
 
 
 def test_the_error_is_of_the_module_s_right_hand_side() -> None:
@@ -30,7 +31,7 @@ def test_the_error_is_of_the_module_s_right_hand_side() -> None:
     assert (one["B"], one["beta"]) == (5.0, 1.0)
     assert one["error"] > 0.05
     assert one["seconds"] >= 0
-    known = load_module(gbspec.driver.reference(gbspec.load("urp_gb2").model).model)()
+    known = load_module(reference(gbspec.load("urp_gb2").model).model)()
     expected = known.rhs(0.0, torch.from_numpy(at[:, :2].copy()), torch.from_numpy(at[:, 2:].copy()))
     np.testing.assert_allclose(truth, expected.numpy(), rtol=1e-12, atol=1e-12)
 

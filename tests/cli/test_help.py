@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from gbspec import __version__
 from gbspec.cli.app import COMMANDS
+from gbspec.version import __version__
 
 from .command_lines import accepted, load
 

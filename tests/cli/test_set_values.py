@@ -59,9 +59,9 @@ def test_validate_judges_the_value_that_was_set(place: Path) -> None:
 
 def test_a_constant_of_each_trajectory_is_set_for_all_of_them(place: Path) -> None:
     import gbspec
-    from gbspec import driver
+    from gbspec.operations import models
 
-    run = driver.open_run(place / "run", {"own": 0.7, "k": 1.25})
+    run = models.open_run(place / "run", {"own": 0.7, "k": 1.25})
     member = run.member()
     assert member.weights["per_trajectory.own"].tolist() == [0.7] * 2
     assert dict(zip(member.constants, member.weights["constants"], strict=True))["k"] == 1.25

@@ -7,12 +7,13 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 
-from gbspec.backends.registry import BACKENDS
-from gbspec.cli.commands.compile import Form
+from gbspec.backends.registry import backends
+from gbspec.diagnostics import Findings
+from gbspec.frontend import STAGES, after
 
 Run = Callable[..., Any]
 
@@ -174,8 +175,39 @@ def test_compile_to_a_folder_that_is_not_there(gbspec: Run, decay: Path) -> None
     assert "GB805" in result.stderr
 
 
-def test_the_forms_of_the_command_line_are_those_of_the_registry() -> None:
-    assert get_args(Form) == tuple(BACKENDS)
+def test_compile_writes_what_there_is_after_each_stage_of_the_pipeline(gbspec: Run, document: Run, decay: Path) -> None:
+    for stage in STAGES:
+        said = document("compile", decay, "--emit", stage.name, "-o", "decay.txt")
+        assert (said["model"], said["emit"], said["class"]) == ("decay", stage.name, None)
+        assert Path("decay.txt").read_text() == after(stage.name, decay, Findings()).text
+
+
+def test_a_stage_needs_no_more_of_a_model_than_comes_before_it(gbspec: Run, here: Path) -> None:
+    (here / "wrong.gb").write_text("model wrong\nstate x = 1\nx' = -y\nobserve x\n")
+    assert gbspec("compile", "wrong.gb", "--emit", "ast", "-o", "tree.txt").exit_code == 0
+    assert "value (- y)" in Path("tree.txt").read_text()
+    result = gbspec("compile", "wrong.gb", "--emit", "checked", "-o", "checked.txt")
+    assert result.exit_code == 1
+    assert "GB201" in result.stderr
+    assert not Path("checked.txt").exists()
+
+
+def test_a_form_that_cannot_express_the_model_says_why(gbspec: Run, here: Path) -> None:
+    arguments = ", ".join(["x"] * 40)
+    formals = ", ".join(f"a{i}" for i in range(40))
+    text = f"model wide\nstate x = 1\nunknown f({formals}) by mlp(4)\nx' = f({arguments})\nobserve x\n"
+    (here / "wide.gb").write_text(text)
+    assert gbspec("compile", "wide.gb", "-o", "wide.py").exit_code == 0
+    result = gbspec("compile", "wide.gb", "--emit", "native", "-o", "wide.c")
+    assert result.exit_code == 1
+    assert "GB808" in result.stderr
+    assert "the network `f` has too many layers or arguments" in result.stderr
+    assert not Path("wide.c").exists()
+
+
+def test_the_help_lists_every_form(gbspec: Run) -> None:
+    shown = " ".join(gbspec("compile", "--help").stdout.replace("│", " ").split())
+    assert all(f"{name}: " in shown for name in (*(stage.name for stage in STAGES), *backends()))
 
 
 def test_an_unknown_form_is_usage(gbspec: Run, decay: Path) -> None:

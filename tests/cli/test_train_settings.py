@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import gbspec
-from gbspec import driver
+from gbspec import frontend
 from gbspec.diagnostics import Findings
+from gbspec.operations import models
 
 TEXT = """\
 model m
@@ -38,5 +39,5 @@ def test_a_run_keeps_the_values_that_were_set(tmp_path: Path) -> None:
 
 def test_nothing_set_is_the_model_itself(tmp_path: Path) -> None:
     (tmp_path / "m.gb").write_text(TEXT)
-    model = driver.load_model(tmp_path / "m.gb", Findings())
-    assert driver.specified(model, {}) is model
+    model = frontend.load_model(tmp_path / "m.gb", Findings())
+    assert models.specified(model, {}) is model

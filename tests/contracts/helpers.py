@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,11 +9,8 @@ import sympy
 import torch
 
 from gbspec.diagnostics import Diagnostic, Findings, Source, UserError
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model, symbol
-from gbspec.lower import lower
-from gbspec.passes.contracts import with_contracts
-from gbspec.semantics import check
-from gbspec.syntax.parser import parse
 
 HEAD = """model m
 state x in [0, 10]
@@ -30,16 +26,7 @@ def model_of(unknown: str, head: str = HEAD) -> Model:
 
 def whole_model(text: str) -> Model:
     """The model of a text, with its contracts; warnings are let pass."""
-    findings = Findings()
-    file = parse(Source("m.gb", text), findings)
-    findings.raise_if_failed()
-    assert file is not None
-    checked = check(file, findings, lambda path: Source(str(path), Path(path).read_text()))
-    if checked is None:
-        raise UserError(findings)
-    model = with_contracts(lower(checked, findings), findings)
-    findings.raise_if_failed()
-    return model
+    return load_model("m.gb", Findings(), lambda path: Source(str(path), text))
 
 
 def refused(unknown: str) -> list[Diagnostic]:

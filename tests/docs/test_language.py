@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.diagnostics import Findings, Severity, UserError
 from gbspec.syntax.ast import WORDS as STATEMENTS
 
@@ -25,7 +25,7 @@ def test_every_example_compiles_without_a_finding(text: str, tmp_path: Path) -> 
     path.write_text(text)
     findings = Findings()
     try:
-        model = driver.load_model(path, findings)
+        model = frontend.load_model(path, findings)
     except UserError:
         pending = {d.code for d in findings if d.severity is Severity.ERROR}
         # a statement that the reference describes may still answer "not supported yet", and nothing else

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.render import render_text
@@ -28,7 +28,7 @@ def test_the_model_compiles_and_means_what_is_shipped(tmp_path: Path) -> None:
     path = tmp_path / "urp_gb2.gb"
     path.write_text(text)
     findings = Findings()
-    written, shipped = driver.load_model(path, findings), driver.load_model("urp_gb2", Findings())
+    written, shipped = frontend.load_model(path, findings), frontend.load_model("urp_gb2", Findings())
     assert not list(findings)
     assert written.balances == shipped.balances
     assert written.networks[0].hidden == shipped.networks[0].hidden
@@ -40,7 +40,7 @@ def test_the_message_is_what_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.chdir(tmp_path)
     Path("reactor.gb").write_text("model urp_gb2\nstate x1\nunknown phi(x1)\n\n\n\n\nx1' = -x1 + phii\nobserve x1\n")
     with pytest.raises(UserError) as caught:
-        driver.load_model("reactor.gb", Findings())
+        frontend.load_model("reactor.gb", Findings())
     assert shown.strip() in render_text(caught.value.diagnostics)
 
 

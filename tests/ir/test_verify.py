@@ -9,10 +9,12 @@ from typing import get_args
 import pytest
 import sympy
 
-from gbspec.diagnostics import Defect
+from gbspec.diagnostics import Defect, Findings
 from gbspec.ir.dump import dump
+from gbspec.ir.forms import center, raw, scale, spread
 from gbspec.ir.model import Activation, Channel, Constant, Learnable, Model, Range, symbol, unknown_function
 from gbspec.ir.verify import verify
+from gbspec.passes.contracts import with_contracts
 from gbspec.semantics.vocabulary import ACTIVATIONS
 from tests.texts import model_of
 
@@ -46,6 +48,39 @@ BREAKAGES: dict[str, Callable[[Model], Model]] = {
         m, states=(dataclasses.replace(m.states[0], range=Range(1, 0)), m.states[1])
     ),
 }
+
+
+FORMED = with_contracts(model_of(TEXT.replace("= nn*u by mlp(4)", "f >= 0, g increasing in x by mlp(8)")), Findings())
+
+
+def reformed(**changes: object) -> Model:
+    """The model with another form of its first unknown that has one."""
+    unknowns = list(FORMED.unknowns)
+    form = unknowns[0].form
+    assert form is not None
+    unknowns[0] = dataclasses.replace(unknowns[0], form=dataclasses.replace(form, **changes))  # type: ignore[arg-type]  # by name
+    return dataclasses.replace(FORMED, unknowns=tuple(unknowns))
+
+
+def relaid(**changes: object) -> Model:
+    """The model with another layout of its network."""
+    layout = FORMED.networks[0].layout
+    assert layout is not None
+    changed = dataclasses.replace(layout, **changes)  # type: ignore[arg-type]  # by name
+    return dataclasses.replace(FORMED, networks=(dataclasses.replace(FORMED.networks[0], layout=changed),))
+
+
+def test_a_form_that_a_pass_made_is_verified() -> None:
+    verify(FORMED)
+    for wrong in (raw(7, 0), raw(0, 5), scale(9), center(9), spread(2), symbol("Da"), sympy.Symbol("raw 0")):
+        with pytest.raises(Defect, match="the form of `f` uses"):
+            verify(reformed(value=wrong))
+    with pytest.raises(Defect, match="the evaluations of the form of `f`"):
+        verify(reformed(evaluations=((x,),)))
+    with pytest.raises(Defect, match="the layout of the network"):
+        verify(relaid(hidden=()))
+    with pytest.raises(Defect, match="the outputs of the layout"):
+        verify(relaid(outputs=()))
 
 
 def test_a_lowered_model_is_right() -> None:

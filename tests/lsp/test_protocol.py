@@ -9,7 +9,7 @@ import pytest
 from lsprotocol import types
 from pygls.exceptions import JsonRpcException
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.diagnostics import Findings
 from tests.lsp.editor import Editor, place
 
@@ -199,7 +199,7 @@ def test_a_renamed_model_is_still_right(editor: Editor, files: tuple[Path, Path]
     assert "cells' = mu*cells - D*cells" in base.read_text()
     for path in (base, derived):
         findings = Findings()
-        assert [s.name for s in driver.load_model(path, findings).states] == ["cells", "S"]
+        assert [s.name for s in frontend.load_model(path, findings).states] == ["cells", "S"]
         assert list(findings) == []
 
 

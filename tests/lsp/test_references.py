@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.cli.commands.check import describe
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings, UserError
@@ -193,8 +193,8 @@ def test_whatever_is_renamed_in_a_shipped_model_it_stays_the_same_model(data: st
     new = data.draw(st.sampled_from(["renamed_1", "µ_x", "Ω"]))
     made = rename(workspace, path, chosen.span.start, new)
     trial = workspace.with_texts({p: replaced(spans, made.name) for p, spans in made.places.items()})
-    model = driver.load_model(path, Findings())
-    after = driver.load_model(path, Findings(), trial.source)
+    model = frontend.load_model(path, Findings())
+    after = frontend.load_model(path, Findings(), trial.source)
     assert [len(x) for x in (model.states, model.learnables, model.networks, model.channels)] == [
         len(x) for x in (after.states, after.learnables, after.networks, after.channels)
     ]
@@ -224,7 +224,7 @@ def test_a_renamed_state_leaves_the_shipped_model_as_it_was(path: Path) -> None:
 def described(path: Path, workspace: Workspace) -> str:
     """All that `check --json` says of a model, and the model itself."""
     findings = Findings()
-    model = driver.load_model(path, findings, workspace.source)
+    model = frontend.load_model(path, findings, workspace.source)
     document = describe(str(path), model, findings, examine(model, findings))
     return dump(model) + json.dumps(document, ensure_ascii=False, indent=1)
 
@@ -245,4 +245,4 @@ def test_a_circle_of_files_is_followed_once(tmp_path: Path) -> None:
     assert len(workspace.chain(tmp_path / "a.gb")) == 2
     assert len(workspace.descendants(tmp_path / "a.gb")) == 2
     with pytest.raises(UserError):
-        driver.load_model(tmp_path / "a.gb", Findings(), workspace.source)
+        frontend.load_model(tmp_path / "a.gb", Findings(), workspace.source)

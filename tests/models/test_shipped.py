@@ -20,7 +20,7 @@ from gbspec.data.shipped import models_folder, shipped_model, shipped_models
 from gbspec.data.table import read, write
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, Source
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model
 from gbspec.passes.override import with_values
 from gbspec.passes.truth import with_truth

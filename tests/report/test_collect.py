@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.backends.module import load_module
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, UserError
+from gbspec.operations import models, tables
 from gbspec.report import collect
 from gbspec.report.figures import KINDS, draw, liveliest
 from gbspec.report.unknowns import Expression, learned_functions, postulate_of, truth_of
@@ -41,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of two members whose weights are random: what is drawn does not depend on how good they are."""
     folder = tmp_path_factory.mktemp("collect")
     (folder / "growth.gb").write_text(TEXT)
-    model = driver.load_model(folder / "growth.gb", Findings())
+    model = frontend.load_model(folder / "growth.gb", Findings())
     for member in (0, 1):
         place = folder / "members" / str(member)
         place.mkdir(parents=True)
@@ -54,7 +55,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def data(run: Run) -> Trajectories:
     """Noise-free measurements of the truth."""
     options = SimulateOptions(trajectories=3, span=4.0, keep_start=True)
-    return driver.simulate(driver.reference(run.model), options)
+    return tables.simulate(models.reference(run.model), options)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +115,7 @@ def test_truth_and_postulate_are_evaluated_where_asked(fitted: collect.Fitted) -
 
 def test_parameters_hide_constants_of_the_same_name(fitted: collect.Fitted) -> None:
     truth = fitted.model.truth_functions[0]
-    constants = driver.reference(fitted.model).model.constants
+    constants = models.reference(fitted.model).model.constants
     value = Expression(truth.value, truth.parameters, (*constants, replace(constants[0], name="S", value=1e9)))
     np.testing.assert_allclose(value(np.array([[1.0]])), 0.25)
 

@@ -8,7 +8,7 @@ import pytest
 
 from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.catalogue import Entry, entries
-from gbspec.driver import load_model
+from gbspec.frontend import load_model
 from gbspec.passes.examine import examine
 
 TOPICS = {"names", "balances", "learning", "conservation", "units"}

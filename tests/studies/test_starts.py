@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec import driver
+from gbspec import frontend
 from gbspec.analysis.simulation.simulate import simulate, true_starts
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module.loader import load_module
@@ -36,7 +36,7 @@ truth k = 0.7
 
 def test_true_starts_are_where_the_first_row_is(tmp_path: Path) -> None:
     (tmp_path / "linear.gb").write_text(LINEAR)
-    known = with_truth(driver.load_model(tmp_path / "linear.gb", Findings()))
+    known = with_truth(frontend.load_model(tmp_path / "linear.gb", Findings()))
     evaluator = Evaluator(load_module(known)())
     options = SimulateOptions(trajectories=5, span=2.0, dt=0.3, sampling="gamma", seed=3)
     measured, starts = simulate(evaluator, known, options), true_starts(evaluator, known, options)

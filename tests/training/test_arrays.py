@@ -15,8 +15,10 @@ from gbspec.data.sampling import SimulateOptions
 from gbspec.data.shipped import shipped_models
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings
-from gbspec.driver import load_model, reference, simulate
+from gbspec.frontend import load_model
 from gbspec.ir.model import Model
+from gbspec.operations.models import reference
+from gbspec.operations.tables import simulate
 from gbspec.training import TrainOptions, train
 from gbspec.training.recipe import plan
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs

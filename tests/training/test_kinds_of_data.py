@@ -15,7 +15,7 @@ import pytest
 
 import gbspec
 from gbspec.data.trajectories import Trajectories
-from gbspec.driver import resolve
+from gbspec.frontend import resolve
 from gbspec.studies.heldout import Point, errors
 
 DECAY = """model decay

@@ -14,7 +14,7 @@ from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 if TYPE_CHECKING:
-    from gbspec.driver import Subject
+    from gbspec.operations.models import Subject
 
 Ends = tuple[float, float]
 
@@ -47,8 +47,8 @@ def run(
     to: Annotated[str | None, typer.Option("--output", "-o", help="A figure to write.", metavar="FIGURE")] = None,
 ) -> None:
     """Follow steady states over a parameter: branches, stability, folds, Hopf points, and the cycles they lead to."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import models
     from gbspec.report.style import form_of
 
     _require_plane(second, second_ends, cycles=cycles)
@@ -56,12 +56,12 @@ def run(
         form_of(to)
     findings, values = Findings(), settings(set_values)
     with output.console().status("following branches"):
-        if driver.is_run(source):
-            opened = driver.open_run(source)
+        if models.is_run(source):
+            opened = models.open_run(source)
             numbers = chosen(members, opened.numbers, opened.best)
-            subjects = [driver.learned(opened, values, member) for member in numbers]
+            subjects = [models.learned(opened, values, member) for member in numbers]
         else:
-            subjects = [driver.subject(source, values, findings)]
+            subjects = [models.subject(source, values, findings)]
         output.findings(findings)
         if second is None or second_ends is None:
             found = _branches(subjects, over, ends, to, cycles=cycles, doublings=doublings)
@@ -85,25 +85,25 @@ def _branches(
     subjects: Sequence[Subject], over: str, ends: Ends, to: str | None, *, cycles: bool, doublings: int
 ) -> _Found:
     """Diagrams over one parameter, one a member, drawn beside the truth's."""
-    from gbspec import driver
+    from gbspec.operations import analysing, reporting
     from gbspec.report.style import save
 
-    found = [driver.bifurcate(subject, over, *ends, cycles=cycles, doublings=doublings) for subject in subjects]
+    found = [analysing.bifurcate(subject, over, *ends, cycles=cycles, doublings=doublings) for subject in subjects]
     if to is not None:
-        truth = driver.true_diagram(subjects[0], over, *ends, cycles=cycles, doublings=doublings)
-        save(driver.diagram_figure(found, truth), to)
-    shown = driver.joined(found)
+        truth = analysing.true_diagram(subjects[0], over, *ends, cycles=cycles, doublings=doublings)
+        save(reporting.diagram_figure(found, truth), to)
+    shown = analysing.joined(found)
     return _Found(shown.to_json(), str(shown))
 
 
 def _plane(subjects: Sequence[Subject], names: tuple[str, str], boxes: tuple[Ends, Ends], to: str | None) -> _Found:
     """Curves in the plane of two parameters, one set a member, drawn beside the truth's."""
-    from gbspec import driver
+    from gbspec.operations import analysing, reporting
     from gbspec.report.style import save
 
-    found = [driver.bifurcation_plane(subject, names, boxes) for subject in subjects]
+    found = [analysing.bifurcation_plane(subject, names, boxes) for subject in subjects]
     if to is not None:
-        save(driver.plane_figure(found, driver.true_plane(subjects[0], names, boxes)), to)
+        save(reporting.plane_figure(found, analysing.true_plane(subjects[0], names, boxes)), to)
     others = {"members": [one.to_json() for one in found[1:]]} if len(found) > 1 else {}
     return _Found({**found[0].to_json(), **others}, "\n".join(map(str, found)))
 

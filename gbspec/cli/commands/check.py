@@ -22,7 +22,7 @@ def run(
     strict: Annotated[bool, typer.Option("--strict", help="Count warnings as errors.")] = False,
 ) -> None:
     """Check models: names, balances, cycles, and how each state starts; all findings at once."""
-    from gbspec import driver
+    from gbspec import frontend
 
     everything, documents = Findings(), []
     for name in models:
@@ -30,7 +30,7 @@ def run(
         model: Model | None = None
         examination: Examination | None = None
         try:
-            model = driver.load_model(name, findings)
+            model = frontend.load_model(name, findings)
         except UserError as error:
             findings.extend(error.diagnostics)
         if model is not None:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
+from gbspec.operations.models import forms
 
-Form = Literal["module", "ir", "latex", "c"]
-"""The names of `gbspec.backends.registry.BACKENDS`, which is not imported to show the help."""
+FORMS = forms()
+
+
+def form(text: str) -> str:
+    """One of the forms; another one is wrong usage."""
+    if text not in FORMS:
+        raise typer.BadParameter(f"{text!r} is not one of {', '.join(FORMS)}")
+    return text
 
 
 @command(
@@ -18,39 +25,30 @@ Form = Literal["module", "ir", "latex", "c"]
     "gbspec compile urp_gb2.gb -o urp_gb2.py",
     "gbspec compile urp_gb2.gb --emit latex -o urp_gb2.tex",
     "gbspec compile run --emit c -o urp_gb2.c",
+    "gbspec compile urp_gb2.gb --emit ast -o /dev/stdout",
 )
 def run(
     output: Output,
     model: Annotated[str, typer.Argument(help="A model file (.gb), or a run directory.", metavar="MODEL")],
     to: Annotated[str, typer.Option("--output", "-o", help="The file to write.", metavar="FILE")],
     emit: Annotated[
-        Form,
+        str,
         typer.Option(
             "--emit",
-            help="module: a Python module; ir: what the compiler understood, as text; latex: a page of typeset "
-            "equations; c: right-hand side, Jacobian and step in C, with the numbers of a run or of the model's truth.",
+            parser=form,
+            metavar="FORM",
+            help="; ".join(f"{name}: {said}" for name, said in FORMS.items()) + ".",
         ),
     ] = "module",
 ) -> None:
     """Compile a model to a standalone Python module (torch to run it, casadi to analyse it, gbspec for neither)."""
-    from gbspec import driver
-    from gbspec.backends.module import class_name
-    from gbspec.backends.registry import BACKENDS
     from gbspec.diagnostics import Findings
-    from gbspec.files import write_text
+    from gbspec.files import write_bytes
+    from gbspec.operations.models import compile_file
 
     findings = Findings()
-    backend = BACKENDS[emit]
-    if backend.numbers:
-        subject = driver.subject(model, {}, findings)
-        compiled, instance = subject.model, subject.evaluator.instance
-    else:
-        compiled, instance = (
-            driver.open_run(model).model if driver.is_run(model) else driver.load_model(model, findings),
-            None,
-        )
+    made = compile_file(model, emit, findings)
     output.findings(findings)
-    text = backend.emit(compiled, instance)
-    write_text(to, text)
+    write_bytes(to, made.content if isinstance(made.content, bytes) else made.content.encode("utf-8"))
     output.say(f"wrote {to}")
-    output.document({"model": compiled.name, "emit": emit, "path": to, "class": class_name(compiled)})
+    output.document({"model": made.name, "emit": emit, "path": to, "class": made.class_name})

@@ -37,8 +37,9 @@ def run(
     their first rows, which are then not judged), or stretches of time (solved from the start that the rest of the
     trajectory tells). The same command continues where it was stopped.
     """
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.cli.progress import shown
+    from gbspec.operations import models, tables
     from gbspec.studies.crossvalidation import crossvalidate
     from gbspec.studies.folds import Fold
     from gbspec.training import Progress
@@ -47,8 +48,8 @@ def run(
     directory = target(to)
     options.check(findings)
     findings.raise_if_failed()
-    specified = driver.specified(driver.load_model(model, findings), settings(set_values))
-    measured = driver.read_data(data, specified, findings)
+    specified = models.specified(frontend.load_model(model, findings), settings(set_values))
+    measured = tables.read_data(data, specified, findings)
     output.findings(findings)
     with ExitStack() as stack:
 

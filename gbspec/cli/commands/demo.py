@@ -34,7 +34,7 @@ def run(
     seed: Annotated[int, typer.Option("--seed", help="Seed of data and training.", min=0)] = 0,
 ) -> None:
     """Simulate a reactor, learn its unknown kinetics and constants from the data, and show what came out."""
-    from gbspec import driver
+    from gbspec.operations import reporting, tables
     from gbspec.report.style import save
 
     began = time.monotonic()
@@ -43,7 +43,7 @@ def run(
     _prepare(folder, directory)
     published, options = _simulate(output, data, seed)
     made, found = _learn(output, data, directory, options)
-    save(driver.figure("summary", made, driver.training_data(made, _findings())), picture)
+    save(reporting.figure("summary", made, tables.training_data(made, _findings())), picture)
     seconds = time.monotonic() - began
     errors = _errors(found)
     output.result(f"\n{run_summary(made)}\n\n{_comparison(errors, published)}\n")
@@ -85,18 +85,18 @@ def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], 
     """Writes the table; returns the published errors and the training options of the case."""
     from dataclasses import replace
 
-    from gbspec import driver
     from gbspec.data.cases import find_cases
     from gbspec.data.shipped import shipped_model
     from gbspec.data.table import write
+    from gbspec.operations import models, tables
     from gbspec.training.options import TrainOptions
 
     path = shipped_model(MODEL)
     case = find_cases(path).of_model(MODEL)
-    source = driver.subject(path, {}, _findings())
+    source = models.subject(path, {}, _findings())
     output.say(f"{MODEL}: {case.title}")
     with output.bar("simulating") as advance:
-        made = driver.simulate(source, replace(case.sampling, seed=seed), None, advance)
+        made = tables.simulate(source, replace(case.sampling, seed=seed), None, advance)
     write(data, made, source.model)
     output.say(f"simulated {len(made)} trajectories, {made.measurements} values at irregular times: {data}")
     return dict(case.published), TrainOptions(max_step=case.training.max_step, seed=seed)
@@ -104,17 +104,18 @@ def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], 
 
 def _learn(output: Output, data: Path, directory: Path, options: Any) -> tuple[Any, Validation]:
     """Trains and validates."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.cli.progress import shown
+    from gbspec.operations import analysing, fitting, tables
 
     findings = _findings()
     output.say("learning the kinetics phi(x1, x2, Da) and the constants B and beta")
-    model = driver.load_model(MODEL, findings)
-    measured = driver.read_data(data, model, findings)
+    model = frontend.load_model(MODEL, findings)
+    measured = tables.read_data(data, model, findings)
     with shown(output) as progress:
-        made = driver.train(model, measured, directory, options, progress)
+        made = fitting.train(model, measured, directory, options, progress)
     output.say("validating against the truth")
-    return made, driver.validate(made, measured)
+    return made, analysing.validate(made, measured)
 
 
 def _errors(found: Validation) -> dict[str, float | None]:

@@ -14,7 +14,7 @@ from gbspec.diagnostics import Diagnostic, UserError
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories
     from gbspec.diagnostics import Findings
-    from gbspec.driver import Subject
+    from gbspec.operations.models import Subject
 
 
 @command(
@@ -46,30 +46,30 @@ def run(
     ] = None,
 ) -> None:
     """Give the eigenvalues of the Jacobian at points, at steady states or along data; of a run beside the truth's."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import analysing, models, tables
 
     findings = Findings()
     given = points(at)
-    subject = driver.subject(source, settings(set_values), findings, member)
+    subject = models.subject(source, settings(set_values), findings, member)
     if initial_states:
-        compared = driver.initial_states(subject, _trained(subject, along, findings))
+        compared = analysing.initial_states(subject, _trained(subject, along, findings))
         output.findings(findings)
         output.document(compared.to_json())
         output.result(str(compared))
         return
-    data = None if along is None else driver.read_data(along, subject.model, findings, require_channels=False)
+    data = None if along is None else tables.read_data(along, subject.model, findings, require_channels=False)
     output.findings(findings)
-    found = driver.eigen(subject, at=given, along=data, steady=steady or not (given or along))
+    found = analysing.eigen(subject, at=given, along=data, steady=steady or not (given or along))
     output.document(found.to_json())
     output.result(str(found))
 
 
 def _trained(subject: Subject, along: str | None, findings: Findings) -> Trajectories:
     """The table whose initial states were learned. Raises `UserError` (GB814, GB859) where there is none."""
-    from gbspec import driver
+    from gbspec.operations import tables
 
     if subject.run is None:
         help = "give a run; a model's own initial states are in the model"
         raise UserError([Diagnostic("GB814", "`--initial-states` compares what a run learned", None, help=help)])
-    return driver.trained_on(subject.run, along, findings)
+    return tables.trained_on(subject.run, along, findings)

@@ -36,15 +36,15 @@ def run(
     set_values: Settings = None,
 ) -> None:
     """Draw a figure of a run: its fit, functions, constants, residuals, and others, or all in one (summary)."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import models, reporting, tables
     from gbspec.report.style import form_of, save
 
     form_of(to)
     findings = Findings()
-    made = driver.open_run(directory, settings(set_values))
-    measured = driver.training_data(made, findings) if data is None else driver.read_data(data, made.model, findings)
+    made = models.open_run(directory, settings(set_values))
+    measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
     output.findings(findings)
-    save(driver.figure(kind, made, measured, show or ()), to)
+    save(reporting.figure(kind, made, measured, show or ()), to)
     output.say(f"wrote {to}")
     output.document({"run": directory, "kind": kind, "path": to})

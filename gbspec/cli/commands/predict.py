@@ -39,18 +39,18 @@ def run(
     set_values: Settings = None,
 ) -> None:
     """Predict trajectories from their first rows: mean, 90 % interval, and what each row was used for."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import analysing, models, tables
     from gbspec.report.predictions import target
 
     rows = window_of(from_start, window)
     path = target(to)
     findings = Findings()
-    opened = driver.open_run(directory, settings(set_values))
-    table = driver.read_data(data, opened.model, findings, require_channels=False)
+    opened = models.open_run(directory, settings(set_values))
+    table = tables.read_data(data, opened.model, findings, require_channels=False)
     output.findings(findings)
     with output.console().status("predicting"):
-        found = driver.predict(opened, table, window=rows, path=path)
+        found = analysing.predict(opened, table, window=rows, path=path)
     output.say(f"wrote {to}")
     output.document({"path": to, **found.to_json()})
     output.summary(str(found))

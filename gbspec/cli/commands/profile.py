@@ -26,23 +26,23 @@ def run(
     ] = None,
 ) -> None:
     """Hold a constant at values around its estimate, fit the rest anew, and give its 90 % interval."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import fitting, models, reporting, tables
     from gbspec.report.style import form_of, save
 
     if to is not None:
         form_of(to)
     findings = Findings()
-    opened = driver.open_run(directory)
-    measured = driver.trained_on(opened, data, findings)
+    opened = models.open_run(directory)
+    measured = tables.trained_on(opened, data, findings)
     output.findings(findings)
 
     def said(value: float, deviance: float) -> None:
         output.say(f"{name} = {value:.6g}: deviance {deviance:.4g}")
 
-    found = driver.profile(opened, name, measured, member=member, points=points, iterations=iterations, progress=said)
+    found = fitting.profile(opened, name, measured, member=member, points=points, iterations=iterations, progress=said)
     if to is not None:
-        save(driver.profile_figure(opened, found), to)
+        save(reporting.profile_figure(opened, found), to)
         output.say(f"wrote {to}")
     output.document(found.to_json())
     output.result(str(found))

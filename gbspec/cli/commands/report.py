@@ -35,20 +35,20 @@ def run(
     set_values: Settings = None,
 ) -> None:
     """Write one self-contained page: the model, its fit, what was learned, how good it is, how to reproduce it."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
     from gbspec.files import writable
+    from gbspec.operations import models, reporting, tables
 
     if (over is None) != (ends is None):
         message = "`--over` and `--range` belong together"
         raise UserError([Diagnostic("GB814", message, None, help="write both: `--over Da --range 0.2 0.5`")])
     findings = Findings()
-    opened = driver.open_run(directory, settings(set_values))
+    opened = models.open_run(directory, settings(set_values))
     path = writable(to if to is not None else Path(directory) / "report.html")
-    table = driver.training_data(opened, findings) if data is None else driver.read_data(data, opened.model, findings)
+    table = tables.training_data(opened, findings) if data is None else tables.read_data(data, opened.model, findings)
     output.findings(findings)
     diagram = None if over is None or ends is None else (over, *ends)
     with output.console().status("writing the report"):
-        driver.report(opened, table, path, diagram=diagram, cycles=cycles)
+        reporting.report(opened, table, path, diagram=diagram, cycles=cycles)
     output.say(f"wrote {path}")
     output.document({"run": directory, "path": path, "bytes": path.stat().st_size})

@@ -32,18 +32,18 @@ def run(
     ] = None,
 ) -> None:
     """Simulate a table of measurements, solved by an adaptive integrator to 1e-10."""
-    from gbspec import driver
     from gbspec.data.table import write
     from gbspec.diagnostics import Findings
     from gbspec.files import writable
+    from gbspec.operations import models, tables
 
     findings = Findings()
     writable(to)
-    subject = driver.subject(source, settings(set_values), findings, member)
-    table = None if like is None else driver.read_data(like, subject.model, findings, require_channels=False)
+    subject = models.subject(source, settings(set_values), findings, member)
+    table = None if like is None else tables.read_data(like, subject.model, findings, require_channels=False)
     output.findings(findings)
     with output.bar("simulating") as advance:
-        data = driver.simulate(subject, options, table, advance)
+        data = tables.simulate(subject, options, table, advance)
     write(to, data, subject.model)
     rejected = int(data.meta.get("rejected", 0)) + int(data.meta.get("failed", 0))
     again = f" ({rejected} drawn again)" if rejected else ""

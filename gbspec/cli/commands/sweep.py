@@ -42,18 +42,19 @@ def run(
     The options of `gbspec train` that are given hold for all runs. `sweep.csv` has a row for each run. `--resume`
     continues a sweep that was interrupted: finished members are not fitted again, and new values may be added.
     """
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.cli.progress import shown
+    from gbspec.operations import fitting, models, tables
 
     findings = Findings()
     directory = target(to, resume=options.resume)
     chosen = points(vary, options, findings)
     findings.raise_if_failed()
-    specified = driver.specified(driver.load_model(model, findings), settings(set_values))
-    measured = driver.read_data(data, specified, findings)
+    specified = models.specified(frontend.load_model(model, findings), settings(set_values))
+    measured = tables.read_data(data, specified, findings)
     output.findings(findings)
     with shown(output) as progress:
-        rows = driver.sweep(specified, measured, chosen, directory, options, progress)
+        rows = fitting.sweep(specified, measured, chosen, directory, options, progress)
     output.say(f"wrote {Path(to) / 'sweep.csv'}")
     header = ["run", *(name for name in max(rows, key=len) if name != "run" and name not in chosen[0].varied)]
     cells = [[row["run"], *(number(row.get(name)) for name in header[1:])] for row in rows]

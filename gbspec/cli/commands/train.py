@@ -30,18 +30,19 @@ def run(
     set_values: Settings = None,
 ) -> None:
     """Learn the unknown functions and constants of a model from a table, into a run directory."""
-    from gbspec import driver
+    from gbspec import frontend
     from gbspec.cli.progress import shown
+    from gbspec.operations import fitting, models, tables
 
     findings = Findings()
     directory = target(to, resume=options.resume)
     options.check(findings)
     findings.raise_if_failed()
-    specified = driver.specified(driver.load_model(model, findings), settings(set_values))
-    measured = driver.read_data(data, specified, findings)
+    specified = models.specified(frontend.load_model(model, findings), settings(set_values))
+    measured = tables.read_data(data, specified, findings)
     output.findings(findings)
     with shown(output) as progress:
-        made = driver.train(specified, measured, directory, options, progress)
+        made = fitting.train(specified, measured, directory, options, progress)
     output.say(f"wrote {to}")
     output.summary(run_summary(made))
     output.document(made.fit)

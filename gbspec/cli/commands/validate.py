@@ -23,17 +23,17 @@ def run(
     set_values: Settings = None,
 ) -> None:
     """Give the errors of a run: on data, at half the step, by an adaptive solver, and against the truth."""
-    from gbspec import driver
     from gbspec.diagnostics import Findings
+    from gbspec.operations import analysing, models, tables
 
     findings = Findings()
-    made = driver.open_run(directory, settings(set_values))
+    made = models.open_run(directory, settings(set_values))
     chosen = which(member)
-    measured = driver.training_data(made, findings) if data is None else driver.read_data(data, made.model, findings)
+    measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
     output.findings(findings)
     if data is None and measured is not None:
         output.say(f"on the table that it was trained on, {measured.path}")
-    found = driver.validate(made, measured, chosen)
+    found = analysing.validate(made, measured, chosen)
     output.document(found.to_json())
     output.result(str(found))
 

@@ -1,0 +1,20 @@
+"""The form `latex`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from gbspec.backends import Backend
+
+if TYPE_CHECKING:
+    from gbspec.ir.model import Model
+
+
+def make(model: Model, instance: Any) -> str:
+    """A LaTeX document."""
+    from gbspec.backends.latex import document
+
+    return document(model)
+
+
+BACKEND = Backend("latex", ".tex", "a page of typeset equations", make)

@@ -1,0 +1,25 @@
+"""The form `native`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from gbspec.backends import Backend, Refusal
+
+if TYPE_CHECKING:
+    from gbspec.ir.model import Model
+
+
+def make(model: Model, instance: Any) -> str | Refusal:
+    """The kernel in double precision, or which form of the model it does not cover."""
+    from gbspec.backends.native import NotCoveredError, source
+
+    try:
+        return source(model)
+    except NotCoveredError as problem:
+        return Refusal(str(problem), "the form `module` expresses every model; training falls back on it")
+
+
+HELP = "the C kernel that training compiles: solution, gradient and Jacobian of a batch"
+
+BACKEND = Backend("native", ".c", HELP, make)

@@ -1,0 +1,88 @@
+"""Training: one fit, a sweep of them, the check of their steps, and the profile of a constant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.ir.model import Model
+    from gbspec.runs.store import Run
+    from gbspec.training import Progress
+    from gbspec.training.options import TrainOptions
+    from gbspec.training.profile.likelihood import Profile
+    from gbspec.training.runs.variations import Point
+
+
+def train(
+    model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
+) -> Run:
+    """Learns from data what is unknown in the model, into a run directory; then every fit's step is checked."""
+    return with_step_checks(fit(model, data, directory, options, progress), data, options)
+
+
+def fit(
+    model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
+) -> Run:
+    """The same without the check, for studies, which judge their fits themselves."""
+    from gbspec.training import train as run
+
+    return run(model, data, options, directory, progress)
+
+
+def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
+    """The run just fitted to `data`, with the check of each member's step, and a warning of those that depend on it."""
+    from gbspec.analysis.validation.step_check import check_fit
+    from gbspec.training.recipe.context import split
+
+    if len(data) == 1:  # of one trajectory the last rows are held out; it is known by the others
+        data, _ = split(data, options.holdout, options.seed)
+    checks = check_fit(run, data)
+    warnings = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
+    return run.amended(
+        step_checks=[check.to_json() for check in checks], warnings=[*run.fit.get("warnings", []), *warnings]
+    )
+
+
+def sweep(
+    model: Model,
+    data: Trajectories,
+    points: Sequence[Point],
+    directory: Path,
+    options: TrainOptions,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Trains with each point's options into a run directory of its own; a row of results for each.
+
+    A row's columns are those of `sweep.csv`: what was varied has its own name there.
+    """
+    from gbspec.runs.store import member_numbers, open_run
+    from gbspec.training.runs.sweep import sweep as run
+
+    rows = run(model, data, points, options, directory, progress)
+    for point in points:
+        if member_numbers(directory / point.name):
+            made = open_run(directory / point.name)
+            checked = with_step_checks(made, data, point.options)
+            for warning in checked.fit["warnings"][len(made.fit["warnings"]) :]:
+                if progress is not None:
+                    progress.message(f"{point.name}: {warning}")
+    return rows
+
+
+def profile(
+    run: Run,
+    name: str,
+    data: Trajectories,
+    *,
+    member: int | None = None,
+    points: int = 6,
+    iterations: int = 60,
+    progress: Callable[[float, float], None] | None = None,
+) -> Profile:
+    """The profile likelihood of a learned constant."""
+    from gbspec.training.profile.likelihood import profile as follow
+
+    return follow(run, name, data, member=member, points=points, iterations=iterations, progress=progress)

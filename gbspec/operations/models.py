@@ -1,0 +1,173 @@
+"""Models and runs as what can be evaluated, with values set by hand, and compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gbspec import frontend
+from gbspec.diagnostics import Findings, Source
+
+if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.ir.model import Model
+    from gbspec.runs.store import Run
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What can be evaluated: a model at its truth (which stands in `model`), or a run at what it learned.
+
+    `values` are what was set by hand; they stand in `model` and in the evaluator already.
+    """
+
+    model: Model
+    evaluator: Evaluator
+    run: Run | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A model in another form; `class_name` is that of its generated module, None for a form inside the pipeline."""
+
+    name: str
+    content: str | bytes
+    class_name: str | None
+
+
+def is_run(path: str | Path) -> bool:
+    """Whether a path is meant as a run directory."""
+    return Path(path).is_dir()
+
+
+def open_run(path: str | Path, values: Mapping[str, float] | None = None) -> Run:
+    """A trained run, with `values` in place of constants, learned or known, and of conditions' defaults.
+
+    Raises `UserError`: GB851 to GB853 where the path is none, or damaged; GB804 where a name cannot be set.
+    """
+    from gbspec.runs.store import open_run as open_directory
+
+    return set_values(open_directory(path), values)
+
+
+def set_values(run: Run, values: Mapping[str, float] | None) -> Run:
+    """The run with other values for constants and conditions, in its truth too. Raises `UserError` (GB804)."""
+    from gbspec.passes import with_values
+
+    if not values:
+        return run
+    model = frontend.verified(with_values(run.model, values), "with_values")
+    return replace(run, model=model, values={**run.values, **values})
+
+
+def specified(model: Model, values: Mapping[str, float]) -> Model:
+    """The model to be trained with other values: its text has them too, so that a run keeps what was computed with.
+
+    A value of a learnable is where its training starts; its truth stays. Raises `UserError`: GB804 where a name is no
+    constant, condition or input, and what else is wrong with the model that has these values.
+    """
+    from gbspec.passes import with_values
+    from gbspec.syntax.settings import with_settings
+
+    if not values:
+        return model
+    with_values(model, values)  # every name is known and every number finite, or this says which is not
+    source = _source(model)
+    text = Source(source.path, with_settings(source, values))
+    return frontend.load_model(text.path, Findings(), lambda _: text)
+
+
+def subject(path: str | Path, values: Mapping[str, float], findings: Findings, member: int | None = None) -> Subject:
+    """A MODEL at its truth, or a RUN at what it learned, with `values` put in for constants and conditions."""
+    if is_run(path):
+        return learned(open_run(path), values, member)
+    return reference(frontend.load_model(path, findings), values)
+
+
+def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
+    """What a member of a run learned (the best one where none is named). Raises `UserError` (GB804, GB854)."""
+    from gbspec.backends.casadi.evaluator import Evaluator
+
+    run = set_values(run, values)
+    instance = run.member(run.best if member is None else member)
+    return Subject(run.model, Evaluator(instance), run, run.values)
+
+
+def reference(model: Model, values: Mapping[str, float] | None = None) -> Subject:
+    """A model at its truth. Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`."""
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends.module import load_module
+    from gbspec.passes import with_truth, with_values
+
+    known = frontend.verified(with_truth(model), "with_truth")
+    if values:
+        known = frontend.verified(with_values(known, values), "with_values")
+    return Subject(known, Evaluator(load_module(known)()), values=values or {})
+
+
+def truth_of(source: Subject) -> Subject | None:
+    """The truth of a run's model with the same values set, None where there is none."""
+    from gbspec.analysis.validation.truth_errors import has_reference
+
+    if source.run is None or not has_reference(source.run.model):
+        return None
+    return reference(source.run.model, source.values)
+
+
+# ------------------------------------------------------------------------------------------------------------ compiling
+def forms() -> dict[str, str]:
+    """What a model can be compiled to, each with a line of help: the stages of the pipeline, then the backends."""
+    from gbspec.backends.registry import backends
+
+    stages = {stage.name: stage.help for stage in frontend.STAGES}
+    return {**stages, **{backend.name: backend.help for backend in backends().values()}}
+
+
+def compile_file(path: str | Path, form: str, findings: Findings) -> Compiled:
+    """A model file, or the best member of a run, in one of `forms()`. Raises `UserError` for what is wrong with it.
+
+    A form of the pipeline takes a model no further than its stage: what is wrong beyond is not found.
+    """
+    from gbspec.backends.registry import backends
+    from gbspec.runs import files
+
+    if form not in backends():
+        return _stage(Path(path) / files.MODEL if is_run(path) else path, form, findings)
+    if backends()[form].numbers:
+        return _emitted(subject(path, {}, findings), form)
+    return _emitted(open_run(path).model if is_run(path) else frontend.load_model(path, findings), form)
+
+
+def compile_model(model: Model, form: str) -> Compiled:
+    """A Model, at its truth where numbers are needed, in one of `forms()`."""
+    from gbspec.backends.registry import backends
+
+    if form not in backends():
+        source = _source(model)
+        return _stage(source.path, form, Findings(), lambda _: source)
+    return _emitted(reference(model) if backends()[form].numbers else model, form)
+
+
+def _emitted(source: Model | Subject, form: str) -> Compiled:
+    from gbspec.backends.module import class_name
+    from gbspec.backends.registry import backends
+
+    model, instance = (source.model, source.evaluator.instance) if isinstance(source, Subject) else (source, None)
+    return Compiled(model.name, backends()[form].emit(model, instance), class_name(model))
+
+
+def _stage(path: str | Path, form: str, findings: Findings, read: frontend.Read | None = None) -> Compiled:
+    from gbspec.syntax.ast import ModelStatement
+
+    state = frontend.after(form, path, findings, read)
+    statements = state.file.statements if state.file else ()
+    name = next((s.name.text for s in statements if isinstance(s, ModelStatement)), Path(path).stem)
+    return Compiled(name, state.text, None)
+
+
+def _source(model: Model) -> Source:
+    """The text that the model keeps, which needs no other file."""
+    return Source("model.gb", model.text)

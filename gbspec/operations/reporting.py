@@ -1,0 +1,71 @@
+"""Figures and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gbspec.operations.analysing import bifurcate, eigen, joined, true_diagram, validate
+from gbspec.operations.models import learned
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gbspec.analysis.bifurcation.diagram import Diagram
+    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.runs.store import Run
+    from gbspec.training.profile.likelihood import Profile
+
+
+def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
+    """The figure of one or several members' diagrams, beside the truth's."""
+    from gbspec.report.diagram import diagram
+
+    return diagram(joined(diagrams), diagrams[1:], truth)
+
+
+def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
+    """The figure of one or several members' curves, beside the truth's."""
+    from gbspec.report.plane import plane
+
+    return plane(diagrams[0], diagrams[1:], truth)
+
+
+def profile_figure(run: Run, found: Profile) -> Figure:
+    """The figure of a profile, with the truth where the model states one."""
+    from gbspec.report.profile import draw
+
+    truths = {t.name: t.value for t in run.model.truth_constants}
+    return draw(found, truths.get(found.name))
+
+
+def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
+    """A figure of a run: one of `gbspec.report.KINDS`."""
+    from gbspec.report.figures import draw
+
+    return draw(kind, run, data, show)
+
+
+def report(
+    run: Run,
+    data: Trajectories | None,
+    path: str | Path,
+    *,
+    diagram: tuple[str, float, float] | None = None,
+    cycles: bool = False,
+) -> None:
+    """Writes the report of a run as one HTML file; `diagram` names a parameter and its range."""
+    from gbspec.files import write_text
+    from gbspec.report.collect import Fitted
+    from gbspec.report.html.page import Findings as Found
+    from gbspec.report.html.page import page
+
+    source = learned(run)
+    drawn = None
+    if diagram is not None:
+        drawn = bifurcate(source, *diagram, cycles=cycles), true_diagram(source, *diagram, cycles=cycles)
+    spectra = None if data is None else eigen(source, along=data)
+    fitted = None if data is None else Fitted(run, data)
+    write_text(path, page(fitted, run, Found(validate(run, data), spectra, drawn)))
