@@ -62,19 +62,21 @@ class Specification:
         examine(self.model, findings)
         return tuple(findings)
 
-    def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str:
-        """The model in a form of `gbspec compile --emit`, written to `path` where one is given.
+    def compile(self, path: str | Path | None = None, *, emit: str = "module", solver: str = "rk4") -> str:
+        """The model in a form of `gbspec compile --emit`, with steps of a solver, written to `path` where one is given.
 
-        Raises `ValueError` where there is no such form.
+        Raises `ValueError` where there is no such form, `UserError` (GB850) where there is no such solver.
         """
         from gbspec.backends.registry import BACKENDS
         from gbspec.files import write_text
+        from gbspec.ir.methods import method_named
 
         if emit not in BACKENDS:
             raise ValueError(f"there is no form `{emit}`; there are {', '.join(BACKENDS)}")
         backend = BACKENDS[emit]
-        instance = driver.reference(self.model).evaluator.instance if backend.numbers else None
-        text = backend.emit(self.model, instance)
+        method = method_named(solver)
+        instance = driver.reference(self.model, method=method).evaluator.instance if backend.numbers else None
+        text = backend.emit(self.model, instance, method)
         if path is not None:
             write_text(path, text)
         return text

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from gbspec.diagnostics import Findings, Source, UserError
+from gbspec.ir.methods import RK4
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.sampling import SimulateOptions
     from gbspec.data.trajectories import Trajectories
+    from gbspec.ir.methods import Method
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
     from gbspec.training import Progress
@@ -136,14 +138,17 @@ def learned(run: Run, values: Mapping[str, float] | None = None, member: int | N
     return Subject(run.model, Evaluator(instance), run, run.values)
 
 
-def reference(model: Model, values: Mapping[str, float] | None = None) -> Subject:
-    """A model at its truth. Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`."""
+def reference(model: Model, values: Mapping[str, float] | None = None, method: Method = RK4) -> Subject:
+    """A model at its truth, stepped by a method.
+
+    Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`.
+    """
     from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.backends.module import load_module
     from gbspec.passes import with_truth, with_values
 
     known = with_values(with_truth(model), values or {})
-    return Subject(known, Evaluator(load_module(known)()), values=values or {})
+    return Subject(known, Evaluator(load_module(known, method)()), values=values or {})
 
 
 # ------------------------------------------------------------------------------------- what the commands are made of

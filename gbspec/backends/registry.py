@@ -10,6 +10,7 @@ from gbspec.backends.latex import document
 from gbspec.backends.module import generate
 from gbspec.diagnostics import Defect
 from gbspec.ir.dump import dump
+from gbspec.ir.methods import RK4, Method
 from gbspec.ir.model import Model
 
 
@@ -31,8 +32,9 @@ class Backend(Protocol):
         """Whether it writes down what was learned, or the truth: whether `emit` needs an instance."""
         ...
 
-    def emit(self, model: Model, instance: Any = None) -> str:
-        """The text for a verified model, or for an instance of its generated module with weights."""
+    def emit(self, model: Model, instance: Any = None, method: Method = RK4) -> str:
+        """The text for a verified model that a method steps, or for an instance of its generated module with weights
+        (which has its own)."""
         ...
 
 
@@ -42,12 +44,12 @@ class ModelText:
 
     name: str
     suffix: str
-    text: Callable[[Model], str]
+    text: Callable[[Model, Method], str]
     numbers: bool = False
 
-    def emit(self, model: Model, instance: Any = None) -> str:
+    def emit(self, model: Model, instance: Any = None, method: Method = RK4) -> str:
         """The text for the model; an instance changes nothing."""
-        return self.text(model)
+        return self.text(model, method)
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class InstanceText:
     text: Callable[[Any], str]
     numbers: bool = True
 
-    def emit(self, model: Model, instance: Any = None) -> str:
+    def emit(self, model: Model, instance: Any = None, method: Method = RK4) -> str:
         """The text for an instance of the model's module; a Defect without one."""
         if instance is None:
             raise Defect(f"the backend `{self.name}` was asked for the model `{model.name}` without its numbers")
@@ -74,8 +76,8 @@ def _c_code(instance: Any) -> str:
 
 _ALL: tuple[Backend, ...] = (
     ModelText("module", ".py", generate),
-    ModelText("ir", ".ir.txt", dump),
-    ModelText("latex", ".tex", document),
+    ModelText("ir", ".ir.txt", lambda model, _: dump(model)),
+    ModelText("latex", ".tex", lambda model, _: document(model)),
     InstanceText("c", ".c", _c_code),
 )
 

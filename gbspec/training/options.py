@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from gbspec.diagnostics import Findings
+from gbspec.ir.methods import METHODS, RK4, listed, unknown_method
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Effort = Literal["low", "normal", "high"]
@@ -49,6 +50,10 @@ class TrainOptions:
             "help": "Largest step of the solver, in the unit of time; from the data where not given.",
             "metavar": "H",
         },
+    )
+    solver: str = field(
+        default=RK4.name,
+        metadata={"help": f"The method that takes the solver's steps: {listed()}.", "metavar": "NAME"},
     )
     method: Method = field(
         default="auto",
@@ -202,6 +207,8 @@ class TrainOptions:
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
+        if self.solver not in METHODS:
+            findings.add(unknown_method(self.solver))
         chosen = {"method": Method, "effort": Effort, "initial": Initial, "device": Device, "backend": Backend}
         for name, allowed in chosen.items():
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there

@@ -18,6 +18,7 @@ Form = Literal["module", "ir", "latex", "c"]
     "gbspec compile urp_gb2.gb -o urp_gb2.py",
     "gbspec compile urp_gb2.gb --emit latex -o urp_gb2.tex",
     "gbspec compile run --emit c -o urp_gb2.c",
+    "gbspec compile urp_gb2.gb --solver dopri5 -o urp_gb2.py",
 )
 def run(
     output: Output,
@@ -31,6 +32,14 @@ def run(
             "equations; c: right-hand side, Jacobian and step in C, with the numbers of a run or of the model's truth.",
         ),
     ] = "module",
+    solver: Annotated[
+        str | None,
+        typer.Option(
+            "--solver",
+            help="The method whose step the module and the C code have; that of a run, else `rk4`.",
+            metavar="NAME",
+        ),
+    ] = None,
 ) -> None:
     """Compile a model to a standalone Python module (torch to run it, casadi to analyse it, gbspec for neither)."""
     from gbspec import driver
@@ -38,19 +47,22 @@ def run(
     from gbspec.backends.registry import BACKENDS
     from gbspec.diagnostics import Findings
     from gbspec.files import write_text
+    from gbspec.ir.methods import RK4, method_named
 
     findings = Findings()
     backend = BACKENDS[emit]
-    if backend.numbers:
-        subject = driver.subject(model, {}, findings)
-        compiled, instance = subject.model, subject.evaluator.instance
+    chosen = None if solver is None else method_named(solver)
+    if driver.is_run(model):
+        trained = driver.open_run(model)
+        method = chosen or trained.method
+        compiled = trained.model
+        instance = driver.learned(trained.stepped_by(method)).evaluator.instance if backend.numbers else None
     else:
-        compiled, instance = (
-            driver.open_run(model).model if driver.is_run(model) else driver.load_model(model, findings),
-            None,
-        )
+        method = chosen or RK4
+        compiled = driver.load_model(model, findings)
+        instance = driver.reference(compiled, method=method).evaluator.instance if backend.numbers else None
     output.findings(findings)
-    text = backend.emit(compiled, instance)
+    text = backend.emit(compiled, instance, method)
     write_text(to, text)
     output.say(f"wrote {to}")
     output.document({"model": compiled.name, "emit": emit, "path": to, "class": class_name(compiled)})

@@ -25,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.data.trajectories import Array, Trajectories
+from gbspec.diagnostics import Defect
+from gbspec.ir.methods import METHODS
 from gbspec.ir.model import Model
 from gbspec.training.problem.packing import Packed
 
@@ -76,6 +78,10 @@ class Problem:
     scaling: Scaling
     kernel: Kernel | None = None
     device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.packed.nodes != tuple(map(float, METHODS[self.module.solver].nodes)):
+            raise Defect(f"data were packed for another method than `{self.module.solver}`")
 
     @property
     def ops(self) -> Any:

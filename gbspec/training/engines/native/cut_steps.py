@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gbspec.data.trajectories import Array
 from gbspec.training.engines.torch.doses import in_order
-from gbspec.training.problem.packing import NODES, Integers, Packed
+from gbspec.training.problem.packing import Integers, Packed
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def _cut(
     place, length = (new[several], owner[several]), packed.h[old, owner][several]
     nodes = inputs[place]
     slope[place] = (nodes[:, -1] - nodes[:, 0]) / np.where(length > 0, length, 1.0)[:, None]
-    share = begin[place][:, None] + np.array(NODES) * (end - begin)[place][:, None]
+    share = begin[place][:, None] + np.array(packed.nodes) * (end - begin)[place][:, None]
     inputs[place] = nodes[:, :1] + share[:, :, None] * slope[place][:, None]
     row_step = first[packed.row_trajectory, packed.row_step]
     return replace(packed, t=start + begin, h=end - begin, inputs=inputs, steps=steps, row_step=row_step), slope

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from gbspec.data.trajectories import Array
 from gbspec.training.engines.torch.affine import Field
-from gbspec.training.problem.packing import NODES, Integers, Packed
+from gbspec.training.problem.packing import Integers, Packed
 
 if TYPE_CHECKING:
     from gbspec.training.problem.problem import Problem
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class SubStep:
     """A sub-step of each of B trajectories: start `t` and length `h` [B], `condition` [B, n_conditions], the inputs at
-    the tableau's nodes, [B, n_inputs] each, and the doses that arrive: their numbers in the packing [L, B], each
+    the method's nodes, [B, n_inputs] each, and the doses that arrive: their numbers in the packing [L, B], each
     trajectory's in the order of time and -1 where there is none; None where nobody gets any. `grid` is what the
     generated `_grid` makes of `t` and `h`; None: made when it is needed."""
 
@@ -148,7 +148,7 @@ def _part(problem: Problem, x: Tensor, step: SubStep, begin: Tensor | None, end:
         if nodes[0].shape[1]:
             # Inputs are straight lines within a sub-step.
             whole = torch.where(step.h > 0, step.h, torch.ones_like(step.h))
-            shares = [(begin + node * h) / whole for node in NODES]
+            shares = [(begin + node * h) / whole for node in problem.packed.nodes]
             nodes = tuple(nodes[0] + share[:, None] * (nodes[-1] - nodes[0]) for share in shares)
     elif grid is None:
         grid = module._grid(problem.ops, step.t, step.h)
