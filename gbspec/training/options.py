@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
@@ -218,6 +219,14 @@ class TrainOptions:
         """All options by name, as `fit.json` keeps them, but for those that belong to a call and not to a run."""
         named = {"stages": "; ".join(self.named_stages) or None}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")} | named
+
+    def settings(self, left_out: Collection[str]) -> dict[str, Any]:
+        """The options for a fingerprint of what a result depends on, without those left out.
+
+        The default solver is not in it: fingerprints from before there was a choice are still met.
+        """
+        kept = {name: value for name, value in self.to_json().items() if name not in left_out}
+        return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
 
 
 def _number(text: str) -> float | None:

@@ -53,8 +53,8 @@ class Packed:
     """A batch of N trajectories of at most T sub-steps, with R key rows in all.
 
     `t`, `h` [T, N]: start and length of each sub-step; `inputs` [T, N, nodes, n_inputs]: inputs at `nodes`, which the
-    method has as parts of a step (the right limit at its start, the left limit at its end); `condition` [N, n_conditions];
-    `start` [N].
+    method has as parts of a step (the right limit at its start, the left limit at its end); `condition`
+    [N, n_conditions]; `start` [N].
     Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
     trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
     measured), `weights` [R, C] (square root of the count; 0: not measured), `sd` [R, C] (NaN: none given),

@@ -142,7 +142,6 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
             "rows": trajectories.rows or sum(len(item.times) for item in trajectories.items),
             "values": trajectories.measurements,
         },
-        "solver": options.solver,
         "options": options.to_json(),
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "constants": {},
@@ -150,6 +149,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         "members": [],
         "warnings": [],
         "correlations": {},
+        "solver": options.solver,
     }
 
 
