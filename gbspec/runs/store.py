@@ -167,8 +167,9 @@ def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
     if not isinstance(content, dict) or "gbspec" not in content or "model" not in content:
         findings.error("GB852", f"`{path}` does not describe a fit of gbspec", None, help=_DAMAGED)
         return {}
-    if content.get("solver", RK4.name) not in METHODS:
-        message = f"`{path}` names a solver that this version does not have: `{content['solver']}`"
+    solver = content.get("solver", RK4.name)
+    if not isinstance(solver, str) or solver not in METHODS:
+        message = f"`{path}` names a solver that this version does not have: `{solver}`"
         findings.error(
             "GB852", message, None, help=f"use the version that wrote it; here there are {', '.join(METHODS)}"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
@@ -85,14 +86,11 @@ def test_the_error_estimate_vanishes_to_the_order_of_the_embedded_method(method:
     assert any(estimate(method.embedded_order + 1))
 
 
-def test_one_method_has_an_error_estimate_of_order_five() -> None:
-    assert [name for name, method in METHODS.items() if method.order == 5 and method.b_error] == ["dopri5"]
-
-
 def test_nodes_are_distinct_sorted_and_have_the_ends() -> None:
     half, third = Fraction(1, 2), Fraction(1, 3)
     assert RK4.nodes == (0, half, 1) and RK38.nodes == (0, third, 2 * third, 1)
     assert DOPRI5.nodes == (0, Fraction(1, 5), Fraction(3, 10), Fraction(4, 5), Fraction(8, 9), 1)
+    assert DOPRI5.b_error is not None and len(DOPRI5.b_error) == 7
     assert DOPRI5.advancing == 6, "the seventh serves the error estimate alone"
     euler = Explicit("euler", 1, ((),), (Fraction(1),), "", "")
     assert euler.nodes == (0, 1)
@@ -120,7 +118,7 @@ def test_what_is_no_explicit_method_is_refused(
 def test_every_method_says_what_it_is_and_where_it_is_from(method: Method) -> None:
     assert METHODS[method.name] is method and method_named(method.name) is method
     assert f"`{method.name}`, {method.help}" in listed()
-    assert "19" in method.source and method.name.isidentifier()
+    assert re.search(r"\(\d{4}\)", method.source) and method.name.isidentifier()
 
 
 def test_a_name_that_no_method_has() -> None:
@@ -128,4 +126,5 @@ def test_a_name_that_no_method_has() -> None:
         method_named("rk5")
     (diagnostic,) = caught.value.diagnostics
     assert diagnostic.code == "GB850"
-    assert diagnostic.message == "`--solver rk5` must be one of `rk4`, `rk38`, `dopri5`"
+    assert diagnostic.message.startswith("`--solver rk5` must be one of `rk4`, `rk38`, `dopri5`")
+    assert all(f"`{name}`" in diagnostic.message for name in METHODS)
