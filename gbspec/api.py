@@ -64,21 +64,22 @@ class Specification:
         return tuple(findings)
 
     @overload
-    def compile(self, path: str | Path | None = None) -> str: ...
+    def compile(self, path: str | Path | None = None, *, solver: str = "rk4") -> str: ...
 
     @overload
-    def compile(self, path: str | Path | None = None, *, emit: str) -> str | bytes: ...
+    def compile(self, path: str | Path | None = None, *, emit: str, solver: str = "rk4") -> str | bytes: ...
 
-    def compile(self, path: str | Path | None = None, *, emit: str = "module") -> str | bytes:
+    def compile(self, path: str | Path | None = None, *, emit: str = "module", solver: str = "rk4") -> str | bytes:
         """The model in a form of `gbspec compile --emit`, written to `path` where one is given; bytes of a binary form.
 
-        Raises `ValueError` where there is no such form, `UserError` (GB808) where it cannot express the model.
+        `solver` names the method of its steps. Raises `ValueError` where there is no such form, `UserError` where the
+        form cannot express the model (GB808) or there is no such solver (GB850).
         """
         from gbspec.files import write_bytes
 
         if emit not in models.forms():
             raise ValueError(f"there is no form `{emit}`; there are {', '.join(models.forms())}")
-        made = models.compile_model(self.model, emit).content
+        made = models.compile_model(self.model, emit, solver).content
         if path is not None:
             write_bytes(path, made if isinstance(made, bytes) else made.encode("utf-8"))
         return made

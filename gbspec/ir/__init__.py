@@ -1,1 +1,1 @@
-"""The intermediate representation: the Model and its parts, the verifier, the dump, integrator tableaus."""
+"""The intermediate representation: the Model and its parts, the verifier, the dump, integration methods."""

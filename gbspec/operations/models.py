@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from gbspec import frontend
 from gbspec.diagnostics import Findings, Source
+from gbspec.ir.methods import RK4, Method, method_named
 
 if TYPE_CHECKING:
     from gbspec.backends.casadi.evaluator import Evaluator
@@ -96,8 +97,11 @@ def learned(run: Run, values: Mapping[str, float] | None = None, member: int | N
     return Subject(run.model, Evaluator(instance), run, run.values)
 
 
-def reference(model: Model, values: Mapping[str, float] | None = None) -> Subject:
-    """A model at its truth. Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`."""
+def reference(model: Model, values: Mapping[str, float] | None = None, method: Method = RK4) -> Subject:
+    """A model at its truth, stepped by a method.
+
+    Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`.
+    """
     from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.backends.module import load_module
     from gbspec.passes import with_truth, with_values
@@ -105,7 +109,7 @@ def reference(model: Model, values: Mapping[str, float] | None = None) -> Subjec
     known = frontend.verified(with_truth(model), "with_truth")
     if values:
         known = frontend.verified(with_values(known, values), "with_values")
-    return Subject(known, Evaluator(load_module(known)()), values=values or {})
+    return Subject(known, Evaluator(load_module(known, method)()), values=values or {})
 
 
 def truth_of(source: Subject) -> Subject | None:
@@ -126,37 +130,43 @@ def forms() -> dict[str, str]:
     return {**stages, **{backend.name: backend.help for backend in backends().values()}}
 
 
-def compile_file(path: str | Path, form: str, findings: Findings) -> Compiled:
+def compile_file(path: str | Path, form: str, findings: Findings, solver: str | None = None) -> Compiled:
     """A model file, or the best member of a run, in one of `forms()`. Raises `UserError` for what is wrong with it.
 
-    A form of the pipeline takes a model no further than its stage: what is wrong beyond is not found.
+    A form of the pipeline takes a model no further than its stage: what is wrong beyond is not found. `solver` names
+    the method of the steps (GB850 where there is none of that name); without it a run keeps its own.
     """
     from gbspec.backends.registry import backends
     from gbspec.runs import files
 
     if form not in backends():
         return _stage(Path(path) / files.MODEL if is_run(path) else path, form, findings)
-    if backends()[form].numbers:
-        return _emitted(subject(path, {}, findings), form)
-    return _emitted(open_run(path).model if is_run(path) else frontend.load_model(path, findings), form)
+    chosen = None if solver is None else method_named(solver)
+    if is_run(path):
+        run = open_run(path)
+        run = run.stepped_by(chosen or run.method)
+        return _emitted(learned(run) if backends()[form].numbers else run.model, form, run.method)
+    model, method = frontend.load_model(path, findings), chosen or RK4
+    return _emitted(reference(model, method=method) if backends()[form].numbers else model, form, method)
 
 
-def compile_model(model: Model, form: str) -> Compiled:
-    """A Model, at its truth where numbers are needed, in one of `forms()`."""
+def compile_model(model: Model, form: str, solver: str = "rk4") -> Compiled:
+    """A Model, at its truth where numbers are needed, in one of `forms()`, with steps of a solver (else GB850)."""
     from gbspec.backends.registry import backends
 
     if form not in backends():
         source = _source(model)
         return _stage(source.path, form, Findings(), lambda _: source)
-    return _emitted(reference(model) if backends()[form].numbers else model, form)
+    method = method_named(solver)
+    return _emitted(reference(model, method=method) if backends()[form].numbers else model, form, method)
 
 
-def _emitted(source: Model | Subject, form: str) -> Compiled:
+def _emitted(source: Model | Subject, form: str, method: Method) -> Compiled:
     from gbspec.backends.module import class_name
     from gbspec.backends.registry import backends
 
     model, instance = (source.model, source.evaluator.instance) if isinstance(source, Subject) else (source, None)
-    return Compiled(model.name, backends()[form].emit(model, instance), class_name(model))
+    return Compiled(model.name, backends()[form].emit(model, instance, method), class_name(model))
 
 
 def _stage(path: str | Path, form: str, findings: Findings, read: frontend.Read | None = None) -> Compiled:

@@ -15,6 +15,7 @@ from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
+from gbspec.ir.methods import METHODS, RK4, Method
 from gbspec.ir.model import Model
 from gbspec.runs import files
 
@@ -34,8 +35,17 @@ class Run:
 
     @cached_property
     def module(self) -> type[Any]:
-        """The class of the generated module."""
-        return load_module(self.model)
+        """The class of the generated module, stepped by the method that the run was trained with."""
+        return load_module(self.model, self.method)
+
+    @property
+    def method(self) -> Method:
+        """The method that it was trained with; older runs do not name theirs, the classical one."""
+        return METHODS[self.fit.get("solver", RK4.name)]
+
+    def stepped_by(self, method: Method) -> Run:
+        """The same run with steps of another method."""
+        return replace(self, fit={**self.fit, "solver": method.name})
 
     @cached_property
     def _loaded(self) -> dict[int, Any]:
@@ -157,6 +167,13 @@ def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
         return {}
     if not isinstance(content, dict) or "gbspec" not in content or "model" not in content:
         findings.error("GB852", f"`{path}` does not describe a fit of gbspec", None, help=_DAMAGED)
+        return {}
+    solver = content.get("solver", RK4.name)
+    if not isinstance(solver, str) or solver not in METHODS:
+        message = f"`{path}` names a solver that this version does not have: `{solver}`"
+        findings.error(
+            "GB852", message, None, help=f"use the version that wrote it; here there are {', '.join(METHODS)}"
+        )
         return {}
     return content
 

@@ -130,7 +130,7 @@ def crossvalidate(
 
 def _begin(directory: Path, model: Model, data: Trajectories, training: TrainOptions, options: CrossOptions) -> None:
     """Writes down what the cross-validation is of, or refuses to continue one of something else (GB820)."""
-    fixed = {name: v for name, v in training.to_json().items() if name not in ("workers", "threads", "scheduler")}
+    fixed = training.settings(("workers", "threads", "scheduler"))
     content = [fingerprint(item) for item in data.items]
     parts = [hashlib.sha256(model.text.encode()).hexdigest(), content, fixed, asdict(options)]
     settings = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

@@ -68,7 +68,7 @@ class Task:
         from gbspec import frontend
 
         sampling, metrics = (dataclasses.asdict(part) for part in (self.case.sampling, self.case.metrics))
-        training = {name: value for name, value in self.training.to_json().items() if name not in SET_BY_THE_STUDY}
+        training = self.training.settings(SET_BY_THE_STUDY)
         sampling.pop("seed")
         source = frontend.load_model(str(self.case.model), Findings()).text.encode()  # what it extends is in there
         data = self.case.data.read_bytes() if self.case.data else b""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from gbspec.diagnostics import Findings
+from gbspec.ir.methods import METHODS, RK4, listed, unknown_method
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Effort = Literal["low", "normal", "high"]
@@ -49,6 +51,10 @@ class TrainOptions:
             "help": "Largest step of the solver, in the unit of time; from the data where not given.",
             "metavar": "H",
         },
+    )
+    solver: str = field(
+        default=RK4.name,
+        metadata={"help": f"The method that takes the solver's steps: {listed()}.", "metavar": "NAME"},
     )
     method: Method = field(
         default="auto",
@@ -202,6 +208,8 @@ class TrainOptions:
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
+        if self.solver not in METHODS:
+            findings.add(unknown_method(self.solver))
         chosen = {"method": Method, "effort": Effort, "initial": Initial, "device": Device, "backend": Backend}
         for name, allowed in chosen.items():
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
@@ -211,6 +219,14 @@ class TrainOptions:
         """All options by name, as `fit.json` keeps them, but for those that belong to a call and not to a run."""
         named = {"stages": "; ".join(self.named_stages) or None}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")} | named
+
+    def settings(self, left_out: Collection[str]) -> dict[str, Any]:
+        """The options for a fingerprint of what a result depends on, without those left out.
+
+        The default solver is not in it: fingerprints from before there was a choice are still met.
+        """
+        kept = {name: value for name, value in self.to_json().items() if name not in left_out}
+        return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
 
 
 def _number(text: str) -> float | None:

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from gbspec.backends.casadi.evaluator import Evaluator
-from gbspec.backends.casadi.rk4 import Stepper, plan
+from gbspec.backends.casadi.steps import Stepper, plan
 from gbspec.backends.casadi.timeline import Segment
 from gbspec.backends.module import load_module
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
+from gbspec.ir.methods import METHODS, RK4, Method
 from gbspec.ir.model import Model
 from tests.backends.truth import Truth
 from tests.strategies import Point, models, point
@@ -42,9 +43,9 @@ def close(value: Any, truth: Any, what: str) -> None:
     )
 
 
-def instance_of(model: Model, seed: int, constants: Array) -> Any:
+def instance_of(model: Model, seed: int, constants: Array, method: Method = RK4) -> Any:
     """A module with generic weights and scales."""
-    cls = load_module(model)
+    cls = load_module(model, method)
     weights = cls.random(seed).weights if model.networks else {}
     generator = np.random.default_rng(seed)
     for name, value in weights.items():
@@ -89,12 +90,12 @@ def check_derivatives(model: Model, at: Point, seed: int) -> None:
     close(evaluator.jacobian_at(at.t, at.x, at.condition, at.inputs), reverse, "casadi's Jacobian")
 
 
-def check_step(model: Model, at: Point, seed: int) -> None:
-    instance, h = instance_of(model, seed, at.constants), 0.05
-    truth = Truth(model, instance.weights).step(at, h)
+def check_step(model: Model, at: Point, seed: int, method: Method = RK4) -> None:
+    instance, h = instance_of(model, seed, at.constants, method), 0.05
+    truth = Truth(model, instance.weights).step(at, h, method)
     close(instance.step(at.t, at.x, h, at.condition, at.inputs), truth, "torch step")
     segment = Segment(at.t, at.t + h, at.inputs, np.zeros_like(at.inputs), np.zeros_like(at.x))
-    steps = plan(at.t, np.array([segment.end]), [segment], h, len(at.x), len(at.inputs))
+    steps = plan(at.t, np.array([segment.end]), [segment], h, len(at.x), len(at.inputs), method)
     close(Stepper(instance).run(at.x, steps, at.condition, at.constants)[0], truth, "casadi step")
 
 
@@ -111,9 +112,9 @@ def test_random_derivatives_agree(model: Model, seed: int) -> None:
 
 
 @settings(RANDOM, max_examples=20)
-@given(models(), st.integers(0, 2**16))
-def test_random_steps_agree(model: Model, seed: int) -> None:
-    check_step(model, point(model, seed), seed)
+@given(models(), st.integers(0, 2**16), st.sampled_from(tuple(METHODS)))
+def test_random_steps_agree(model: Model, seed: int, method: str) -> None:
+    check_step(model, point(model, seed), seed, METHODS[method])
 
 
 @pytest.mark.parametrize("name", sorted(shipped_models()))
@@ -122,7 +123,8 @@ def test_shipped_models_agree(name: str) -> None:
     at = _plausible(model)
     check_agreement(model, at, 3)
     check_derivatives(model, at, 3)
-    check_step(model, at, 3)
+    for method in METHODS.values():
+        check_step(model, at, 3, method)
 
 
 def _plausible(model: Model) -> Point:

@@ -29,8 +29,8 @@ def test_generated_text(model: Callable[[], Model]) -> None:
 
 
 def test_the_text_does_not_depend_on_hashing() -> None:
-    imports = "from tests.backends.examples import clinic; from gbspec.backends.module import generate"
-    command = f"{imports}; print(generate(clinic()))"
+    imports = "import gbspec; from tests.backends.examples import clinic; from gbspec.backends.module import generate"
+    command = f"{imports}; print(generate(clinic())); print(generate(gbspec.load('spreading_population').model))"
     texts = {
         subprocess.run(
             [sys.executable, "-c", command],

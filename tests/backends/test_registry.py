@@ -22,7 +22,7 @@ from tests.backends.examples import reactor
 SCRATCH = """
 from gbspec.backends import Backend, Refusal
 
-def make(model, instance):
+def make(model, instance, method):
     if not model.complete:
         return Refusal("it has an unknown function", "train it, and compile the run")
     return bytes([0, 255]) + model.name.encode()

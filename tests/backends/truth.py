@@ -11,8 +11,8 @@ import sympy
 from numpy.typing import NDArray
 
 from gbspec.ir.forms import described, logistic, softplus
+from gbspec.ir.methods import RK4, Method
 from gbspec.ir.model import NN, Expr, Model, Network
-from gbspec.ir.tableaus import RK4
 from tests.strategies import Point
 
 Array = NDArray[np.float64]
@@ -54,11 +54,11 @@ class Truth:
                     found[i] = self._evaluate([state.initial.value], at)[0]
         return found
 
-    def step(self, point: Point, h: float) -> list[Any]:
-        """One step of the classical Runge-Kutta method."""
+    def step(self, point: Point, h: float, method: Method = RK4) -> list[Any]:
+        """One step of a Runge-Kutta method, with all its Runge-Kutta stages."""
         with mpmath.workdps(30):
             slopes: list[list[Any]] = []
-            for row, c in zip(RK4.a, RK4.c, strict=True):
+            for row, c in zip(method.a, method.c, strict=True):
                 x = [
                     mpmath.mpf(value) + sum(mpmath.mpf(h) * _mp(a) * slopes[j][i] for j, a in enumerate(row))
                     for i, value in enumerate(point.x)
@@ -66,7 +66,7 @@ class Truth:
                 at = Point(mpmath.mpf(point.t) + _mp(c) * h, x, point.condition, point.inputs, point.constants)  # type: ignore[arg-type]
                 slopes.append(self.rhs(at))
             return [
-                mpmath.mpf(value) + sum(mpmath.mpf(h) * _mp(b) * slopes[j][i] for j, b in enumerate(RK4.b))
+                mpmath.mpf(value) + sum(mpmath.mpf(h) * _mp(b) * slopes[j][i] for j, b in enumerate(method.b))
                 for i, value in enumerate(point.x)
             ]
 

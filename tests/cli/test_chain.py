@@ -109,6 +109,21 @@ def test_a_run_holds_what_it_should(place: Path) -> None:
     assert list(fit)[:8] == ["gbspec", "model", "data", "options", "versions", "constants", "noise", "members"]
 
 
+def test_a_run_is_written_with_the_solver_that_it_was_trained_with(place: Path, here: Path) -> None:
+    more = ("--solver", "rk38", "--method", "lm", "--epochs", 2, "--quiet")
+    assert call("train", place / "known.gb", place / "known.csv", "-o", "rk38", *more).exit_code == 0
+    for emit, chosen, said in (
+        ("module", (), 'solver = "rk38"'),
+        ("module", ("--solver", "dopri5"), 'solver = "dopri5"'),
+        ("c", (), "(`rk38`)"),
+        ("c", ("--solver", "dopri5"), "(`dopri5`)"),
+    ):
+        assert call("compile", "rk38", "--emit", emit, "-o", "out", *chosen).exit_code == 0
+        assert said in Path("out").read_text()
+    assert call("compile", place / "known.gb", "--emit", "c", "--solver", "rk38", "-o", "out").exit_code == 0
+    assert "(`rk38`)" in Path("out").read_text()
+
+
 def test_the_known_constant_is_found(place: Path) -> None:
     fit = json.loads((place / "known_run" / "fit.json").read_text())
     assert fit["constants"]["k"]["value"] == pytest.approx(0.8, rel=1e-3)

@@ -164,6 +164,15 @@ def test_compile_writes_a_module_that_imports_without_gbspec(gbspec: Run, decay:
     assert shown.stdout.strip() == "('N',) []"
 
 
+def test_compile_with_another_solver(gbspec: Run, decay: Path) -> None:
+    assert gbspec("compile", decay, "--solver", "dopri5", "-o", "decay.py").exit_code == 0
+    assert 'solver = "dopri5"' in Path("decay.py").read_text()
+    result = gbspec("compile", decay, "--solver", "dopri6", "-o", "other.py")
+    assert result.exit_code == 2
+    assert "GB850" in result.stderr and "`rk4`, `rk38`, `dopri5`" in result.stderr
+    assert not Path("other.py").exists()
+
+
 def test_compile_emits_the_intermediate_form(gbspec: Run, decay: Path) -> None:
     assert gbspec("compile", decay, "--emit", "ir", "-o", "decay.ir").exit_code == 0
     assert "rate" in Path("decay.ir").read_text()

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.diagnostics import Findings, Source
+from gbspec.ir.methods import RK4, Method
 from gbspec.ir.model import Model
 from gbspec.lower import lower
 from gbspec.semantics import check
@@ -160,16 +161,16 @@ def everything_data(seed: int = 0) -> Trajectories:
 
 
 def problem_of(
-    model: Model, data: Trajectories, max_step: float, seed: int = 0, blend: float = 1.0
+    model: Model, data: Trajectories, max_step: float, seed: int = 0, blend: float = 1.0, method: Method = RK4
 ) -> tuple[Problem, Parameters, np.ndarray[Any, Any]]:
     """A problem at random weights and starts, with non-trivial scales."""
     rng = np.random.default_rng(seed)
-    module = load_module(model).random(seed)
+    module = load_module(model, method).random(seed)
     for name in list(module.weights):
         if name.endswith(("_scale", "_center")):
             shift = 1.3 if name.endswith("_scale") else 0.4
             module.weights[name] = module.weights[name] * 0.0 + shift
-    packed = pack(data, model, max_step)
+    packed = pack(data, model, max_step, method=method)
     problem = Problem(model, module, packed, teacher_forcing(model, packed, blend), scaling_of(model, packed, data))
     n = len(model.states)
     free = np.ones((len(data), n))

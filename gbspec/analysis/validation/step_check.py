@@ -125,7 +125,7 @@ def step_check(
 
 
 def _fixed(evaluator: Any, step: float, item: Trajectory, one: Prediction) -> Array:
-    states: Array = evaluator.integrate_rk4(
+    states: Array = evaluator.integrate_fixed(
         one.start.state,
         item.times,
         item.condition,

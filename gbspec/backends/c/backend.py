@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 from gbspec.backends import Backend
 
 if TYPE_CHECKING:
+    from gbspec.ir.methods import Method
     from gbspec.ir.model import Model
 
 
-def make(model: Model, instance: Any) -> str:
+def make(model: Model, instance: Any, method: Method) -> str:
     """C with the instance's numbers in it."""
     from gbspec.backends.c.source import c_code
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import casadi as ca
 
+from gbspec.ir.methods import METHODS
 from gbspec.version import __version__
 
 _USE = """\
@@ -49,11 +50,10 @@ def c_code(instance: Any) -> str:
 
 
 def step(instance: Any) -> Any:
-    """casadi.Function step(t, x, h, condition, u0, u1, u2) -> x one RK4 step later; inputs at t, t + h/2 and t + h."""
+    """casadi.Function step(t, x, h, condition, u0, u1, ...) -> x one step later; inputs at the nodes of the method."""
     kind: Any = ca.MX if instance.networks else ca.SX
-    n_inputs = len(instance.inputs)
     sizes = {"t": 1, "x": len(instance.states), "h": 1, "condition": len(instance.conditions)}
-    sizes |= {"u0": n_inputs, "u1": n_inputs, "u2": n_inputs}
+    sizes |= dict.fromkeys(METHODS[instance.solver].input_names, len(instance.inputs))
     arguments = {name: kind.sym(name, size) for name, size in sizes.items()}
     t, x, h, condition, *inputs = arguments.values()
     m = instance.arithmetic("casadi")
@@ -75,13 +75,18 @@ def _signature(function: Any) -> str:
 
 def _vectors(instance: Any) -> list[str]:
     """What the components of each vector are."""
+    method = METHODS[instance.solver]
     parts = {
         "x": instance.states,
         "condition": instance.conditions,
-        "inputs, u0, u1, u2": instance.inputs,
+        f"inputs, {', '.join(method.input_names)}": instance.inputs,
         "y": instance.channels,
     }
-    lines = [f"{name}: {', '.join(map(_safe, names))}" for name, names in parts.items() if names]
+    lines = [f"step: {method.help} (`{method.name}`)"]
+    lines += [f"{name}: {', '.join(map(_safe, names))}" for name, names in parts.items() if names]
+    if instance.inputs:
+        times = ", ".join("t" if c == 0 else f"t + {c}*h" if c != 1 else "t + h" for c in method.nodes)
+        lines.append(f"step takes them at the times {times}")
     values = zip(instance.constants, instance.weights["constants"].tolist(), strict=True)
     constants = ", ".join(f"{_safe(name)} = {value!r}" for name, value in values)
     return [*lines, *([f"constants, as numbers inside: {constants}"] if constants else [])]

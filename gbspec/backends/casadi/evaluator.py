@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gbspec.arrays import Array
-from gbspec.backends.casadi import rk4
+from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
+from gbspec.ir.methods import METHODS
 
 MAPS = 64
 """Functions over a number of points that an evaluator keeps for the next call with as many."""
@@ -154,7 +155,7 @@ class Evaluator:
         )
         return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
 
-    def integrate_rk4(
+    def integrate_fixed(
         self,
         x0: ArrayLike,
         times: ArrayLike,
@@ -166,14 +167,15 @@ class Evaluator:
         doses: Sequence[Any] = (),
         constants: Any = None,
     ) -> Array:
-        """The same by the RK4 step of the module, in even steps of at most `max_step` between outputs and kinks.
+        """The same by the module's own step, in even steps of at most `max_step` between outputs and kinks.
 
         States may come out infinite or NaN: what a fixed step does is what is asked here.
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
-        plan = rk4.plan(begin, outputs, pieces, max_step, self.n_states, self.n_inputs)
+        sizes = (self.n_states, self.n_inputs)
+        plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver])
         condition = np.asarray(condition, dtype=np.float64).ravel()
         return self._stepper.run(np.asarray(x0, dtype=np.float64), plan, condition, self._constants(constants))
 
@@ -182,8 +184,8 @@ class Evaluator:
         return Integrator(self.rhs, tuple(self.instance.states))
 
     @cached_property
-    def _stepper(self) -> rk4.Stepper:
-        return rk4.Stepper(self.instance)
+    def _stepper(self) -> steps.Stepper:
+        return steps.Stepper(self.instance)
 
     def _times(self, times: ArrayLike, start: float | None) -> Array:
         outputs = np.asarray(times, dtype=np.float64).ravel()

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 
 from gbspec.backends.module.elements import Code, names_of, places_of, table_of
+from gbspec.ir.methods import Method
 from gbspec.ir.model import Condition, Declared, Input, Learnable, Model, Network, Range, State
 
 WIDTH = 120
@@ -18,7 +19,7 @@ def sizes(network: Network) -> tuple[int, ...]:
     return network.sizes
 
 
-def attributes(model: Model) -> str:
+def attributes(model: Model, method: Method) -> str:
     """Assignments in the body of the generated class."""
     constants = (*(c.value for c in model.constants), *(k.start for k in model.learnables))
     ranged: tuple[State | Condition | Input | Learnable, ...] = (
@@ -39,6 +40,7 @@ def attributes(model: Model) -> str:
     )
     values: dict[str, object] = {
         "title": model.title,
+        "solver": method.name,
         "time": model.time.name,
         "states": names_of(model, [state.name for state in model.states]),
         "conditions": tuple(condition.name for condition in model.conditions),
@@ -62,6 +64,7 @@ def attributes(model: Model) -> str:
         "networks": tuple(_network(model, network) for network in model.networks),
     }
     comments = {
+        "solver": "the method that takes the steps",
         "constants": "known constants first, then the learnable ones",
         "interpolation": "of the inputs between their values",
         "channel_states": "the state that a channel is, None where it is an expression",

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any
 from gbspec.backends import Backend
 
 if TYPE_CHECKING:
+    from gbspec.ir.methods import Method
     from gbspec.ir.model import Model
 
 
-def make(model: Model, instance: Any) -> str:
+def make(model: Model, instance: Any, method: Method) -> str:
     """The standalone Python module."""
     from gbspec.backends.module import generate
 
-    return generate(model)
+    return generate(model, method)
 
 
 BACKEND = Backend("module", ".py", "a Python module", make)

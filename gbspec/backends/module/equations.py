@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from typing import assert_never
 
 import sympy
 
@@ -26,8 +27,8 @@ from gbspec.backends.printing import (
 from gbspec.backends.printing.nodes import Column, Entry, Join, Part
 from gbspec.diagnostics import Defect
 from gbspec.ir.arrays import Vector
+from gbspec.ir.methods import Explicit, Method
 from gbspec.ir.model import NN, Expr, Model, Network, Unknown
-from gbspec.ir.tableaus import Tableau
 
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
@@ -243,37 +244,51 @@ def doses_method(model: Model) -> str:
     return _method("@classmethod", "_doses", ["cls", "math", "condition", "constants"], document, body)
 
 
-def grid_method(tableau: Tableau) -> str:
+def solver_methods(method: Method) -> list[str]:
+    """`_grid` and `_step`: one step of an integration method."""
+    match method:
+        case Explicit():
+            return [_grid_method(method), _step_method(method)]
+        case _:
+            assert_never(method)
+
+
+def _grid_method(method: Explicit) -> str:
     """`_grid`: what `_step` needs of the time and size of a step."""
-    times = ", ".join(_time(c) for c in sorted(set(tableau.c)))
-    sizes = ", ".join(_multiple(factor, "column") for factor in _sizes(tableau))
+    times = ", ".join(map(step_time, method.nodes))
+    sizes = _comma(_multiple(factor, "column") for factor in _sizes(method))
     body = ["column = math.column(h)  # to multiply vectors", f"return ({times}), ({sizes})"]
     document = (
-        f"A step of size h ({tableau.name.upper()}) from t: the times at which it needs inputs, parts of its size."
+        f"A step of size h ({method.name.upper()}) from t: the times at which it needs inputs, parts of its size."
     )
     return _method("@staticmethod", "_grid", ["math", "t", "h"], document, body)
 
 
-def step_method(tableau: Tableau) -> str:
+def _step_method(method: Explicit) -> str:
     """`_step`: one step of an explicit Runge-Kutta method."""
-    nodes = sorted(set(tableau.c))
-    sizes = _targets(_size_name(factor) for factor in _sizes(tableau))
+    nodes = method.nodes
+    sizes = _targets(_size_name(factor) for factor in _sizes(method))
     body = [
         f"({_targets(f't{i}' for i in range(len(nodes)))}), ({sizes}) = grid",
         f"{_targets(f'u{i}' for i in range(len(nodes)))} = inputs",
     ]
-    for i, (row, c) in enumerate(zip(tableau.a, tableau.c, strict=True)):
+    for i, (row, c) in enumerate(zip(method.a[: method.advancing], method.c, strict=False)):
         node = nodes.index(c)
         body.append(f"k{i + 1} = rhs(t{node}, {_ahead(row)}, u{node})")
-    body.append(f"return {_ahead(tableau.b)}")
-    times = ", ".join(_time(c) for c in nodes)
-    document = f"One step ({tableau.name.upper()}) of state' = rhs(time, state, inputs); `inputs` are those at {times}."
+    body.append(f"return {_ahead(method.b)}")
+    times = ", ".join(map(step_time, nodes))
+    document = f"One step ({method.name.upper()}) of state' = rhs(time, state, inputs); `inputs` are those at {times}."
     return _method("@staticmethod", "_step", ["math", "rhs", "grid", "state", "inputs"], document, body)
 
 
-def _sizes(tableau: Tableau) -> list[Fraction]:
-    """The parts of a step by which sums of stages are multiplied."""
-    return sorted({min(filter(None, row)) for row in (*tableau.a, tableau.b) if any(row)})
+def _sizes(method: Explicit) -> list[Fraction]:
+    """The parts of a step by which sums of Runge-Kutta stages are multiplied."""
+    return sorted({_unit(row) for row in (*method.a[: method.advancing], method.b) if any(row)})
+
+
+def _unit(row: Sequence[Fraction]) -> Fraction:
+    """The smallest positive weight: there is one, as no node lies before the step."""
+    return min(weight for weight in row if weight > 0)
 
 
 def _size_name(factor: Fraction) -> str:
@@ -283,11 +298,11 @@ def _size_name(factor: Fraction) -> str:
 
 
 def _ahead(row: Sequence[Fraction]) -> str:
-    """The state moved by the stages in their proportions; stages that count alike are added first."""
+    """The state moved by the Runge-Kutta stages in their proportions; those that count alike are added first."""
     if not any(row):
         return "state"
-    unit = min(filter(None, row))
-    ratios = sorted({b / unit for b in row if b})
+    unit = _unit(row)
+    ratios = sorted({b / unit for b in row if b}, key=lambda ratio: (ratio != 1, ratio))
     sums = [" + ".join(f"k{i + 1}" for i, b in enumerate(row) if b == ratio * unit) for ratio in ratios]
     total = sums[0]
     for ratio, stages in zip(ratios[1:], sums[1:], strict=True):
@@ -295,7 +310,8 @@ def _ahead(row: Sequence[Fraction]) -> str:
     return f"math.ahead(state, {_size_name(unit)}, {total})"
 
 
-def _time(c: Fraction) -> str:
+def step_time(c: Fraction) -> str:
+    """The time at a part of a step: `t`, `t + h/2`."""
     return "t" if c == 0 else f"t + {_multiple(c, 'h')}"
 
 

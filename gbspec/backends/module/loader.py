@@ -10,18 +10,19 @@ from typing import Any
 
 from gbspec.backends.module.render import class_name, generate
 from gbspec.diagnostics import Defect
+from gbspec.ir.methods import RK4, Method
 from gbspec.ir.model import Model
 
 _loaded: dict[str, type[Any]] = {}
 
 
-def load_module(model: Model) -> type[Any]:
-    """The class of the generated module; one and the same for models whose module has the same text.
+def load_module(model: Model, method: Method = RK4) -> type[Any]:
+    """The class of the module generated for a method; one and the same for models whose module has the same text.
 
     The text runs as it would from a file: it is registered as a module and with `linecache`, so that tracebacks show it
     and its objects can be pickled within the process.
     """
-    text = generate(model)
+    text = generate(model, method)
     digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
     if digest not in _loaded:
         _loaded[digest] = _execute(text, f"gbspec_generated_{digest[:16]}", class_name(model))

@@ -12,18 +12,19 @@ from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
 from gbspec.ir.arrays import Vector
+from gbspec.ir.methods import RK4, Method
 from gbspec.ir.model import NN, Declared, Model, Network, Range
-from gbspec.ir.tableaus import RK4
 from gbspec.version import __version__
 
 INTERFACE = 1
 """The version of the generated module's interface; training and analysis refuse another."""
 
 
-def generate(model: Model) -> str:
-    """The standalone Python module of a model: the text that `gbspec compile` writes and that training runs."""
+def generate(model: Model, method: Method = RK4) -> str:
+    """The standalone Python module of a model that is stepped by a method: the text that `gbspec compile` writes and
+    that training runs."""
     name = class_name(model)
-    return fill(template().replace("-> Template:", f"-> {name}:"), _places(model, name))
+    return fill(template().replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
 def class_name(model: Model) -> str:
@@ -36,24 +37,23 @@ _MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "Mapping", "Path", "S
 """What the generated module itself calls by names that a class could have."""
 
 
-def _places(model: Model, class_name: str) -> dict[str, str]:
+def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
     methods = [equations.unknown_method(model, i) for i in range(len(model.networks))]
     methods += [
         equations.rhs_method(model),
         equations.observe_method(model),
         equations.initial_method(model),
         *([equations.doses_method(model)] if model.doses else []),
-        equations.grid_method(RK4),
-        equations.step_method(RK4),
+        *equations.solver_methods(method),
         _unknown_table(model),
     ]
     return {
-        "docstring": docstring(_module_document(model)),
+        "docstring": docstring(_module_document(model, method)),
         "typing": "from typing import Any",
         "interface": f"INTERFACE = {INTERFACE}",
         "class": f"class {class_name}:",
         "class docstring": docstring(_class_document(model)),
-        "attributes": attributes.attributes(model),
+        "attributes": attributes.attributes(model, method),
         "equations": _COMMENT + "\n\n".join(methods),
     }
 
@@ -68,7 +68,7 @@ _COMMENT = """\
 
 
 # ---------------------------------------------------------------------- documents
-def _module_document(model: Model) -> str:
+def _module_document(model: Model, method: Method) -> str:
     parts = [
         _title(model),
         "",
@@ -94,6 +94,7 @@ def _module_document(model: Model) -> str:
             parts.append(f"{heading if not i else '':<12}{entry}")
     for i, network in enumerate(model.networks):
         parts.append(f"{'Unknowns' if not i else '':<12}{_network_entry(network)}")
+    parts.append(f"{'Solver':<12}{method.name}: {method.help}")
     return "\n".join(parts)
 
 

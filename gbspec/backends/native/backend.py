@@ -7,15 +7,16 @@ from typing import TYPE_CHECKING, Any
 from gbspec.backends import Backend, Refusal
 
 if TYPE_CHECKING:
+    from gbspec.ir.methods import Method
     from gbspec.ir.model import Model
 
 
-def make(model: Model, instance: Any) -> str | Refusal:
+def make(model: Model, instance: Any, method: Method) -> str | Refusal:
     """The kernel in double precision, or which form of the model it does not cover."""
     from gbspec.backends.native import NotCoveredError, source
 
     try:
-        return source(model)
+        return source(model, method=method)
     except NotCoveredError as problem:
         return Refusal(str(problem), "the form `module` expresses every model; training falls back on it")
 

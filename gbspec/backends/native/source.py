@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib import resources
-from typing import Literal
+from typing import Literal, assert_never
 
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.sections import Equations
+from gbspec.ir.methods import RK4, Explicit, Method
 from gbspec.ir.model import Model, Network
 from gbspec.ir.residuals import LOG_FLOOR
-from gbspec.ir.tableaus import RK4, Tableau
 
 Precision = Literal["float64", "float32"]
 
@@ -41,8 +41,8 @@ OBSERVE_PLACES = RHS_PLACES | {
 }
 
 
-def source(model: Model, precision: Precision = "float64") -> str:
-    """C of the unroll of a model. Raises NotCoveredError, with the reason, for a form that is left to torch."""
+def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> str:
+    """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a form that is left to torch."""
     _check(model)
     balances = flatten(model, model.balances)
     rhs = Equations(model, balances, 0, _places(RHS_PLACES), "rhs", once=True, timed=_timed(model))
@@ -60,14 +60,14 @@ def source(model: Model, precision: Precision = "float64") -> str:
         "#include <stdint.h>",
         "#include <string.h>",
         "",
-        *_numbers(model, precision, rhs, observe),
+        *_numbers(model, precision, method, rhs, observe),
     ]
     before, after = _text("driver.c").split("/* ---- EQUATIONS ---- */\n")
     # Only fits by least squares, which are done in double precision, need the Jacobian.
     jacobian = [_text("jacobian.c")] if precision == "float64" else []
     equations = _equations(model, rhs, observe)
     general = [_text("runtime.c"), _text("networks.c")]
-    return "\n".join([*head, "", *general, before, *_tableau(RK4), *equations, after, *jacobian])
+    return "\n".join([*head, "", *general, before, *_tableau(method), *equations, after, *jacobian])
 
 
 @cache
@@ -94,7 +94,7 @@ def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
     return lambda leaf: table[leaf.kind].format(leaf.index)
 
 
-def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equations) -> list[str]:
+def _numbers(model: Model, precision: Precision, method: Method, rhs: Equations, observe: Equations) -> list[str]:
     sites = len(rhs.sites) + len(observe.sites)
     size = 8 if precision == "float64" else 4
     per_step = 4 * TILE * max([n for network in model.networks for n in network.hidden] or [1]) * size
@@ -112,8 +112,8 @@ def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equati
         "RHS_SITES": len(rhs.sites),
         "SITES": sites,
         "TIMED": int(_timed(model)),
-        "STAGES": len(RK4.c),
-        "NODES": len(set(RK4.c)),
+        "STAGES": method.advancing,
+        "NODES": len(method.nodes),
         "KEPT_BYTES": KEPT_BYTES,
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
         "LOG_FLOOR": LOG_FLOOR,
@@ -121,16 +121,19 @@ def _numbers(model: Model, precision: Precision, rhs: Equations, observe: Equati
     return [f"#define {name} {value}" for name, value in values.items()]
 
 
-def _tableau(tableau: Tableau) -> list[str]:
-    n = len(tableau.c)
-    nodes = sorted(set(tableau.c))
-    rows = [[float(row[j]) if j < len(row) else 0.0 for j in range(n)] for row in tableau.a]
-    return [
-        f"static const double TABLEAU_A[{n}][{n}] = {{{', '.join(map(_braces, rows))}}};",
-        f"static const double TABLEAU_B[{n}] = {_braces(map(float, tableau.b))};",
-        f"static const double TABLEAU_C[{n}] = {_braces(map(float, tableau.c))};",
-        f"static const int TABLEAU_NODE[{n}] = {_braces(nodes.index(c) for c in tableau.c)};",
-    ]
+def _tableau(method: Method) -> list[str]:
+    match method:
+        case Explicit():
+            n = method.advancing
+            rows = [[*map(float, row), *[0.0] * (n - len(row))] for row in method.a[:n]]
+            return [
+                f"static const double TABLEAU_A[{n}][{n}] = {{{', '.join(map(_braces, rows))}}};",
+                f"static const double TABLEAU_B[{n}] = {_braces(map(float, method.b[:n]))};",
+                f"static const double TABLEAU_C[{n}] = {_braces(map(float, method.c[:n]))};",
+                f"static const int TABLEAU_NODE[{n}] = {_braces(map(method.nodes.index, method.c[:n]))};",
+            ]
+        case _:
+            assert_never(method)
 
 
 def _braces(values: Iterable[object]) -> str:

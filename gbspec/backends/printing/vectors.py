@@ -49,9 +49,8 @@ class Vectors:
             return self._without_totals(family.value)
         if not family.value.has(Element, family.index):
             return Spread(STATE, self._without_totals(family.value), family.count)
-        table: dict[sympy.Basic, Expr] = {
-            element: self._window(element, family) for element in family.value.atoms(Element)
-        }
+        elements = sorted(family.value.atoms(Element), key=sympy.default_sort_key)
+        table: dict[sympy.Basic, Expr] = {element: self._window(element, family) for element in elements}
         if family.value.has(family.index):
             table[family.index] = self._indices(family)
         return self._columns(self._without_totals(family.value.xreplace(table)))
@@ -77,7 +76,7 @@ class Vectors:
         return self._define(array.symbol, value, array.name)
 
     def _without_totals(self, value: Expr) -> Expr:
-        totals = value.atoms(Total)
+        totals = sorted(value.atoms(Total), key=sympy.default_sort_key)
         return value.xreplace({total: Sum(self.whole(self._arrays[total.args[0]])) for total in totals})
 
     def _window(self, element: Element, family: Family) -> sympy.Symbol:

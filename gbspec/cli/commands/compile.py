@@ -26,6 +26,7 @@ def form(text: str) -> str:
     "gbspec compile urp_gb2.gb --emit latex -o urp_gb2.tex",
     "gbspec compile run --emit c -o urp_gb2.c",
     "gbspec compile urp_gb2.gb --emit ast -o /dev/stdout",
+    "gbspec compile urp_gb2.gb --solver dopri5 -o urp_gb2.py",
 )
 def run(
     output: Output,
@@ -40,6 +41,14 @@ def run(
             help="; ".join(f"{name}: {said}" for name, said in FORMS.items()) + ".",
         ),
     ] = "module",
+    solver: Annotated[
+        str | None,
+        typer.Option(
+            "--solver",
+            help="The method whose step the module and the C code have; that of a run, else `rk4`.",
+            metavar="NAME",
+        ),
+    ] = None,
 ) -> None:
     """Compile a model to a standalone Python module (torch to run it, casadi to analyse it, gbspec for neither)."""
     from gbspec.diagnostics import Findings
@@ -47,7 +56,7 @@ def run(
     from gbspec.operations.models import compile_file
 
     findings = Findings()
-    made = compile_file(model, emit, findings)
+    made = compile_file(model, emit, findings, solver)
     output.findings(findings)
     write_bytes(to, made.content if isinstance(made.content, bytes) else made.content.encode("utf-8"))
     output.say(f"wrote {to}")

@@ -20,20 +20,18 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.ir.methods import RK4, Method
 from gbspec.ir.model import Model
-from gbspec.ir.tableaus import RK4
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
-
-NODES = tuple(sorted({float(c) for c in RK4.c}))
-"""The distinct nodes of the tableau, at which inputs are needed within a step."""
 
 
 @dataclass(frozen=True)
 class Packed:
     """A batch of N trajectories of at most T sub-steps, with R key rows in all.
 
-    `t`, `h` [T, N]: start and length of each sub-step; `inputs` [T, N, nodes, n_inputs]: inputs at the tableau's nodes
-    (the right limit at the start of a step, the left limit at its end); `condition` [N, n_conditions]; `start` [N].
+    `t`, `h` [T, N]: start and length of each sub-step; `inputs` [T, N, nodes, n_inputs]: inputs at `nodes`, which the
+    method has as parts of a step (the right limit at its start, the left limit at its end); `condition`
+    [N, n_conditions]; `start` [N].
     Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
     trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
     measured), `weights` [R, C] (square root of the count; 0: not measured), `sd` [R, C] (NaN: none given),
@@ -42,6 +40,7 @@ class Packed:
 
     t: Array
     h: Array
+    nodes: tuple[float, ...]
     inputs: Array
     condition: Array
     start: Array
@@ -149,18 +148,25 @@ def default_max_step(trajectories: Trajectories) -> float:
     return float(scale * min((1.0, 2.0, 5.0, 10.0), key=lambda m: abs(np.log(m * scale / typical))))
 
 
-def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.random.Generator | None = None) -> Packed:
-    """Packs a data set for steps of at most `max_step` (in the unit of time).
+def pack(
+    trajectories: Trajectories,
+    model: Model,
+    max_step: float,
+    rng: np.random.Generator | None = None,
+    method: Method = RK4,
+) -> Packed:
+    """Packs a data set for steps of a method, of at most `max_step` (in the unit of time).
 
     With `rng`, the sub-steps of an interval are of random lengths (none above `max_step`): a learned right-hand side
     then cannot come to rely on one particular step.
     """
     lags = known_lags(trajectories, model)
-    plans = [_plan(item, model, max_step, rng, own) for item, own in zip(trajectories.items, lags, strict=True)]
+    nodes = tuple(map(float, method.nodes))
+    plans = [_plan(item, model, max_step, nodes, rng, own) for item, own in zip(trajectories.items, lags, strict=True)]
     depth = max((len(plan.h) for plan in plans), default=0)
     count, n_inputs = len(plans), len(model.inputs)
     t, h = np.zeros((depth, count)), np.zeros((depth, count))
-    inputs = np.zeros((depth, count, len(NODES), n_inputs))
+    inputs = np.zeros((depth, count, len(nodes), n_inputs))
     for i, plan in enumerate(plans):
         n = len(plan.h)
         t[:n, i], h[:n, i] = plan.t, plan.h
@@ -181,6 +187,7 @@ def pack(trajectories: Trajectories, model: Model, max_step: float, rng: np.rand
     return Packed(
         t=t,
         h=h,
+        nodes=nodes,
         inputs=inputs,
         condition=np.array([item.condition for item in trajectories.items], dtype=np.float64).reshape(count, -1),
         start=np.array([item.start for item in trajectories.items], dtype=np.float64),
@@ -214,7 +221,14 @@ class _Plan:
     row_inputs: Array
 
 
-def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Generator | None, lags: Lags) -> _Plan:
+def _plan(
+    item: Trajectory,
+    model: Model,
+    max_step: float,
+    nodes: Sequence[float],
+    rng: np.random.Generator | None,
+    lags: Lags,
+) -> _Plan:
     keys = item.times[item.times >= item.start]
     edges = boundaries(item, keys, lags)
     lengths = [_split(float(b - a), max_step, rng) for a, b in pairwise(edges)]
@@ -227,7 +241,7 @@ def _plan(item: Trajectory, model: Model, max_step: float, rng: np.random.Genera
     kept = item.times >= item.start
     values[:], weights[:], sd[:] = item.values[kept], np.sqrt(item.counts[kept]), item.sd[kept]
     weights[~np.isfinite(values)] = 0.0
-    inputs, at_rows = _step_inputs(item, model, t, h), _row_inputs(item, model, keys)
+    inputs, at_rows = _step_inputs(item, model, t, h, nodes), _row_inputs(item, model, keys)
     return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows)
 
 
@@ -247,11 +261,11 @@ def _split(interval: float, max_step: float, rng: np.random.Generator | None) ->
     return np.asarray(interval * parts / parts.sum(), dtype=np.float64)
 
 
-def _step_inputs(item: Trajectory, model: Model, t: Array, h: Array) -> Array:
-    out = np.zeros((len(t), len(NODES), len(model.inputs)))
+def _step_inputs(item: Trajectory, model: Model, t: Array, h: Array, nodes: Sequence[float]) -> Array:
+    out = np.zeros((len(t), len(nodes), len(model.inputs)))
     for j, (spec, signal) in enumerate(zip(model.inputs, item.inputs, strict=True)):
         middle = evaluate(signal, spec.interpolation, t + h / 2)
-        for k, node in enumerate(NODES):
+        for k, node in enumerate(nodes):
             if spec.interpolation == "held":
                 # Breakpoints are step boundaries, so a held input is constant within a step: its value at the middle.
                 out[:, k, j] = middle

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.packing import NODES, Packed
+from gbspec.training.problem.packing import Packed
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def _cut(
     place, length = (new[several], owner[several]), packed.h[old, owner][several]
     nodes = inputs[place]
     slope[place] = (nodes[:, -1] - nodes[:, 0]) / np.where(length > 0, length, 1.0)[:, None]
-    share = begin[place][:, None] + np.array(NODES) * (end - begin)[place][:, None]
+    share = begin[place][:, None] + np.array(packed.nodes) * (end - begin)[place][:, None]
     inputs[place] = nodes[:, :1] + share[:, :, None] * slope[place][:, None]
     row_step = first[packed.row_trajectory, packed.row_step]
     return replace(packed, t=start + begin, h=end - begin, inputs=inputs, steps=steps, row_step=row_step), slope

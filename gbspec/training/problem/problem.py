@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
+from gbspec.diagnostics import Defect
+from gbspec.ir.methods import METHODS
 from gbspec.ir.model import Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
 from gbspec.training.problem.packing import Packed
@@ -29,6 +31,10 @@ class Problem:
     packed: Packed
     forcing: Forcing
     scaling: Scaling
+
+    def __post_init__(self) -> None:
+        if self.packed.nodes != tuple(map(float, METHODS[self.module.solver].nodes)):
+            raise Defect(f"data were packed for another method than `{self.module.solver}`")
 
     @property
     def ops(self) -> Any:

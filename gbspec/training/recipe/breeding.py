@@ -54,7 +54,7 @@ def _early_problem(context: Context, blend: float) -> Problem:
     """The problem of trajectories that begin earlier, each with a row at its present start."""
     items = tuple(_begun_earlier(item) for item in context.trajectories.items)
     data: Trajectories = replace(context.trajectories, items=items)
-    packed = pack(data, context.model, context.max_step)
+    packed = pack(data, context.model, context.max_step, method=context.method)
     scaling = scaling_of(context.model, packed, context.trajectories)
     return Problem(context.model, context.module, packed, teacher_forcing(context.model, packed, blend), scaling)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectories
+from gbspec.ir.methods import METHODS, Method
 from gbspec.ir.model import Model
 from gbspec.training.engines.choice import Choice, choose
 from gbspec.training.engines.engine import Engine
@@ -46,6 +47,11 @@ class Context:
     choice: Choice = field(default_factory=Choice)
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
+    @property
+    def method(self) -> Method:
+        """The method that takes the steps."""
+        return METHODS[self.module.solver]
+
     def packed(self, fraction: float = 1.0, draw: int | None = None) -> Packed:
         """The packing at `fraction` of the largest step; with random sub-steps `draw` numbers the drawing."""
         draw = draw if self.options.random_substeps else None
@@ -54,7 +60,7 @@ class Context:
             rng = None if draw is None else np.random.default_rng([self.seed, 31, draw])
             if draw is not None:
                 self._packed = {k: v for k, v in self._packed.items() if k[1] is None}
-            self._packed[key] = pack(self.trajectories, self.model, fraction * self.max_step, rng)
+            self._packed[key] = pack(self.trajectories, self.model, fraction * self.max_step, rng, self.method)
         return self._packed[key]
 
     def problem(self, blend: float = 1.0, fraction: float = 1.0, draw: int | None = None) -> Problem:
@@ -86,7 +92,7 @@ def build_context(
     kept, held = split(trajectories, options.holdout, seed)
     max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
     curves = fit_curves(model, kept, smooth)
-    packed = pack(kept, model, max_step)
+    packed = pack(kept, model, max_step, method=METHODS[module.solver])
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
     context = Context(

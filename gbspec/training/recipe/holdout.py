@@ -25,7 +25,7 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     A single trajectory held out in time is predicted whole from its fitted start; only its later rows count.
     """
     held, model = context.held, context.model
-    packed = pack(held, model, context.max_step)
+    packed = pack(held, model, context.max_step, method=context.method)
     scaling = scaling_of(model, packed, context.trajectories)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
     forcing = teacher_forcing(model, packed, 0.0 if single else 1.0)

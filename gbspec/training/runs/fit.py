@@ -17,6 +17,7 @@ import numpy as np
 from gbspec.backends.module import generate, load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
+from gbspec.ir.methods import METHODS
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
@@ -74,13 +75,14 @@ class Fitting:
         options.check(findings)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
+        module = load_module(model, METHODS[options.solver])
         if options.scheduler is None:
             device_of(options.device)
             if options.backend == "native":
-                choose(model, load_module(model), options, 0)
+                choose(model, module, options, 0)
         if options.named_stages:
             anywhere = replace(options, backend="torch", device="cpu")  # what a worker has is not asked for here
-            context = build_context(model, load_module(model), trajectories, anywhere, options.seed)
+            context = build_context(model, module, trajectories, anywhere, options.seed)
             plan(context, context.parameters({}), {})
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
@@ -147,6 +149,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         "members": [],
         "warnings": [],
         "correlations": {},
+        "solver": options.solver,
     }
 
 
@@ -172,7 +175,7 @@ def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOpt
         raise UserError([Diagnostic("GB855", message, None, help=help_text)])
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / files.MODEL, model.text.encode("utf-8"))
-    files.write_bytes(path / files.MODULE, generate(model).encode("utf-8"))
+    files.write_bytes(path / files.MODULE, generate(model, METHODS[options.solver]).encode("utf-8"))
     if not (path / files.FIT).is_file():
         files.write_json(path / files.FIT, record)
 
@@ -190,8 +193,9 @@ def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
     if before.get("data", {}).get("sha256") != record["data"]["sha256"]:
         findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
     may_change = {"members", "workers", "threads", "device", "backend"}
+    began = TrainOptions().to_json() | before.get("options", {})  # a run may be older than an option
     for name, value in record["options"].items():
-        old = before.get("options", {}).get(name)
+        old = began.get(name)
         if name not in may_change and old != value:
             flag = name.replace("_", "-")
             findings.error(

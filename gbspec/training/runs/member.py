@@ -259,6 +259,7 @@ class _Runner:
         info = {
             # The largest step that the weights were fitted with last.
             "max_step": self.context.max_step * step_fraction([str(stage["name"]) for stage in position.stages]),
+            "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
             # The learned initial states are found again by content, whatever table a trajectory comes in.

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
+from gbspec.ir.methods import METHODS
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.training.optimise.normal_equations import use_threads
@@ -95,7 +96,7 @@ def fit(
     job: Job, progress: Progress, stop: Callable[[], bool] = lambda: False, place: Path | None = None
 ) -> MemberResult:
     """Fits one member in this process, by default where its run wants the files; raises like `fit_member`."""
-    module = load_module(job.model)
+    module = load_module(job.model, METHODS[job.options.solver])
     numbered = _Numbered(progress, job.number)
     return fit_member(job.model, module, job.trajectories, job.options, job.member, place or job.place, numbered, stop)
 

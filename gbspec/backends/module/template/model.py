@@ -35,6 +35,7 @@ class Template:  # {{class}}
 
     # {{attributes
     title: ClassVar[str] = ""
+    solver: ClassVar[str] = "rk4"
     time: ClassVar[str] = "t"
     states: ClassVar[tuple[str, ...]] = ()
     conditions: ClassVar[tuple[str, ...]] = ()
@@ -242,7 +243,7 @@ class Template:  # {{class}}
         return self._initial(_torch_arithmetic(), x, condition, k)
 
     def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
-        """One RK4 step of size h (a number or [...]) from x [..., n_states] at t; `inputs` hold through the step."""
+        """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t; `inputs` hold through it."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
         m = _torch_arithmetic()
@@ -258,7 +259,7 @@ class Template:  # {{class}}
         max_step: float | None = None,
         constants: Any = None,
     ) -> Any:
-        """States [..., n_times, n_states] at `times` [n_times] (increasing; x0 [..., n_states] is the first) by RK4.
+        """States [..., n_times, n_states] at increasing `times` [n_times] from x0 [..., n_states], by `solver`.
 
         `inputs`: values at the times [..., n_times, n_inputs], held or interpolated as the model declares, or a
         function of time that returns [..., n_inputs]. Between two times the step is even and at most `max_step`

@@ -26,6 +26,7 @@ from gbspec.backends.module.template.networks import _folded, _layers, _torch_li
 from gbspec.backends.native import CompilerError, compiled, source
 from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
 from gbspec.backends.native.source import TILE, Precision
+from gbspec.ir.methods import METHODS, RK4, Method
 from gbspec.ir.model import Model
 from gbspec.training.engines.deliveries import delivered
 from gbspec.training.engines.engine import Lack, Unable
@@ -159,14 +160,14 @@ class Swept:
 
 
 class Kernel:
-    """The compiled unroll of one model in one precision.
+    """The compiled unroll of one model by one method in one precision.
 
     Raises NotCoveredError for a model that it does not cover, CompilerError where it cannot be compiled.
     """
 
-    def __init__(self, model: Model, precision: Precision = "float64") -> None:
+    def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4) -> None:
         self.model, self.precision = model, precision
-        self.library = compiled(source(model, precision))
+        self.library = compiled(source(model, precision, method))
         self.library.work_bytes.restype = ctypes.c_int64
         self.library.work_bytes.argtypes = [ctypes.c_int64]
         self.library.run.restype = None
@@ -276,7 +277,7 @@ def kernel_of(model: Model, module: type[Any], precision: Precision = "float64")
     key = (module, precision)
     if key not in _kernels:
         try:
-            _kernels[key] = Kernel(model, precision)
+            _kernels[key] = Kernel(model, precision, METHODS[module.solver])
         except NotCoveredError as error:
             _kernels[key] = Unable(Lack.MODEL, f"the native kernel does not cover this model: {error}")
         except CompilerError as error:

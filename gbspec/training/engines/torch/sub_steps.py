@@ -13,7 +13,6 @@ from torch import Tensor
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.packing import NODES
 from gbspec.training.problem.path import Path
 from gbspec.training.problem.problem import Problem
 
@@ -88,7 +87,7 @@ class Deliveries:
         grid = self.problem.module._grid(self.problem.ops, step.t + begin, step.h + (end - begin))
         if not step.nodes[0].shape[1]:
             return grid, step.nodes
-        shares = [begin + node * (end - begin) for node in NODES]
+        shares = [begin + node * (end - begin) for node in self.problem.packed.nodes]
         moved = zip(step.nodes, shares, strict=True)
         return grid, tuple(node + share[:, None] * arrivals.slope for node, share in moved)
 

@@ -1,4 +1,4 @@
-"""The module's own RK4 step over a trajectory, in one call of casadi's mapaccum."""
+"""The module's own step over a trajectory, in one call of casadi's mapaccum."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
+from gbspec.ir.methods import METHODS, RK4, Method
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Steps in order: times and sizes [n], inputs at their three nodes [3, n, n_inputs], additions before them
+    """Steps in order: times and sizes [n], inputs at the method's nodes [nodes, n, n_inputs], additions before them
     [n, n_states]; `after` [n_times] is the number of steps done when an output is taken."""
 
     times: Array
@@ -29,9 +30,15 @@ class Plan:
 
 
 def plan(
-    begin: float, outputs: Array, pieces: Sequence[Segment], max_step: float, n_states: int, n_inputs: int
+    begin: float,
+    outputs: Array,
+    pieces: Sequence[Segment],
+    max_step: float,
+    n_states: int,
+    n_inputs: int,
+    method: Method = RK4,
 ) -> Plan:
-    """Even steps of at most `max_step` between the outputs and the ends of the pieces."""
+    """Even steps of a method, of at most `max_step`, between the outputs and the ends of the pieces."""
     if not max_step > 0:
         raise ValueError(f"max_step must be positive, not {max_step}")
     times: list[float] = []
@@ -39,6 +46,7 @@ def plan(
     inputs: list[Array] = []
     jumps: list[Array] = []
     after = {begin: 0}
+    nodes = np.array(method.nodes, dtype=np.float64)
     for piece in pieces:
         inside = outputs[(outputs > piece.begin) & (outputs < piece.end)]
         bounds = [piece.begin, *map(float, inside), piece.end]
@@ -50,15 +58,15 @@ def plan(
                 t = a + j * h
                 times.append(t)
                 sizes.append(h)
-                nodes = (np.array([t, t + h / 2, t + h]) - piece.begin)[:, None]
-                inputs.append(piece.inputs + piece.slopes * nodes)
+                elapsed = (t + nodes * h - piece.begin)[:, None]
+                inputs.append(piece.inputs + piece.slopes * elapsed)
                 jumps.append(jump)
                 jump = np.zeros(n_states)
             after[b] = len(times)
     return Plan(
         np.array(times),
         np.array(sizes),
-        np.array(inputs).reshape(len(times), 3, n_inputs).swapaxes(0, 1),
+        np.array(inputs).reshape(len(times), len(nodes), n_inputs).swapaxes(0, 1),
         np.array(jumps).reshape(len(times), n_states),
         np.array([after[float(time)] for time in outputs], dtype=np.int64),
     )
@@ -89,14 +97,20 @@ class Stepper:
 
 
 def _step_function(instance: Any) -> Any:
-    """casadi.Function (x, t, h, u0, u1, u2, jump, condition, constants) -> x one step later."""
+    """casadi.Function (x, t, h, u0, u1, ..., jump, condition, constants) -> x one step later; inputs at the nodes."""
     kind: Any = ca.MX if instance.networks else ca.SX
-    n_states, n_inputs = len(instance.states), len(instance.inputs)
-    sizes = {"x": n_states, "t": 1, "h": 1, "u0": n_inputs, "u1": n_inputs, "u2": n_inputs, "jump": n_states}
+    n_states = len(instance.states)
+    sizes = {
+        "x": n_states,
+        "t": 1,
+        "h": 1,
+        **dict.fromkeys(METHODS[instance.solver].input_names, len(instance.inputs)),
+        "jump": n_states,
+    }
     sizes |= {"condition": len(instance.conditions), "constants": len(instance.constants)}
     arguments = {name: kind.sym(name, size) for name, size in sizes.items()}
-    x, t, h, u0, u1, u2, jump, condition, constants = arguments.values()
+    x, t, h, *inputs, jump, condition, constants = arguments.values()
     m = instance.arithmetic("casadi")
     rhs = instance._field(m, condition, m.unpack(constants), instance.casadi_networks())
-    after = instance._step(m, rhs, instance._grid(m, t, h), x + jump, (u0, u1, u2))
+    after = instance._step(m, rhs, instance._grid(m, t, h), x + jump, tuple(inputs))
     return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["after"])

@@ -1,0 +1,141 @@
+"""Integrators as data: a new explicit Runge-Kutta method is one entry of `METHODS`, and nothing else.
+
+Everything that takes steps reads the method from here: the generated module, the native kernel, casadi and its C code,
+the packing of inputs, and `--solver`. `docs/architecture.md` ("Integrators") says how implicit and adaptive methods
+will join.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import TypeAlias
+
+from gbspec.diagnostics import Diagnostic, UserError
+
+Row = tuple[Fraction, ...]
+
+
+@dataclass(frozen=True)
+class Explicit:
+    """An explicit Runge-Kutta method by its Butcher tableau, exactly.
+
+    Runge-Kutta stage i is the right-hand side at `t + c[i] h` and `x + h sum_j a[i][j] k_j`; a step adds
+    `h sum_i b[i] k_i`. `h sum_i b_error[i] k_i` estimates the error of a step: the difference to an embedded method of
+    order `embedded_order`. `source` is where the coefficients are from, `help` a line for users.
+
+    Raises ValueError where rows do not fit, or a node lies outside the step, where no input is known.
+    """
+
+    name: str
+    order: int
+    a: tuple[Row, ...]
+    b: Row
+    source: str
+    help: str
+    b_error: Row | None = None
+    embedded_order: int | None = None
+
+    def __post_init__(self) -> None:
+        fits = all(len(row) == i for i, row in enumerate(self.a)) and len(self.b) == len(self.a)
+        if not fits or (self.b_error is not None and len(self.b_error) != len(self.a)):
+            raise ValueError(f"the tableau of `{self.name}` is not that of an explicit method")
+        if not all(0 <= c <= 1 for c in self.c):
+            raise ValueError(f"a node of `{self.name}` lies outside the step")
+
+    @cached_property
+    def c(self) -> Row:
+        """Where in the step each Runge-Kutta stage is taken: the sums of the rows."""
+        return tuple(sum(row, Fraction(0)) for row in self.a)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """What functions of one step call the inputs at the nodes: `u0`, `u1`, ..."""
+        return tuple(f"u{i}" for i in range(len(self.nodes)))
+
+    @cached_property
+    def advancing(self) -> int:
+        """How many Runge-Kutta stages a step needs; those behind serve the error estimate alone."""
+        return max(i + 1 for i, weight in enumerate(self.b) if weight)
+
+    @cached_property
+    def nodes(self) -> Row:
+        """The parts of a step at which inputs are needed, in order, each once.
+
+        The step's ends are always among them: from these the slopes of inputs are told.
+        """
+        return tuple(sorted({Fraction(0), Fraction(1), *self.c[: self.advancing]}))
+
+
+Method: TypeAlias = Explicit
+"""Every kind of method. Match on it with `assert_never`, so that another kind finds the places that it concerns."""
+
+
+def _row(text: str) -> Row:
+    return tuple(map(Fraction, text.split()))
+
+
+def _rows(*texts: str) -> tuple[Row, ...]:
+    return tuple(map(_row, texts))
+
+
+RK4 = Explicit(
+    "rk4",
+    4,
+    a=_rows("", "1/2", "0 1/2", "0 0 1"),
+    b=_row("1/6 1/3 1/3 1/6"),
+    source="Kutta (1901), Z. Math. Phys. 46, 435",
+    help="the classical method of order 4",
+)
+"""The integrator of the paper, and the default."""
+
+RK38 = Explicit(
+    "rk38",
+    4,
+    a=_rows("", "1/3", "-1/3 1", "1 -1 1"),
+    b=_row("1/8 3/8 3/8 1/8"),
+    source="Kutta (1901), Z. Math. Phys. 46, 435",
+    help="Kutta's 3/8 rule, of order 4",
+)
+
+DOPRI5 = Explicit(
+    "dopri5",
+    5,
+    a=_rows(
+        "",
+        "1/5",
+        "3/40 9/40",
+        "44/45 -56/15 32/9",
+        "19372/6561 -25360/2187 64448/6561 -212/729",
+        "9017/3168 -355/33 46732/5247 49/176 -5103/18656",
+        "35/384 0 500/1113 125/192 -2187/6784 11/84",
+    ),
+    b=_row("35/384 0 500/1113 125/192 -2187/6784 11/84 0"),
+    b_error=_row("71/57600 0 -71/16695 71/1920 -17253/339200 22/525 -1/40"),
+    embedded_order=4,
+    source="Dormand and Prince (1980), J. Comput. Appl. Math. 6, 19",
+    help="Dormand's and Prince's, of order 5",
+)
+"""The last Runge-Kutta stage is the first of the next step; it serves the error estimate."""
+
+METHODS: dict[str, Method] = {method.name: method for method in (RK4, RK38, DOPRI5)}
+"""Every method by its name after `--solver`; the first is the default."""
+
+
+def listed() -> str:
+    """The names with what they are, for a line of help."""
+    return "; ".join(f"`{name}`, {method.help}" for name, method in METHODS.items())
+
+
+def unknown_method(name: str) -> Diagnostic:
+    """What to say of a name that no method has (GB850): those that there are."""
+    known = ", ".join(f"`{each}`" for each in METHODS)
+    return Diagnostic("GB850", f"`--solver {name}` must be one of {known}", None, subject="solver")
+
+
+def method_named(name: str) -> Method:
+    """The method of a name. Raises UserError (GB850)."""
+    if name not in METHODS:
+        raise UserError([unknown_method(name)])
+    return METHODS[name]

@@ -1,0 +1,304 @@
+"""Every method by every backend: the same numbers, the order that it has, exact derivatives; and one more method."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from gbspec.backends.c import c_code
+from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.backends.casadi.steps import plan
+from gbspec.backends.module import generate, load_module
+from gbspec.backends.native import CompilerError, compiler
+from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.diagnostics import Defect
+from gbspec.ir.methods import METHODS, Explicit
+from gbspec.ir.model import Model
+from gbspec.training.engines.native.engine import NativeEngine
+from gbspec.training.engines.native.kernel import Kernel, kernel_of
+from gbspec.training.engines.objective import predicted
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+from tests.backends.same_kernel import compare
+from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of
+from tests.training.reference import linearise, measured_residuals, unroll
+from tests.training.test_arrays import COLUMN, column_data
+from tests.training.test_doses import MANY, many_data
+
+Array = NDArray[np.float64]
+
+_F = Fraction
+RALSTON = Explicit(
+    "ralston",
+    3,
+    a=((), (_F(1, 2),), (_F(0), _F(3, 4))),
+    b=(_F(2, 9), _F(1, 3), _F(4, 9)),
+    source="Ralston (1962), Math. Comp. 16, 431",
+    help="Ralston's, of order 3",
+)
+"""A method that is not in the table: no node of it is the end of the step."""
+EULER = Explicit("euler", 1, a=((),), b=(_F(1),), source="Euler (1768)", help="Euler's, of order 1")
+EVERY = [*METHODS, RALSTON.name, EULER.name]
+FEWER = [*METHODS, RALSTON.name]
+"""For what takes longer; Euler's says nothing there that Ralston's does not."""
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Two methods more, by an entry each; the native compiler does not optimise, which takes most of its time."""
+    for method in (RALSTON, EULER):
+        monkeypatch.setitem(METHODS, method.name, method)
+    monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiler, "_flag_sets", lambda: [["-std=gnu11", "-O0", "-shared", "-fPIC"]])
+    monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def needs_a_compiler() -> None:
+    try:
+        compiler.find_compiler()
+    except CompilerError as error:
+        pytest.skip(str(error))
+
+
+def close(found: Any, wanted: Any, bound: float = 1e-12) -> None:
+    """Relative to the largest entry."""
+    found, wanted = np.asarray(found, dtype=np.float64), np.asarray(wanted, dtype=np.float64)
+    assert found.shape == wanted.shape and np.isfinite(wanted).all() and wanted.size
+    assert np.abs(found - wanted).max() <= bound * np.abs(wanted).max()
+
+
+# ------------------------------------------------------------------------------------------------ one step
+@pytest.mark.parametrize("name", EVERY)
+def test_the_module_says_by_what_it_steps(name: str) -> None:
+    model = model_of(EVERYTHING)
+    text = generate(model, METHODS[name])
+    assert f'    solver = "{name}"  # the method that takes the steps\n' in text
+    assert f"\nSolver      {name}: {METHODS[name].help}\n" in text
+    assert f"One step ({name.upper()}) of state'" in text and f"A step of size h ({name.upper()}) from t" in text
+    assert load_module(model, METHODS[name]).solver == name
+
+
+def by_hand(method: Explicit, instance: Any, t: float, x: Array, h: float, condition: Array, inputs: Array) -> Array:
+    """A step as the tableau says it, with the inputs [nodes, n_inputs]."""
+    slopes: list[Array] = []
+    for row, c in zip(method.a, method.c, strict=True):
+        ahead = x + h * sum((float(w) * k for w, k in zip(row, slopes, strict=False)), np.zeros_like(x))
+        slopes.append(instance.rhs(t + float(c) * h, ahead, condition, inputs[method.nodes.index(c)]).numpy())
+    return np.asarray(x + h * sum(float(w) * k for w, k in zip(method.b, slopes, strict=True)))
+
+
+@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.usefixtures("needs_a_compiler")
+def test_a_step_by_torch_numpy_and_c_is_that_of_the_tableau(name: str, tmp_path: Path) -> None:
+    method = METHODS[name]
+    instance = load_module(model_of(EVERYTHING), method).random(1)
+    rng = np.random.default_rng(0)
+    x, condition, inputs = rng.uniform(0.3, 1.2, 3), np.array([0.4]), rng.uniform(0, 1, (len(method.nodes), 2))
+    wanted = by_hand(method, instance, 0.2, x, 0.3, condition, inputs)
+
+    def tensor(value: Any) -> torch.Tensor:
+        return torch.as_tensor(value, dtype=torch.float64)
+
+    for library, given in (("torch", tensor), ("numpy", np.asarray)):
+        m = instance.arithmetic(library)
+        networks = (
+            instance.numpy_networks()
+            if library == "numpy"
+            else instance.torch_networks({k: tensor(v) for k, v in instance.weights.items()})
+        )
+        constants = tuple(given(value) for value in instance.weights["constants"])
+        rhs = instance._field(m, given(condition), constants, networks)
+        grid = instance._grid(m, given(0.2), given(0.3))
+        close(instance._step(m, rhs, grid, given(x), tuple(map(given, inputs))), wanted)
+    step = casadi.external("step", c_library(instance, tmp_path))
+    close(np.array(step(0.2, x, 0.3, condition, *inputs)).ravel(), wanted)
+
+
+def c_library(instance: Any, directory: Path) -> str:
+    """casadi's C of a module, compiled."""
+    text = c_code(instance)
+    comment = text.partition("*/")[0]
+    assert f"(`{instance.solver}`)" in comment
+    (directory / "model.c").write_text(text, encoding="utf-8")
+    command = [shutil.which("cc") or "gcc", "-std=c99", "-O0", "-shared", "-fPIC", "-o", "model.so", "model.c", "-lm"]
+    subprocess.run(command, cwd=directory, check=True, capture_output=True)
+    return str(directory / "model.so")
+
+
+def test_the_c_code_says_when_it_takes_the_inputs() -> None:
+    text = c_code(load_module(model_of(EVERYTHING), METHODS["rk38"]).random(1))
+    assert "step: Kutta's 3/8 rule, of order 4 (`rk38`)" in text
+    assert "inputs, u0, u1, u2, u3: F, G" in text
+    assert "step takes them at the times t, t + 1/3*h, t + 2/3*h, t + h" in text
+
+
+# ------------------------------------------------------------------------------------------------ solutions
+def dosed_data() -> Trajectories:
+    """No dose arrives within rounding of a row: which of both is first, the solvers then decide each for itself."""
+    data = many_data()
+    items = [replace(i, doses=(i.doses[0], replace(i.doses[1], times=np.array([0.2, 0.65])))) for i in data.items]
+    return replace(data, items=tuple(items))
+
+
+Case = tuple[str, Any, float]
+CASES: dict[str, Case] = {
+    "inputs": (EVERYTHING, everything_data, 0.13),
+    "doses": (MANY, dosed_data, 1e3),
+    "arrays": (COLUMN, column_data, 0.1),
+}
+"""Held and linear inputs; doses with learned lags, where a step is as long as it can be, so that all solvers take the
+same ones; arrays."""
+
+
+def solved_by_casadi(
+    problem: Problem, parameters: Parameters, theta: Array, data: Trajectories, initial: Array
+) -> list[Array]:
+    """States at the rows of each trajectory, by the evaluator."""
+    constants = parameters.constants(torch.from_numpy(theta)).numpy()
+    evaluator = Evaluator(type(problem.module)(parameters.natural(theta)))
+    return [
+        evaluator.integrate_fixed(
+            initial[i],
+            item.times,
+            item.condition,
+            item.inputs,
+            item.start,
+            max_step=problem.packed.max_step,
+            doses=item.doses,
+            constants=constants[i],
+        )
+        for i, item in enumerate(data.items)
+    ]
+
+
+def solved_by_c(
+    problem: Problem, parameters: Parameters, theta: Array, item: Trajectory, initial: Array, directory: Path
+) -> Array:
+    """States at the rows of the first trajectory, by the step in C."""
+    natural = parameters.natural(theta)
+    natural["constants"] = parameters.constants(torch.from_numpy(theta)).numpy()[0]
+    instance = type(problem.module)(natural)
+    evaluator = Evaluator(instance)
+    pieces = evaluator._segments(item.start, item.times[-1], item.condition, item.inputs, item.doses, None)
+    sizes = len(initial), len(item.inputs)
+    steps = plan(item.start, item.times, pieces, problem.packed.max_step, *sizes, METHODS[instance.solver])
+    step = casadi.external("step", c_library(instance, directory))
+    path = [initial]
+    for i, (t, h) in enumerate(zip(steps.times, steps.sizes, strict=True)):
+        after = step(t, path[-1] + steps.jumps[i], h, item.condition, *steps.inputs[:, i])
+        path.append(np.array(after).ravel())
+    return np.array(path)[steps.after]
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", FEWER)
+@pytest.mark.usefixtures("needs_a_compiler")
+def test_solutions_by_torch_native_casadi_and_c_are_the_same(name: str, case: str, tmp_path: Path) -> None:
+    text, make, step = CASES[case]
+    data: Trajectories = make()
+    problem, parameters, theta = problem_of(model_of(text), data, step, blend=0.0, method=METHODS[name])
+    with torch.no_grad():
+        graph = unroll(problem, parameters, torch.from_numpy(theta))
+    kernel = kernel_of(problem.model, type(problem.module))
+    assert isinstance(kernel, Kernel)
+    engine = NativeEngine(problem, parameters, kernel)
+    found = predicted(engine, theta)
+    initial = found.initial
+    close(found.before, graph.before)
+    close(engine.kernel_residuals(theta, engine.plan(theta)), graph.residuals)
+    packed = problem.packed
+    mine = [packed.row_table[i, : len(item.times)] for i, item in enumerate(data.items)]
+    for rows, states in zip(mine, solved_by_casadi(problem, parameters, theta, data, initial), strict=True):
+        close(states, graph.before.numpy()[rows])
+    by_c = solved_by_c(problem, parameters, theta, data.items[0], initial[0], tmp_path)
+    close(by_c, graph.before.numpy()[mine[0]])
+
+
+@pytest.mark.parametrize("name", FEWER)
+@pytest.mark.usefixtures("needs_a_compiler")
+@pytest.mark.parametrize(("case", "step"), [("inputs", 0.13), ("doses", 0.13), ("arrays", 0.3)])
+def test_gradients_and_jacobians_of_the_kernel_are_those_of_the_graph(name: str, case: str, step: float) -> None:
+    text, make, _ = CASES[case]
+    problem, parameters, theta = problem_of(model_of(text), make(), step, blend=0.3, method=METHODS[name])
+    compare(problem, parameters, theta, ("float64", "float32"))
+
+
+@pytest.mark.parametrize("name", ["dopri5", RALSTON.name])
+@pytest.mark.parametrize("case", ["inputs", "doses"])
+def test_the_jacobian_is_that_of_automatic_differentiation(name: str, case: str) -> None:
+    text, make, _ = CASES[case]
+    problem, parameters, theta = problem_of(model_of(text), make(), 0.3, blend=0.3, method=METHODS[name])
+    found = linearise(problem, parameters, theta).dense(parameters)
+    expected = torch.autograd.functional.jacobian(
+        lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
+    )
+    close(found, expected, 1e-10)
+
+
+def test_data_packed_for_another_method_are_refused() -> None:
+    problem, _, _ = problem_of(model_of(EVERYTHING), everything_data(), 0.3)
+    with pytest.raises(Defect, match="another method than `dopri5`"):
+        replace(problem, module=load_module(problem.model, METHODS["dopri5"]).random(0))
+
+
+# ------------------------------------------------------------------------------------------------ order
+DRIVEN = """model driven
+time t from 0
+state x
+state y
+input u linear
+const a = 1.3
+x' = -a*x*y + u*cos(3*t)
+y' = sin(x) - y*u + 0.5*t
+observe x
+"""
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_the_order_is_measured(name: str) -> None:
+    """Where time and a changing input act, errors fall by 2^order as the step is halved."""
+    method = METHODS[name]
+    instance = load_module(model_of(DRIVEN), method)()
+    start, times = [0.8, -0.3], [0.0, 1.0, 2.0]
+
+    def signal(t: float) -> list[float]:
+        return [0.5 + 0.9 * t]
+
+    def at(h: float, by: Any = instance) -> Array:
+        found: Array = by.simulate(start, times, inputs=signal, max_step=h).numpy()
+        return found
+
+    exact = at(1 / 256, load_module(model_of(DRIVEN), METHODS["dopri5"])())
+    steps = (1 / 32, 1 / 64) if method.order > 3 else (1 / 64, 1 / 128)
+    coarse, fine = (np.abs(at(h) - exact).max() for h in steps)
+    assert np.log2(coarse / fine) == pytest.approx(method.order, abs=0.25)
+    ramp = _Ramp(np.array([0.0, 2.0]), np.array([0.5, 2.3]))
+    close(Evaluator(instance).integrate_fixed(start, times, inputs=(ramp,), start=0.0, max_step=steps[0]), at(steps[0]))
+
+
+class _Ramp:
+    """A signal of the evaluator."""
+
+    def __init__(self, times: Array, values: Array) -> None:
+        self.times, self.values = times, values
+
+
+def test_a_model_does_not_know_its_method() -> None:
+    fields = {field for field in Model.__dataclass_fields__ if "solver" in field or "method" in field}
+    assert not fields

@@ -1,0 +1,130 @@
+"""Every method has the order that it claims: the order conditions of rooted trees hold exactly, and no further."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cache
+from math import prod
+
+import pytest
+
+from gbspec.diagnostics import UserError
+from gbspec.ir.methods import DOPRI5, METHODS, RK4, RK38, Explicit, Method, listed, method_named
+
+Tree = tuple["Tree", ...]
+"""A rooted tree: what grows from its root, in order."""
+
+EVERY = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+
+
+@cache
+def trees(order: int) -> tuple[Tree, ...]:
+    """All rooted trees of so many vertices."""
+    return tuple(sorted(set(forests(order - 1))))
+
+
+@cache
+def forests(vertices: int) -> tuple[Tree, ...]:
+    """All multisets of trees with so many vertices together, each in order."""
+    if not vertices:
+        return ((),)
+    return tuple(
+        tuple(sorted((tree, *rest)))
+        for size in range(1, vertices + 1)
+        for tree in trees(size)
+        for rest in forests(vertices - size)
+    )
+
+
+def vertices(tree: Tree) -> int:
+    return 1 + sum(map(vertices, tree))
+
+
+def density(tree: Tree) -> int:
+    return vertices(tree) * prod(map(density, tree))
+
+
+def at_stages(method: Method, tree: Tree) -> list[Fraction]:
+    """The elementary weight of a tree at each Runge-Kutta stage."""
+    grown = [at_stages(method, branch) for branch in tree]
+    return [prod((dot(row, branch) for branch in grown), start=Fraction(1)) for row in method.a]
+
+
+def dot(weights: Sequence[Fraction], values: Sequence[Fraction]) -> Fraction:
+    return sum((w * v for w, v in zip(weights, values, strict=False)), Fraction(0))
+
+
+def holds(method: Method, tree: Tree) -> bool:
+    return dot(method.b, at_stages(method, tree)) == Fraction(1, density(tree))
+
+
+def test_there_are_as_many_trees_as_there_should_be() -> None:
+    assert [len(trees(n)) for n in range(1, 8)] == [1, 1, 2, 4, 9, 20, 48]  # Cayley
+
+
+@EVERY
+def test_the_order_is_the_one_claimed(method: Method) -> None:
+    for order in range(1, method.order + 1):
+        assert [tree for tree in trees(order) if not holds(method, tree)] == []
+    assert not all(holds(method, tree) for tree in trees(method.order + 1))
+
+
+@EVERY
+def test_the_error_estimate_vanishes_to_the_order_of_the_embedded_method(method: Method) -> None:
+    assert (method.b_error is None) == (method.embedded_order is None)
+    if method.b_error is None or method.embedded_order is None:
+        return
+    assert sum(method.b_error) == 0
+
+    def estimate(order: int) -> list[Fraction]:
+        return [dot(method.b_error or (), at_stages(method, tree)) for tree in trees(order)]
+
+    for order in range(1, method.embedded_order + 1):
+        assert not any(estimate(order))
+    assert any(estimate(method.embedded_order + 1))
+
+
+def test_nodes_are_distinct_sorted_and_have_the_ends() -> None:
+    half, third = Fraction(1, 2), Fraction(1, 3)
+    assert RK4.nodes == (0, half, 1) and RK38.nodes == (0, third, 2 * third, 1)
+    assert DOPRI5.nodes == (0, Fraction(1, 5), Fraction(3, 10), Fraction(4, 5), Fraction(8, 9), 1)
+    assert DOPRI5.b_error is not None and len(DOPRI5.b_error) == 7
+    assert DOPRI5.advancing == 6, "the seventh serves the error estimate alone"
+    euler = Explicit("euler", 1, ((),), (Fraction(1),), "", "")
+    assert euler.nodes == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "b_error"),
+    [
+        (((), (Fraction(2),)), (Fraction(1, 2),) * 2, None),
+        (((), (Fraction(-1),)), (Fraction(1, 2),) * 2, None),
+        (((Fraction(1),),), (Fraction(1),), None),
+        (((),), (Fraction(1),) * 2, None),
+        (((),), (Fraction(1),), (Fraction(0),) * 2),
+    ],
+    ids=["beyond the step", "before the step", "implicit", "weights", "error weights"],
+)
+def test_what_is_no_explicit_method_is_refused(
+    a: tuple[tuple[Fraction, ...], ...], b: tuple[Fraction, ...], b_error: tuple[Fraction, ...] | None
+) -> None:
+    with pytest.raises(ValueError, match="`wrong`"):
+        Explicit("wrong", 1, a, b, "", "", b_error, None)
+
+
+@EVERY
+def test_every_method_says_what_it_is_and_where_it_is_from(method: Method) -> None:
+    assert METHODS[method.name] is method and method_named(method.name) is method
+    assert f"`{method.name}`, {method.help}" in listed()
+    assert re.search(r"\(\d{4}\)", method.source) and method.name.isidentifier()
+
+
+def test_a_name_that_no_method_has() -> None:
+    with pytest.raises(UserError) as caught:
+        method_named("rk5")
+    (diagnostic,) = caught.value.diagnostics
+    assert diagnostic.code == "GB850"
+    assert diagnostic.message.startswith("`--solver rk5` must be one of `rk4`, `rk38`, `dopri5`")
+    assert all(f"`{name}`" in diagnostic.message for name in METHODS)

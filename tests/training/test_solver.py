@@ -1,0 +1,155 @@
+"""`--solver`: the method that a run is trained with is recorded, and used by whatever opens the run."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.analysis.validation import step_check
+from gbspec.diagnostics import Findings, UserError
+from gbspec.ir.methods import METHODS, RK4, Explicit
+from gbspec.operations import analysing, fitting, models
+from gbspec.runs import Run, open_run
+from gbspec.training import TrainOptions, train
+from gbspec.training.profile import likelihood
+from gbspec.training.runs.variations import points
+from tests.training.conftest import Recorder, model_of, urp_data
+
+KNOWN = """model known_urp
+state x1 in [0, 1]
+state x2
+condition Da in [0.2, 0.5]
+learn B = 8 in [0, 50]
+learn beta = 2 in [0, 10]
+x1' = -x1 + Da*(1 - x1)*exp(x2)
+x2' = -x2 + B*Da*(1 - x1)*exp(x2) - beta*x2
+observe x1
+observe x2
+truth B = 11
+truth beta = 3
+"""
+HEUN = Explicit(
+    "heun",
+    3,
+    a=((), (Fraction(1, 3),), (Fraction(0), Fraction(2, 3))),
+    b=(Fraction(1, 4), Fraction(0), Fraction(3, 4)),
+    source="Heun (1900), Z. Math. Phys. 45, 23",
+    help="Heun's, of order 3",
+)
+
+QUICK = {"max_step": 0.25, "method": "lm", "epochs": 6, "workers": 1}
+
+
+def trained(solver: str, path: Path, **more: object) -> Run:
+    options = TrainOptions(solver=solver, **QUICK, **more)  # type: ignore[arg-type]
+    return train(model_of(KNOWN), urp_data(3, 2.0, 5), options, path)
+
+
+@pytest.fixture
+def heun(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "heun", HEUN)
+
+
+@pytest.mark.usefixtures("heun")
+def test_a_method_that_was_just_entered_runs_through_training(tmp_path: Path) -> None:
+    made = trained("heun", tmp_path / "run")
+    fit = json.loads((tmp_path / "run" / "fit.json").read_text())
+    assert fit["solver"] == fit["options"]["solver"] == "heun"
+    assert 'solver = "heun"' in (tmp_path / "run" / "model.py").read_text()
+    opened = open_run(tmp_path / "run")
+    assert opened.method is HEUN and opened.member().info["solver"] == "heun"
+    assert opened.module is made.module and opened.module.solver == "heun"
+    # Its own error, of the third order at this step, is in the constants; a step of the fifth has next to none.
+    exact = trained("dopri5", tmp_path / "exact")
+
+    def off(run: Run) -> float:
+        return max(abs(run.fit["constants"][name]["value"] / true - 1) for name, true in (("B", 11), ("beta", 3)))
+
+    assert 10 * off(exact) < off(opened) < 0.1
+
+
+def test_the_backends_train_alike(tmp_path: Path) -> None:
+    graph, kernel = (trained("dopri5", tmp_path / name, backend=name) for name in ("torch", "native"))
+    for name, entry in graph.fit["constants"].items():
+        assert kernel.fit["constants"][name]["value"] == pytest.approx(entry["value"], rel=1e-9)
+
+
+def test_whatever_opens_a_run_steps_as_it_was_trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, data = trained("rk38", tmp_path / "run"), urp_data(3, 2.0, 5)
+    seen: list[str] = []
+    fixed = step_check._fixed
+
+    def spied(evaluator: object, *rest: object) -> object:
+        seen.append(evaluator.instance.solver)  # type: ignore[attr-defined]
+        return fixed(evaluator, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(step_check, "_fixed", spied)
+    checked = fitting.with_step_checks(run, data, TrainOptions())
+    assert analysing.validate(open_run(tmp_path / "run"), data).step_check.half_step is not None
+    assert set(seen) == {"rk38"} and len(checked.fit["step_checks"]) == 1
+    profiler = likelihood._Profiler(open_run(tmp_path / "run"), "B", data, 0, 1)
+    assert profiler.free.method.name == "rk38" and profiler.free.packed().nodes == (0.0, 1 / 3, 2 / 3, 1.0)
+    assert models.learned(open_run(tmp_path / "run")).evaluator.instance.solver == "rk38"
+
+
+def test_a_run_is_resumed_with_its_method_alone(tmp_path: Path) -> None:
+    model, data = model_of(KNOWN), urp_data(3, 2.0, 5)
+    whole = trained("dopri5", tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        train(model, data, TrainOptions(solver="dopri5", **QUICK), tmp_path / "run", Recorder(3))  # type: ignore[arg-type]
+    with pytest.raises(UserError) as caught:
+        train(model, data, TrainOptions(resume=True, **QUICK), tmp_path / "run")  # type: ignore[arg-type]
+    assert "`--solver dopri5`, not rk4" in caught.value.diagnostics[0].message
+    again = train(model, data, TrainOptions(solver="dopri5", resume=True, **QUICK), tmp_path / "run")  # type: ignore[arg-type]
+    assert np.array_equal(again.member().weights["constants"], whole.member().weights["constants"])
+
+
+def test_a_run_from_before_there_was_a_choice_is_of_the_classical_method(tmp_path: Path) -> None:
+    run = trained("rk4", tmp_path / "run")
+    path = tmp_path / "run" / "fit.json"
+    fit = json.loads(path.read_text())
+    del fit["solver"], fit["options"]["solver"]
+    path.write_text(json.dumps(fit))
+    old = open_run(tmp_path / "run")
+    assert old.method is RK4 and old.module is run.module
+    again = trained("rk4", tmp_path / "run", resume=True)
+    assert np.array_equal(again.member().weights["constants"], run.member().weights["constants"])
+
+
+@pytest.mark.parametrize("solver", ["ros34pw", ["rk4"], None])
+def test_a_run_of_a_method_that_this_version_does_not_have(tmp_path: Path, solver: object) -> None:
+    trained("rk4", tmp_path / "run")
+    path = tmp_path / "run" / "fit.json"
+    path.write_text(path.read_text().replace('"solver": "rk4"', f'"solver": {json.dumps(solver)}'))
+    with pytest.raises(UserError) as caught:
+        open_run(tmp_path / "run")
+    (diagnostic,) = caught.value.diagnostics
+    assert diagnostic.code == "GB852" and f"`{solver}`" in diagnostic.message
+    assert diagnostic.help is not None and ", ".join(METHODS) in diagnostic.help
+
+
+def test_a_wrong_name_is_told_with_the_right_ones(tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        trained("euler", tmp_path / "run")
+    (diagnostic,) = caught.value.diagnostics
+    assert diagnostic.code == "GB850" and diagnostic.subject == "solver"
+    assert diagnostic.message.startswith("`--solver euler` must be one of `rk4`, `rk38`, `dopri5`")
+    assert not (tmp_path / "run").exists()
+
+
+def test_fingerprints_from_before_there_was_a_choice_are_met() -> None:
+    assert "solver" not in TrainOptions().settings(())
+    assert TrainOptions(solver="dopri5").settings(("seed",))["solver"] == "dopri5"
+    assert "seed" not in TrainOptions().settings(("seed",)) and "effort" in TrainOptions().settings(())
+
+
+def test_sweeps_vary_it() -> None:
+    findings = Findings()
+    made = points(["solver=rk4,dopri5"], TrainOptions(), findings)
+    assert [point.options.solver for point in made] == ["rk4", "dopri5"] and not len(findings)
+    points(["solver=rk5"], TrainOptions(), findings)
+    assert [diagnostic.code for diagnostic in findings] == ["GB850"]
