@@ -8,7 +8,9 @@ from functools import partial
 import torch
 
 from benchmarks.workload import Array, Workload
-from gbspec.training.engines.native.kernel import _spaces, half_squares, kernel_of
+from gbspec.training.engines.native import threads as kernel_threads
+from gbspec.training.engines.native.gradient import half_squares
+from gbspec.training.engines.native.kernel import kernel_of
 from gbspec.training.engines.torch.unroll import measured_residuals, unroll
 
 Step = Callable[[], tuple[float, Array]]
@@ -47,7 +49,7 @@ def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
 
 def release() -> None:
     """Gives back the work space that a step keeps for the next one, which then takes all that it needs itself."""
-    vars(_spaces).clear()
+    kernel_threads.release()
 
 
 native_2 = partial(native, threads=2)

@@ -65,7 +65,7 @@ def partials(node: Expr, value: Expr | None = None) -> Partials:
         case sympy.Pow():
             return _power(node, v)
         case sympy.Max() | sympy.Min():
-            a, b = _ordered(node)[0], _ordered(node)[-1]  # with two equal arguments sympy keeps but one
+            a, b = ordered(node)[0], ordered(node)[-1]  # with two equal arguments sympy keeps but one
             loses = (a < b, b < a) if isinstance(node, sympy.Max) else (b < a, a < b)
             half = (sympy.Rational(1, 2), sympy.Eq(a, b, evaluate=False))
             return [
@@ -107,14 +107,15 @@ def _choice(*branches: tuple[Expr, Boolean] | Expr) -> sympy.Piecewise:
     return sympy.Piecewise(*cases, (otherwise, True), evaluate=False)
 
 
-def _ordered(node: Expr) -> list[Expr]:
-    """The arguments of `Max` and `Min`, which sympy keeps as a set, in the order in which they are computed."""
+def ordered(node: sympy.Basic) -> list[Expr]:
+    """The arguments of `Max`, `Min`, `And` or `Or`, which sympy keeps as a set, in the order in which all backends
+    compute them."""
     return sorted(node.args, key=sympy.default_sort_key)
 
 
 def nested(node: Expr) -> Expr:
     """`Max` or `Min` of several arguments as one of two, the first being that of all others."""
-    *others, last = _ordered(node)
+    *others, last = ordered(node)
     return node if len(others) < 2 else node.func(node.func(*others, evaluate=False), last, evaluate=False)
 
 

@@ -17,7 +17,8 @@ from gbspec.data.trajectories import DoseEvents, Signal, Trajectories
 from gbspec.ir.model import Model
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines.native.cut_steps import placed
-from gbspec.training.engines.native.kernel import Kernel, half_squares, kernel_of
+from gbspec.training.engines.native.gradient import half_squares
+from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import objective
 from gbspec.training.engines.torch.doses import delivered
 from gbspec.training.engines.torch.jacobian import linearise

@@ -28,7 +28,7 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(source: str) -> Any:
         raise CompilerError("there is no C compiler (cc, gcc, clang)")
 
-    monkeypatch.setattr("gbspec.training.engines.native.kernel.compiled", missing)
+    monkeypatch.setattr("gbspec.backends.native.library.compiled", missing)
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
 
 
@@ -49,7 +49,7 @@ def test_without_a_compiler_the_graph_serves_and_a_line_says_so(
     model, data, heard = model_of(URP), urp_data(3, 1.0, 1), Heard()
     with pytest.raises(UserError, match=r"GB863.*no C compiler"):
         train(model, data, TrainOptions(backend="native", **QUICK), tmp_path / "native")
-    monkeypatch.setattr("gbspec.training.engines.native.kernel.LEAST_SUBSTEPS", 1)
+    monkeypatch.setattr("gbspec.training.engines.choice.LEAST_SUBSTEPS", 1)
     train(model, data, TrainOptions(**QUICK), tmp_path / "auto", heard)
     assert heard.messages == ["the torch graph serves: there is no C compiler (cc, gcc, clang)"]
 
@@ -62,13 +62,13 @@ def test_what_the_kernel_does_not_cover_is_left_to_the_graph_and_a_line_says_so(
     data = urp_data(3, 1.0, 1)
     with pytest.raises(UserError, match=f"GB863.*cannot be had: {why}"):
         train(model, data, TrainOptions(backend="native", **QUICK), tmp_path / "native")
-    monkeypatch.setattr("gbspec.training.engines.native.kernel.LEAST_SUBSTEPS", 1)
+    monkeypatch.setattr("gbspec.training.engines.choice.LEAST_SUBSTEPS", 1)
     train(model, data, TrainOptions(**QUICK), tmp_path / "auto", heard)
     assert heard.messages == [f"the torch graph serves: {why}"]
 
 
 def test_a_gpu_is_no_place_for_the_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.engines.native.kernel.device_of", lambda wanted: "cuda")
+    monkeypatch.setattr("gbspec.training.engines.choice.device_of", lambda wanted: "cuda")
     with pytest.raises(UserError, match=r"GB863.*does not work on a GPU"):
         train(model_of(URP), urp_data(3, 1.0, 1), TrainOptions(backend="native", **QUICK), tmp_path / "run")
 

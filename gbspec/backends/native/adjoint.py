@@ -5,9 +5,9 @@ from __future__ import annotations
 import sympy
 from sympy.logic.boolalg import Boolean
 
-from gbspec.backends.native.flat import NotCoveredError, Operation
+from gbspec.backends.native.flat import Operation
 from gbspec.backends.printing.nodes import Guard, Where
-from gbspec.ir.derivatives import has_rule, partials
+from gbspec.ir.derivatives import partials
 from gbspec.ir.model import Expr
 
 Contribution = tuple[sympy.Symbol, Expr]
@@ -30,8 +30,6 @@ def _terms(operation: Operation, bar: sympy.Symbol) -> list[tuple[sympy.Basic, E
         case Guard():
             condition, a = node.args
             return [(a, Where(condition, bar, zero))]
-    if not has_rule(node):
-        raise NotCoveredError(f"it has no derivative for `{type(node).__name__}`")
     return [(a, _times(bar, slope)) for a, slope in partials(node, operation.symbol)]
 
 

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 import torch
 
-from gbspec.backends.native.source import Precision
+from gbspec.backends.native import Precision
 from gbspec.data.trajectories import Array
-from gbspec.training.engines.native.kernel import half_squares as by_kernel
+from gbspec.training.engines.native.gradient import half_squares as by_kernel
 from gbspec.training.engines.native.kernel import kernel_of
 from gbspec.training.engines.torch.unroll import measured_residuals, unroll
 from gbspec.training.problem.packing import Integers

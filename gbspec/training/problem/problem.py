@@ -29,7 +29,8 @@ from gbspec.ir.model import Model
 from gbspec.training.problem.packing import Packed
 
 if TYPE_CHECKING:
-    from gbspec.training.engines.native.kernel import Kernel, Tables
+    from gbspec.training.engines.native.kernel import Kernel
+    from gbspec.training.engines.native.tables import Tables
     from gbspec.training.engines.torch.segments import Schedule
 
 Mask = NDArray[np.bool_]
@@ -84,7 +85,7 @@ class Problem:
 
     def tables(self, time: Array) -> Tables:
         """The data as the kernel reads them, with doses that arrive at `time` [E]; those last asked for are kept."""
-        from gbspec.training.engines.native.kernel import Tables
+        from gbspec.training.engines.native.tables import Tables
 
         key = time.tobytes()
         if key not in self._tables:

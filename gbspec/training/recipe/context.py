@@ -9,8 +9,8 @@ import numpy as np
 
 from gbspec.data.trajectories import Array, Trajectories
 from gbspec.ir.model import Model
+from gbspec.training.engines.choice import TORCH, Choice, choose
 from gbspec.training.engines.device import device_of
-from gbspec.training.engines.native.kernel import TORCH, Choice, choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem.packing import Packed, default_max_step, pack
 from gbspec.training.problem.parameters import Parameters, Weights

@@ -21,8 +21,8 @@ from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.ir.model import Model
 from gbspec.runs import files
 from gbspec.runs.store import Run
+from gbspec.training.engines.choice import choose
 from gbspec.training.engines.device import device_of
-from gbspec.training.engines.native.kernel import choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe.context import build_context

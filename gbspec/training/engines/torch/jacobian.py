@@ -88,22 +88,22 @@ class _Sweep:
         return self._by_torch() if self.problem.kernel is None else self._by_kernel(self.problem.kernel)
 
     def _by_kernel(self, kernel: Kernel) -> Linearised:
-        """With the stretches' derivatives and their chain from the native kernel."""
-        from gbspec.training.engines.native.jacobian import Stretches, chain
+        """With the intervals' derivatives and their chain from the native kernel."""
+        from gbspec.training.engines.native.jacobian import Intervals, chain
 
         packed, columns = self.problem.packed, self.shared_columns
         observed = self._observations()
         arrays = (self.theta, self.departure.numpy(), self.initial.numpy())
-        stretches = Stretches(self.problem, kernel, self.parameters, *arrays)
+        intervals = Intervals(self.problem, kernel, self.parameters, *arrays)
         # Every row is written once; for much data this is by far the largest array.
         shared = np.empty((len(self.residuals), columns))
         local = np.empty((len(self.residuals), self.parameters.n_local))
         unused = [self._zeros(())] * len(self.problem.model.constants)
         release, d_state = 1.0 - self.problem.forcing.weight, np.ascontiguousarray(observed.state.numpy())
-        for who, blocks in stretches.blocks(columns):
+        for who, blocks in intervals.blocks(columns):
             totals = [part.numpy() for part in self._initial(torch.from_numpy(who))]
             for rows in blocks:
-                found, owner = stretches.derivatives(rows, columns), packed.row_trajectory[rows]
+                found, owner = intervals.derivatives(rows, columns), packed.row_trajectory[rows]
                 own = np.zeros((len(rows), self.n_states, local.shape[1]))
                 of_weights, of_own = torch.from_numpy(found.weights), torch.from_numpy(own)
                 of_constants = list(torch.from_numpy(found.constants).unbind(2))

@@ -64,7 +64,7 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
 
 def _by_kernel(problem: Problem, parameters: Parameters, theta: Tensor) -> Unrolled:
     """The same through the native kernel; no gradient passes."""
-    from gbspec.training.engines.native.kernel import solved
+    from gbspec.training.engines.native.gradient import solved
 
     residuals, arrival, initial = map(torch.from_numpy, solved(problem, parameters, theta))
     value, weight = torch.from_numpy(problem.forcing.value), torch.from_numpy(problem.forcing.weight)
