@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 
 from benchmarks.workload import Array, Workload
-from gbspec.training.engines.native.kernel import _spaces
+from gbspec.training.engines.native import threads as kernel_threads
 from gbspec.training.engines.objective import objective
 
 Step = Callable[[], tuple[float, Array]]
@@ -45,7 +45,7 @@ def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
 
 def release() -> None:
     """Gives back the work space that a step keeps for the next one, which then takes all that it needs itself."""
-    vars(_spaces).clear()
+    kernel_threads.release()
 
 
 native_2 = partial(native, threads=2)

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +17,18 @@ from hypothesis import strategies as st
 
 import gbspec
 from gbspec.backends.module import load_module
-from gbspec.backends.native import CompilerError, compiled, source
+from gbspec.backends.native import CompilerError, Precision, Source, compiled, source
 from gbspec.backends.native import compiler as compiling
 from gbspec.backends.native.compiler import find_compiler
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.diagnostics import Defect
+from gbspec.ir.methods import Method
 from gbspec.ir.model import Model
 from gbspec.training.engines.native.engine import NativeEngine
-from gbspec.training.engines.native.kernel import Kernel, Natural, _shared_out
-from gbspec.training.engines.objective import objective
+from gbspec.training.engines.native.inputs import KernelInputs
+from gbspec.training.engines.native.kernel import Kernel
+from gbspec.training.engines.native.threads import shared_out
+from gbspec.training.engines.objective import objective, predicted
 from gbspec.training.problem.forcing import Forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
@@ -193,10 +198,10 @@ def test_any_cotangent(small: tuple[Problem, Parameters, np.ndarray, Kernel]) ->
     """Products of the transposed Jacobian with any vector, linear in it; with the residuals it is the gradient."""
     problem, parameters, theta, kernel = small
     engine = NativeEngine(problem, parameters, kernel)
-    natural = Natural.of(problem, parameters, torch.from_numpy(theta))
+    inputs = KernelInputs.of(problem, parameters, torch.from_numpy(theta))
     tables = engine.tables(engine.plan(theta))
-    own = kernel.sweep(tables, natural, True)
-    again = kernel.sweep(tables, natural, True, 3 * own.residuals)
+    own = kernel.sweep(tables, inputs, True)
+    again = kernel.sweep(tables, inputs, True, 3 * own.residuals)
     assert np.allclose(again.d_weights, 3 * own.d_weights, rtol=1e-12, atol=1e-12)
 
 
@@ -211,7 +216,7 @@ def test_what_stops_the_thread_that_asks_stops_the_others() -> None:
         done.append(i)
 
     with pytest.raises(KeyboardInterrupt):
-        _shared_out(part, 50, 3)
+        shared_out(part, 50, 3)
     before = len(done)
     time.sleep(0.2)
     assert len(done) == before < 50
@@ -231,7 +236,7 @@ def test_memory_does_not_grow_with_the_length(
     assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())
 
 
-STILL = """model still
+INVARIANT = """model invariant
 state x in [0, 2]
 state y in [0, 2]
 unknown g(y in [0, 3]) by mlp(5, 4)
@@ -242,9 +247,9 @@ observe x
 
 
 @pytest.mark.usefixtures("quick")
-def test_jacobians_of_stretches_longer_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a call that is made once for a whole stretch, whose slopes every part of it needs."""
-    problem, parameters, theta = random_problem(model_of(STILL), 3, step=0.02)
+def test_jacobians_of_intervals_longer_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a call that is made once for a whole interval, whose slopes every part of it needs."""
+    problem, parameters, theta = random_problem(model_of(INVARIANT), 3, step=0.02)
     compare_jacobians(problem, parameters, theta)
     monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 20_000)
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
@@ -260,7 +265,76 @@ def test_a_blow_up_gives_no_finite_loss(small: tuple[Problem, Parameters, np.nda
     assert not np.isfinite(loss)
 
 
+OVERFLOW = """model overflow
+state x in [0, 2]
+state z in [0, 2]
+learn k = 0.5 in [0, 3]
+unknown g(x) by mlp(5)
+x' = -k*x + g(x) + 1/(1 + z)
+z' = {rate}
+observe x
+"""
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("weight", [None, 0.0, 1.0])
+def test_an_overflow_that_no_measurement_sees(weight: float | None) -> None:
+    """An infinite state whose effect ends at a limit: what is measured stays finite, with resets of any weight."""
+    problem, parameters, theta = random_problem(model_of(OVERFLOW.format(rate="1e90*z")), 2)
+    if weight is not None:
+        forcing = problem.forcing
+        problem = replace(problem, forcing=replace(forcing, weight=np.full_like(forcing.weight, weight)))
+    assert np.isinf(predicted(NativeEngine(problem, parameters, Kernel(problem.model)), theta).before).any()
+    expected, found = (objective(problem, parameters, backend)(theta) for backend in ("torch", "native"))
+    assert np.isfinite(expected[0])
+    assert np.isfinite(expected[1]).all()
+    assert found[0] == pytest.approx(expected[0], rel=1e-12)
+    assert found[1] == pytest.approx(expected[1], rel=1e-11, abs=1e-13)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_trajectory_that_has_ended_waits_for_longer_ones() -> None:
+    """Where its last state is so large that the rates' derivatives there are infinite, which nobody asks for."""
+    text = OVERFLOW.format(rate="c*z + k").replace("1/(1 + z)", "1/(1 + z^10)\ncondition c in [0, 1]")
+    problem, parameters, theta = random_problem(model_of(text), 2, step=2.0)
+    packed, weight = problem.packed, np.zeros_like(problem.forcing.weight)
+    short = int(np.argsort(packed.steps)[1])  # the shortest has a tile to itself
+    last = np.flatnonzero(packed.row_trajectory == short)[-1]
+    h = packed.h[packed.steps[short] - 1, short]
+    weight[:, 1] = np.arange(packed.rows) != last
+    condition = np.where(np.arange(packed.trajectories) == short, 1e10 / h, 0.0)[:, None]
+    forcing = replace(problem.forcing, weight=weight)
+    problem = replace(problem, packed=replace(packed, condition=condition), forcing=forcing)
+    expected, found = (objective(problem, parameters, backend)(theta) for backend in ("torch", "native"))
+    assert np.isfinite(expected[1]).all()
+    assert found[1] == pytest.approx(expected[1], rel=1e-11, abs=1e-13)
+
+
 # ---------------------------------------------------------------- compilation
+def test_arrays_that_the_c_would_misread_are_refused(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
+    problem, _, _, kernel = small
+    given = {"count": 2, "first": 0, "stride": 1, "gradient": 0, "order": np.arange(2), "cotangent": None}
+    right, weights = kernel.library.struct, np.zeros(kernel.library.sizes["WEIGHTS"])
+    right("Share", **given, d_weights=weights)
+    for name, wrong in (
+        ("order", np.arange(3)),
+        ("order", np.arange(2.0)),
+        ("order", np.arange(4)[::2]),
+        ("cotangent", np.zeros((3, len(problem.model.channels) + 1))),
+        ("d_weights", weights[:-1]),
+        ("d_weights", weights.astype(np.float32)),
+        ("d_weights", None),
+        ("count", 2.0),
+    ):
+        with pytest.raises(Defect, match=f"Share.{name}"):
+            right("Share", **{**given, "d_weights": weights, name: wrong})
+    weights.flags.writeable = False
+    with pytest.raises(Defect, match="d_weights"):
+        right("Share", **given, d_weights=weights)
+    with pytest.raises(Defect, match="no or superfluous d_weights"):
+        right("Share", **given)
+
+
 def test_kernels_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
     text = "int answer(void) { return 42; }\n"
@@ -283,9 +357,12 @@ def test_no_instruction_set_is_assumed(
 ) -> None:
     """Standard C, a vector being one number."""
     problem, parameters, theta, kernel = small
-    monkeypatch.setattr(
-        "gbspec.training.engines.native.kernel.source", lambda *given: "#define PLAIN_C\n" + source(*given)
-    )
+
+    def plain(model: Model, precision: Precision, method: Method) -> Source:
+        whole = source(model, precision, method)
+        return replace(whole, text="#define PLAIN_C\n" + whole.text)
+
+    monkeypatch.setattr("gbspec.training.engines.native.kernel.source", plain)
     expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, Kernel(problem.model)))
     assert found[0] == pytest.approx(expected[0], rel=1e-13)
     assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())

@@ -58,13 +58,13 @@ def test_numbers_are_asked_for() -> None:
 
 def test_what_is_registered_is_what_comes_out() -> None:
     with pytest.raises(Defect, match="emits bytes"):
-        Backend("b", ".b", "", lambda model, instance: b"").emit(reactor())
+        Backend("b", ".b", "", lambda model, instance, method: b"").emit(reactor())
     with pytest.raises(Defect, match="emits str"):
-        Backend("b", ".b", "", lambda model, instance: "", binary=True).emit(reactor())
+        Backend("b", ".b", "", lambda model, instance, method: "", binary=True).emit(reactor())
 
 
 def test_a_refusal_is_a_finding() -> None:
-    backend = Backend("b", ".b", "", lambda model, instance: Refusal("it has states", "take them out"))
+    backend = Backend("b", ".b", "", lambda model, instance, method: Refusal("it has states", "take them out"))
     with pytest.raises(UserError) as caught:
         backend.emit(reactor())
     (finding,) = caught.value.diagnostics

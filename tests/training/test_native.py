@@ -28,7 +28,7 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(source: str) -> Any:
         raise CompilerError("there is no C compiler (cc, gcc, clang)")
 
-    monkeypatch.setattr("gbspec.training.engines.native.kernel.compiled", missing)
+    monkeypatch.setattr("gbspec.backends.native.library.compiled", missing)
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
 
 

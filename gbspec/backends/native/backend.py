@@ -16,7 +16,7 @@ def make(model: Model, instance: Any, method: Method) -> str | Refusal:
     from gbspec.backends.native import NotCoveredError, source
 
     try:
-        return source(model, method=method)
+        return source(model, method=method).text
     except NotCoveredError as problem:
         return Refusal(str(problem), "the form `module` expresses every model; training falls back on it")
 

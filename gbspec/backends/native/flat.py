@@ -15,9 +15,10 @@ from sympy.logic.boolalg import Boolean
 
 from gbspec.backends.printing import temporary
 from gbspec.backends.printing.nodes import Guard, Where
-from gbspec.backends.printing.printer import RECIPROCAL, UNARY
-from gbspec.backends.printing.statements import guarded
+from gbspec.backends.printing.printer import RECIPROCAL
+from gbspec.backends.printing.statements import guarded, rebuild
 from gbspec.diagnostics import Defect
+from gbspec.ir.derivatives import has_rule, ordered
 from gbspec.ir.forms import described
 from gbspec.ir.model import NN, Expr, Model, Unknown
 
@@ -126,18 +127,15 @@ class _Flattener:
         if isinstance(node, AppliedUndef):
             return self._unknown(node.func.__name__, tuple(self.value(a, env) for a in node.args))
         if isinstance(node, sympy.Max | sympy.Min):
-            return self._fold(node.func, [self.value(a, env) for a in sorted(node.args, key=sympy.default_sort_key)])
+            return self._fold(node.func, [self.value(a, env) for a in ordered(node)])
         arguments = [self.value(argument, env) for argument in node.args]
         if isinstance(node, sympy.Pow):
             return self._power(*arguments)
         if type(node) in RECIPROCAL:
             return self._power(self._enter(getattr(sympy, RECIPROCAL[type(node)])(*arguments, evaluate=False)), -1)
-        if isinstance(node, Where | Guard):
-            return self._enter(node.func(*arguments))
-        known = isinstance(node, sympy.Add | sympy.Mul | sympy.atan2 | Boolean) or type(node) in UNARY
-        if not known:
+        if not (has_rule(node) or isinstance(node, Where | Guard | Boolean)):
             raise NotCoveredError(f"it has no rule for `{type(node).__name__}`")
-        return self._enter(node.func(*arguments, evaluate=False))
+        return self._enter(rebuild(node, arguments))
 
     def _enter(self, node: sympy.Basic) -> sympy.Basic:
         """The symbol of an operation on atoms."""

@@ -1,18 +1,6 @@
-/* Derivatives of stretches: pieces of trajectories between consecutive key rows, TILE of them side by side, each a lane
+/* Derivatives of intervals: pieces of trajectories between consecutive key rows, TILE of them side by side, each a lane
    with sub-steps of its own. After the way forward there is one way back for each state, whose cotangents give a row of
-   the stretch's derivatives; a lane's weights have their own products. */
-
-typedef struct {
-    int64_t count;
-    const int64_t *owner, *first, *steps; /* [count]: trajectory, first sub-step, number of sub-steps */
-    const double *start;                  /* [count][STATES] */
-    const double *factor, *shift;         /* [weights]: see `write_lane` */
-    double *d_start;                      /* [count][STATES][STATES]: of each final state, by the first one */
-    double *d_weights;                    /* [count][STATES][columns], or NULL */
-    double *d_constants;                  /* [count][STATES][LEARNABLES] */
-    double *d_jumps, *d_times;            /* [STATES][jumps] */
-    int64_t columns, jumps;
-} Stretches;
+   the interval's derivatives; a lane's weights have their own products. */
 
 /* What the derivatives need beside the work space of a solution. */
 typedef struct {
@@ -24,7 +12,7 @@ static size_t slope_reals(const Work *w) {
     size_t n = 0;
     for (int i = 0; i < RHS_SITES; i++) {
         const Net *net = w->sites[i].net;
-        for (int l = 1; l < net->layers; l++) n += (kept(i) ? (size_t)w->segment * STAGES : 1) * TILE * PAD(net->size[l]);
+        for (int l = 1; l < net->layers; l++) n += (kept(i) ? (size_t)w->checkpoint_interval * STAGES : 1) * TILE * PAD(net->size[l]);
     }
     return n;
 }
@@ -73,16 +61,15 @@ static void write_lane(const Work *w, const double *factor, const double *shift,
 }
 
 /* The way back of one state over the kept sub-steps begin..end, and what its cotangents give to rows of derivatives. */
-static void reverse_state(Work *w, const Stretches *all, const int64_t *which, int state, int64_t begin, int64_t end,
+static void reverse_state(Work *w, const Intervals *all, const int64_t *which, int state, int64_t begin, int64_t end,
                           real *xb) {
     memset(w->kb, 0, sizeof w->kb);
-    for (int i = 0; i < RHS_SITES; i++)
-        if (SITE_STILL[i]) zero(w->sites[i].yb, TILE * w->sites[i].net->size[w->sites[i].net->layers]);
-    w->d_jumps = all->d_jumps + (size_t)state * all->jumps;
-    w->d_times = all->d_times + (size_t)state * all->jumps;
+    invariant_start(w);
+    w->d_amounts = all->d_amounts + (size_t)state * all->arrivals;
+    w->d_times = all->d_times + (size_t)state * all->arrivals;
     for (int64_t s = end - 1; s >= begin; s--) step_reverse(w, s, (size_t)(s - begin), xb);
     for (int i = 0; i < RHS_SITES; i++)
-        if (SITE_STILL[i]) net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
+        if (SITE_INVARIANT[i]) net_backward(w->sites[i].net, &w->sites[i], 0, 0u);
     for (int t = 0; t < TILE; t++) {
         if (!w->active[t]) continue;
         const size_t row = (size_t)which[t] * STATES + state;
@@ -91,13 +78,13 @@ static void reverse_state(Work *w, const Stretches *all, const int64_t *which, i
         if (!all->d_weights || steps <= 0) continue;
         zero(w->gradients, w->n_gradients);
         for (int i = 0; i < RHS_SITES; i++)
-            net_gradient(w->sites[i].net, &w->sites[i], (size_t)t, SITE_STILL[i] ? 1 : (size_t)steps * STAGES, TILE);
+            net_gradient(w->sites[i].net, &w->sites[i], (size_t)t, SITE_INVARIANT[i] ? 1 : (size_t)steps * STAGES, TILE);
         write_lane(w, all->factor, all->shift, all->d_weights + row * all->columns);
     }
 }
 
-/* The derivatives of the stretches `which[0..TILE)`, which are set as lanes. */
-static void stretch_tile(Work *w, const Stretches *all, const int64_t *which, const Kept *keep) {
+/* The derivatives of the intervals `which[0..TILE)`, which are set as lanes. */
+static void interval_tile(Work *w, const Intervals *all, const int64_t *which, const Kept *keep) {
     const size_t block = STATES * TILE;
     real x[STATES * TILE], *bars = keep->cotangents;
     for (int i = 0; i < STATES; i++)
@@ -105,19 +92,19 @@ static void stretch_tile(Work *w, const Stretches *all, const int64_t *which, co
     zero(bars, STATES * block);
     for (int i = 0; i < STATES; i++)
         for (int t = 0; t < TILE; t++) bars[i * block + i * TILE + t] = 1;
-    still_forward(w);
-    for (int64_t begin = 0; begin < w->depth; begin += w->segment) {
-        const int64_t end = begin + w->segment < w->depth ? begin + w->segment : w->depth;
-        memcpy(w->checkpoints + (size_t)(begin / w->segment) * block, x, sizeof x);
+    invariant_forward(w);
+    for (int64_t begin = 0; begin < w->depth; begin += w->checkpoint_interval) {
+        const int64_t end = next_checkpoint(w, begin);
+        memcpy(checkpoint_at(w, begin), x, sizeof x);
         for (int64_t s = begin; s < end; s++) step_forward(w, s, (size_t)(s - begin), x);
     }
-    for (int64_t begin = w->depth ? (w->depth - 1) / w->segment * w->segment : -1; begin >= 0; begin -= w->segment) {
-        const int64_t end = begin + w->segment < w->depth ? begin + w->segment : w->depth;
+    for (int64_t begin = last_checkpoint(w); begin >= 0; begin -= w->checkpoint_interval) {
+        const int64_t end = next_checkpoint(w, begin);
         if (end < w->depth) {
-            memcpy(x, w->checkpoints + (size_t)(begin / w->segment) * block, sizeof x);
+            memcpy(x, checkpoint_at(w, begin), sizeof x);
             for (int64_t s = begin; s < end; s++) step_forward(w, s, (size_t)(s - begin), x);
         }
-        still_forward(w); /* the way back has overwritten its slopes */
+        invariant_forward(w); /* the way back has overwritten its slopes */
         copy_slopes(w, keep, (size_t)(end - begin), 0);
         for (int i = 0; i < STATES; i++) {
             copy_slopes(w, keep, (size_t)(end - begin), 1);
@@ -130,69 +117,57 @@ static void stretch_tile(Work *w, const Stretches *all, const int64_t *which, co
                 all->d_start[(which[t] * STATES + i) * STATES + j] = bars[i * block + j * TILE + t];
 }
 
-/* Bytes of work space for stretches of at most `depth` sub-steps. */
-int64_t stretch_bytes(int64_t depth) {
+/* Bytes of work space for intervals of at most `depth` sub-steps. */
+int64_t interval_bytes(int64_t depth) {
     Work work;
     Kept keep;
-    char *base = (char *)(uintptr_t)4096; /* nothing is read or written there */
-    const size_t head = (sizeof work + 63) / 64 * 64;
-    return (int64_t)((size_t)(arrange_kept(&work, &keep, arrange(&work, base, depth)) - base) + head + 64);
+    return bytes_until(arrange_kept(&work, &keep, arrange(&work, BASE, depth)));
 }
 
-/* The derivatives of all stretches, which should be in the order of their sub-steps; `depth` is the most. Rows of
-   `d_weights`, `d_constants` and `d_times` are added to. `work` has `stretch_bytes(depth)` bytes. */
-void stretches(const Data *data, const Stretches *all, int64_t depth, const double *weights, const double *numbers,
-               const double *constants, const double *jumps, char *work) {
-    Work *w = (Work *)(((uintptr_t)work + 63) / 64 * 64);
+/* The derivatives of all intervals. */
+void intervals(const Data *data, const Inputs *inputs, const Intervals *all, char *space) {
+    Work *w = work_in(space);
     Kept keep;
-    w->data = data;
-    w->jumps = jumps;
-    arrange_kept(w, &keep, arrange(w, (char *)w + (sizeof *w + 63) / 64 * 64, depth));
-    set_weights(w, weights);
-    for (int i = 0; i < NUMBERS; i++) w->numbers[i] = R(numbers[i]);
+    arrange_kept(w, &keep, open_work(w, data, inputs, all->depth));
     for (int64_t begin = 0; begin < all->count; begin += TILE) {
         int64_t which[TILE];
         w->depth = 0;
         for (int t = 0; t < TILE; t++) {
             w->active[t] = begin + t < all->count;
             which[t] = w->active[t] ? begin + t : begin;
-            set_lane(w, t, all->owner[which[t]], all->first[which[t]], all->steps[which[t]], constants);
+            set_lane(w, t, all->owner[which[t]], all->first[which[t]], all->steps[which[t]]);
         }
-        stretch_tile(w, all, which, &keep);
+        interval_tile(w, all, which, &keep);
     }
 }
 
-/* Chains the derivatives of consecutive stretches of each trajectory, and takes those of the residuals on the way.
-
-   `sum` [..][STATES][columns] is the derivative of an owner's state where a stretch begins; it becomes
-   `d_start sum + own` at its end, where the residuals from[r] to to[r] - 1 take its product with `d_state`; resets leave
-   `release` of it. Rows of an owner follow each other in time. */
-void chain(int64_t rows, int64_t columns, const int64_t *owner, const double *d_start, const double *own,
-           const double *release, const int64_t *from, const int64_t *to, const double *d_state, double *sum,
-           double *out) {
+/* `sum` is the derivative of an owner's state where an interval begins; it becomes `d_start sum + own` at its end, where the
+   residuals from `begin` to `end` take its product with `d_state`; resets leave `release` of it. */
+void chain(const Links *links) {
     enum { WIDE = 256 };
+    const int64_t columns = links->columns;
     double after[STATES][WIDE];
-    for (int64_t r = 0; r < rows; r++) {
-        double *whole = sum + owner[r] * STATES * columns;
+    for (int64_t r = 0; r < links->rows; r++) {
+        double *whole = links->sum + links->owner[r] * STATES * columns;
         for (int64_t begin = 0; begin < columns; begin += WIDE) {
             const int64_t n = columns - begin < WIDE ? columns - begin : WIDE;
             for (int i = 0; i < STATES; i++) {
-                memcpy(after[i], own + (r * STATES + i) * columns + begin, (size_t)n * sizeof(double));
+                memcpy(after[i], links->own + (r * STATES + i) * columns + begin, (size_t)n * sizeof(double));
                 for (int j = 0; j < STATES; j++) {
-                    const double a = d_start[(r * STATES + i) * STATES + j], *before = whole + j * columns + begin;
+                    const double a = links->d_start[(r * STATES + i) * STATES + j], *before = whole + j * columns + begin;
                     if (a != 0) for (int64_t c = 0; c < n; c++) after[i][c] += a * before[c];
                 }
             }
-            for (int64_t k = from[r]; k < to[r]; k++) {
-                double *row = out + k * columns + begin;
+            for (int64_t k = links->begin[r]; k < links->end[r]; k++) {
+                double *row = links->out + k * columns + begin;
                 memset(row, 0, (size_t)n * sizeof(double));
                 for (int i = 0; i < STATES; i++) {
-                    const double d = d_state[k * STATES + i];
+                    const double d = links->d_state[k * STATES + i];
                     if (d != 0) for (int64_t c = 0; c < n; c++) row[c] += d * after[i][c];
                 }
             }
             for (int i = 0; i < STATES; i++) {
-                const double left = release[r * STATES + i];
+                const double left = links->release[r * STATES + i];
                 double *place = whole + i * columns + begin;
                 for (int64_t c = 0; c < n; c++) place[c] = left * after[i][c];
             }

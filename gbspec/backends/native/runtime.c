@@ -18,19 +18,19 @@ typedef int64_t bits;
 #if defined(__AVX512F__)
 #define VECTOR_BYTES 64
 #define COLUMNS 4
-#define ABREAST 4
+#define SIDE_BY_SIDE 4
 #elif defined(__AVX__)
 #define VECTOR_BYTES 32
 #define COLUMNS 2
-#define ABREAST 2
+#define SIDE_BY_SIDE 2
 #elif defined(__aarch64__)
 #define VECTOR_BYTES 16
 #define COLUMNS 4
-#define ABREAST 4
+#define SIDE_BY_SIDE 4
 #else
 #define VECTOR_BYTES 16
 #define COLUMNS 2
-#define ABREAST 2
+#define SIDE_BY_SIDE 2
 #endif
 typedef real vec __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
 typedef bits mask __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)), may_alias));
@@ -58,7 +58,7 @@ typedef bits mask __attribute__((vector_size(VECTOR_BYTES), aligned(sizeof(real)
 typedef real vec;
 typedef bits mask;
 #define COLUMNS 4
-#define ABREAST 1
+#define SIDE_BY_SIDE 1
 #define IN_REGISTER(v) (void)(v)
 #define LANES 1
 #define LANES_HALVED 0
@@ -170,7 +170,7 @@ static const real POWER_OF_2[] = {
 /* The logistic function p(x), and 1 - p(x) as exactly, by e = exp(-x), which is off by what a last bit of x makes; for n
    vectors, of which each operation is done in turn: one's waits are filled with the others' work. */
 INLINE void logistics(const int n, const vec *x, vec *p, vec *rest) {
-    vec z[ABREAST], shifted[ABREAST], r[ABREAST], e[ABREAST];
+    vec z[SIDE_BY_SIDE], shifted[SIDE_BY_SIDE], r[SIDE_BY_SIDE], e[SIDE_BY_SIDE];
     ALL z[j] = at_most(EXP_MOST, at_least(-EXP_MOST, x[j]));
     ALL shifted[j] = z[j] * R(-1.44269504088896340736) + (SHIFT + BIAS);
     ALL r[j] = z[j] * R(-1.44269504088896340736) - (shifted[j] - (SHIFT + BIAS));
@@ -185,7 +185,7 @@ INLINE void v_logistic(vec x, vec *p, vec *rest) { logistics(1, &x, p, rest); }
 
 /* x p(x) in the place of x, and its slope; for n vectors. */
 INLINE void silu(const int n, vec *x, vec *slope) {
-    vec p[ABREAST], rest[ABREAST];
+    vec p[SIDE_BY_SIDE], rest[SIDE_BY_SIDE];
     logistics(n, x, p, rest);
     ALL x[j] = x[j] * p[j];
     ALL slope[j] = x[j] * rest[j] + p[j];
@@ -254,7 +254,7 @@ INLINE void put_row(const int use, const int cols, vec *sum, real *C, real *slop
     UNROLL for (int j = 0; j < cols; j++)
         if (use == SCALES) sum[j] *= load(C + j * LANES);
     if (use == SILUS)
-        UNROLL for (int j = 0; j < cols; j += ABREAST) silu(cols - j < ABREAST ? cols - j : ABREAST, sum + j, s + j);
+        UNROLL for (int j = 0; j < cols; j += SIDE_BY_SIDE) silu(cols - j < SIDE_BY_SIDE ? cols - j : SIDE_BY_SIDE, sum + j, s + j);
     UNROLL for (int j = 0; j < cols; j++) {
         store(C + j * LANES, sum[j]);
         if (use == SILUS) store(slope + j * LANES, s[j]);
@@ -410,12 +410,12 @@ enum { SILU, TANH, SOFTPLUS, RELU, GELU, SIGMOID, ELU, SIN };
     }
 
 static void silus(real *restrict z, real *restrict slope, size_t n) {
-    vec x[ABREAST], s[ABREAST];
+    vec x[SIDE_BY_SIDE], s[SIDE_BY_SIDE];
     size_t i = 0;
-    for (; i + ABREAST * LANES <= n; i += ABREAST * LANES) {
-        UNROLL for (int j = 0; j < ABREAST; j++) x[j] = load(z + i + j * LANES);
-        silu(ABREAST, x, s);
-        UNROLL for (int j = 0; j < ABREAST; j++) store(z + i + j * LANES, x[j]), store(slope + i + j * LANES, s[j]);
+    for (; i + SIDE_BY_SIDE * LANES <= n; i += SIDE_BY_SIDE * LANES) {
+        UNROLL for (int j = 0; j < SIDE_BY_SIDE; j++) x[j] = load(z + i + j * LANES);
+        silu(SIDE_BY_SIDE, x, s);
+        UNROLL for (int j = 0; j < SIDE_BY_SIDE; j++) store(z + i + j * LANES, x[j]), store(slope + i + j * LANES, s[j]);
     }
     for (; i < n; i += LANES) {
         x[0] = load(z + i);

@@ -1,7 +1,7 @@
 """The scalar parts of the equations as C loops over the trajectories of a tile, forward and in reverse.
 
 Between two loops stand the network calls that the first one made the arguments of. A reverse loop computes the forward
-values that it needs again, from the stage's state and the networks' outputs, which are kept.
+values that it needs again, from the Runge-Kutta stage's state and the networks' outputs, which are kept.
 """
 
 from __future__ import annotations
@@ -23,22 +23,21 @@ INDENT = "        "
 class Site:
     """A network call with the place where its arguments and outputs are kept: `sites[number]` of the work space.
 
-    `still`: its arguments are the same for a whole solution (a zero's place, say), so that it is made once for it.
+    `invariant`: its arguments are the same for a whole solution (a zero's place, say), so that it is made once for it.
     """
 
     number: int
     call: Call
     level: int
-    still: bool = False
+    invariant: bool = False
 
 
 class Equations:
     """One set of equations (right-hand side or observation) as C.
 
     `place` gives the C text of a leaf; `outputs` are written to `out`, cotangents read from `ob`, both [output][lane].
-    `skip` is a condition under which a lane is left out (its networks get zeros). `once` tells whether calls whose
-    arguments stay the same are made apart, by `still_forward`; `timed` whether `tb` and `ub` get the cotangents of time
-    and of inputs.
+    `skip` is a condition under which a lane is left out (its networks get zeros). `once` tells whether loop-invariant
+    calls are made apart, by `invariant_forward`; `timed` whether `tb` and `ub` get the cotangents of time and inputs.
     """
 
     def __init__(
@@ -157,7 +156,7 @@ class Equations:
         """The body of the function that computes `out`."""
         lines = []
         for level in range(1 + max((site.level for site in self.sites), default=-1)):
-            sites = [site for site in self.sites if site.level == level and not site.still]
+            sites = [site for site in self.sites if site.level == level and not site.invariant]
             lines += self._pointers([s for s in self.sites if s.level < level], "y")
             lines += self._calls(sites)
         targets = self.flat.outputs
@@ -166,9 +165,9 @@ class Equations:
         lines += self._pointers(self.sites, "y")
         return lines + self._loop([*self._compute(self._cone(targets), targets), *stores], zeros)
 
-    def still_forward(self) -> list[str]:
+    def invariant_forward(self) -> list[str]:
         """The body of the function that makes the calls whose arguments stay the same."""
-        return self._calls([site for site in self.sites if site.still])
+        return self._calls([site for site in self.sites if site.invariant])
 
     def _calls(self, sites: Sequence[Site]) -> list[str]:
         """A loop that makes the arguments of some calls, and the calls."""
@@ -184,11 +183,13 @@ class Equations:
         return [
             *self._pointers(sites, "args"),
             *self._loop([*self._compute(self._cone(targets), targets), *stores], zeros),
-            *(
-                f"    net_forward(&w->nets[{s.call.network}], &w->sites[{s.number}], {'0' if s.still else 'block'});"
-                for s in sites
-            ),
+            *(f"    net_forward({self._network(s)}, {'0' if s.invariant else 'block'});" for s in sites),
         ]
+
+    @staticmethod
+    def _network(site: Site) -> str:
+        """The first arguments of a network's functions."""
+        return f"&w->nets[{site.call.network}], &w->sites[{site.number}]"
 
     def _loop(self, body: Sequence[str], skipped: Sequence[str] = ()) -> list[str]:
         skip = [f"if ({self.skip}) {{ {' '.join(skipped)} continue; }}"] if self.skip else []
@@ -200,7 +201,7 @@ class Equations:
         lines = []
         for site in sites:
             for array in arrays:
-                if array == "ab" or site.still:
+                if array == "ab" or site.invariant:
                     start = f"w->sites[{site.number}].{array}"
                 else:
                     width = len(site.call.arguments) if widths[array] == "inputs" else len(site.call.results)
@@ -212,16 +213,14 @@ class Equations:
     def reverse(self) -> list[str]:
         """The body of the function that adds to `xb` and `kb` from the outputs' cotangents `ob`."""
         lines = self._pointers(self.sites, "args", "ab", "y", "yb")
-        lines += [f"    zero(S{s.number}_yb, TILE*{len(s.call.results)});" for s in self.sites if not s.still]
+        lines += [f"    zero(S{s.number}_yb, TILE*{len(s.call.results)});" for s in self.sites if not s.invariant]
         seeds = [(a, f"ob[{i}*TILE + t]") for i, a in enumerate(self.flat.outputs)]
         lines += self._back(seeds)
         for level in reversed(range(1 + max((site.level for site in self.sites), default=-1))):
-            sites = [site for site in self.sites if site.level == level and not site.still]
+            sites = [site for site in self.sites if site.level == level and not site.invariant]
             for site in sites:
                 mask = sum(1 << i for i, wanted in enumerate(self.wanted(site)) if wanted)
-                lines.append(
-                    f"    net_backward(&w->nets[{site.call.network}], &w->sites[{site.number}], block, {mask}u);"
-                )
+                lines.append(f"    net_backward({self._network(site)}, block, {mask}u);")
             seeds = [
                 (a, self._argument("ab", site, i))
                 for site in sites

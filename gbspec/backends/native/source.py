@@ -1,14 +1,17 @@
-"""The C source of a model's kernel: numbers and equations of the model between two texts that know of none."""
+"""The C source of a model's kernel: its numbers and equations among texts that know of no model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from typing import Literal, assert_never
 
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
-from gbspec.backends.native.sections import Equations
+from gbspec.backends.native.sections import Equations, Site
+from gbspec.backends.native.structs import declarations
 from gbspec.ir.methods import RK4, Explicit, Method
 from gbspec.ir.model import Model, Network
 from gbspec.ir.residuals import LOG_FLOOR
@@ -41,7 +44,15 @@ OBSERVE_PLACES = RHS_PLACES | {
 }
 
 
-def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> str:
+@dataclass(frozen=True)
+class Source:
+    """C of the unroll of a model; `sizes` has its numbers by name (`STATES`, ...)."""
+
+    text: str
+    sizes: dict[str, int]
+
+
+def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> Source:
     """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a form that is left to torch."""
     _check(model)
     balances = flatten(model, model.balances)
@@ -54,25 +65,29 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
         "observe",
         skip="w->rows[t] < 0",
     )
+    numbers = _numbers(model, precision, method, rhs, observe)
     head = [
-        "#include <math.h>",
-        "#include <stddef.h>",
-        "#include <stdint.h>",
-        "#include <string.h>",
+        *(f"#include <{name}.h>" for name in ("math", "stddef", "stdint", "string")),
         "",
-        *_numbers(model, precision, method, rhs, observe),
+        *(f"#define {name} {value}" for name, value in numbers.items()),
+        *_tableau(method),
+        *_sites([*rhs.sites, *observe.sites]),
+        "",
+        *declarations(),
+        "",
     ]
-    before, after = _text("driver.c").split("/* ---- EQUATIONS ---- */\n")
+    before, after = ("runtime", "networks", "work"), ["steps", "rows", "driver"]
     # Only fits by least squares, which are done in double precision, need the Jacobian.
-    jacobian = [_text("jacobian.c")] if precision == "float64" else []
-    equations = _equations(model, rhs, observe)
-    general = [_text("runtime.c"), _text("networks.c")]
-    return "\n".join([*head, "", *general, before, *_tableau(method), *equations, after, *jacobian])
+    after += ["jacobian"] if precision == "float64" else []
+    parts = [*map(_text, before), *_equations(model, rhs, observe), *map(_text, after)]
+    return Source(
+        "\n".join([*head, *parts]), {name: value for name, value in numbers.items() if isinstance(value, int)}
+    )
 
 
 @cache
 def _text(name: str) -> str:
-    return resources.files("gbspec.backends.native").joinpath(name).read_text(encoding="utf-8")
+    return resources.files("gbspec.backends.native").joinpath(f"{name}.c").read_text(encoding="utf-8")
 
 
 def _check(model: Model) -> None:
@@ -94,11 +109,13 @@ def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
     return lambda leaf: table[leaf.kind].format(leaf.index)
 
 
-def _numbers(model: Model, precision: Precision, method: Method, rhs: Equations, observe: Equations) -> list[str]:
+def _numbers(
+    model: Model, precision: Precision, method: Method, rhs: Equations, observe: Equations
+) -> dict[str, int | float]:
     sites = len(rhs.sites) + len(observe.sites)
     size = 8 if precision == "float64" else 4
     per_step = 4 * TILE * max([n for network in model.networks for n in network.hidden] or [1]) * size
-    values = {
+    return {
         "REAL_IS_FLOAT": int(precision == "float32"),
         "TILE": TILE,
         "STATES": len(model.states),
@@ -108,6 +125,7 @@ def _numbers(model: Model, precision: Precision, method: Method, rhs: Equations,
         "LEARNABLES": len(model.learnables),
         "CHANNELS": len(model.channels),
         "NETWORKS": len(model.networks),
+        "WEIGHTS": sum((a + 1) * b for network in model.networks for a, b in pairwise(network.sizes)),
         "NUMBERS": len(numbers_of(model)),
         "RHS_SITES": len(rhs.sites),
         "SITES": sites,
@@ -118,7 +136,6 @@ def _numbers(model: Model, precision: Precision, method: Method, rhs: Equations,
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
         "LOG_FLOOR": LOG_FLOOR,
     }
-    return [f"#define {name} {value}" for name, value in values.items()]
 
 
 def _tableau(method: Method) -> list[str]:
@@ -141,19 +158,22 @@ def _braces(values: Iterable[object]) -> str:
     return f"{{{', '.join(map(repr, values))}}}"
 
 
+def _sites(sites: Sequence[Site]) -> list[str]:
+    networks = [site.call.network for site in sites] or [0]
+    invariant = [int(site.invariant) for site in sites] or [0]
+    return [
+        f"static const int SITE_NETWORK[] = {_braces(networks)};",
+        f"static const int SITE_INVARIANT[] = {_braces(invariant)}; /* whether a call is made once for a tile */",
+    ]
+
+
 def _equations(model: Model, rhs: Equations, observe: Equations) -> list[str]:
-    sites = [*rhs.sites, *observe.sites]
-    networks = [str(site.call.network) for site in sites] or ["0"]
-    still = [str(int(site.still)) for site in sites] or ["0"]
     lines = [
-        f"static const int SITE_NETWORK[] = {{{', '.join(networks)}}};",
-        f"static const int SITE_STILL[] = {{{', '.join(still)}}}; /* whether a call is made once for a tile */",
-        "",
         *_set_networks(model.networks),
         "",
-        "static void still_forward(Work *w) {",
+        "static void invariant_forward(Work *w) {",
         "    (void)w;",
-        *rhs.still_forward(),
+        *rhs.invariant_forward(),
         "}",
         "",
     ]

@@ -17,6 +17,7 @@ from sympy.logic.boolalg import BooleanAtom
 from gbspec.backends.printing.nodes import Guard, Operation, Where
 from gbspec.diagnostics import Defect
 from gbspec.ir.arrays import Element, Total
+from gbspec.ir.derivatives import ordered
 from gbspec.ir.forms import logistic, softplus
 
 OR, ADD, MUL, NEGATIVE, POWER, ATOM = range(6)
@@ -208,7 +209,7 @@ class Printer(ABC):
     # -------------------------------------------------------------- choices
     def _extremum(self, node: sympy.Basic) -> str:
         word = "maximum" if isinstance(node, sympy.Max) else "minimum"
-        first, *rest = sorted(node.args, key=sympy.default_sort_key)
+        first, *rest = ordered(node)
         text = self.print(first)
         for argument in rest:
             text = self.call(word, text, self.print(argument))
@@ -236,7 +237,7 @@ class Printer(ABC):
                 return self.call("logical_or", taken, left), ATOM
             case sympy.And() | sympy.Or():
                 word = "logical_and" if isinstance(node, sympy.And) else "logical_or"
-                first, *rest = sorted(node.args, key=sympy.default_sort_key)
+                first, *rest = ordered(node)
                 text = self.print(first)
                 for argument in rest:
                     text = self.call(word, text, self.print(argument))

@@ -21,6 +21,7 @@ import numpy as np
 import sympy
 
 from gbspec.arrays import Array, Mask
+from gbspec.ir.derivatives import derivative
 from gbspec.ir.model import Expr
 from gbspec.passes.identifiability.question import Application, Question
 from gbspec.passes.identifiability.series import Algebra, Evaluation
@@ -305,13 +306,13 @@ class Jet:
         present = e.free_symbols
         for column, learnable in enumerate(question.sought):
             if learnable.symbol in present:
-                total[column] += evaluation(sympy.diff(e, learnable.symbol))
+                total[column] += evaluation(derivative(e, learnable.symbol))
         parts = {self._states[i]: change for i, change in changes.items()}
         parts.update((k.symbol, self._free("own", k.name)) for k in question.own if k.symbol in present)
         parts.update((a.value, c) for a, c in zip(question.applications, networks, strict=False))
         for symbol, change in parts.items():
             if symbol in present and np.any(change):
-                total = self._sum(total, algebra.times(evaluation(sympy.diff(e, symbol)), change))
+                total = self._sum(total, algebra.times(evaluation(derivative(e, symbol)), change))
         return total
 
 

@@ -23,6 +23,12 @@ class Forcing:
     value: Array
     weight: Array
 
+    def reset(self, before: Array) -> Array:
+        """The states at the key rows [R, n_states] after what is measured there has replaced them."""
+        with np.errstate(invalid="ignore", over="ignore"):  # of a solution that blew up
+            blended = before - self.weight * (before - self.value)
+        return np.where(self.weight == 1.0, self.value, blended)
+
 
 def measured_states(model: Model, packed: Packed) -> tuple[Array, Mask]:
     """Measured values of states [R, n_states] (NaN: not measured) and where there is one.

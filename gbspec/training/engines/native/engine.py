@@ -13,8 +13,11 @@ from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group
 from gbspec.training.engines.linearised import Jacobian
+from gbspec.training.engines.native.gradient import HalfSquares
+from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.jacobian import jacobian
-from gbspec.training.engines.native.kernel import HalfSquares, Kernel, Natural, Swept, Tables
+from gbspec.training.engines.native.kernel import Kernel, Swept
+from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.torch.unroll import observe_rows
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
@@ -49,18 +52,15 @@ class NativeEngine:
         """What is predicted at a vector."""
         vector = torch.from_numpy(theta)
         with torch.no_grad():
-            inputs = Natural.of(self.problem, self.parameters, vector)
-            before = self.kernel.sweep(self.tables(path), inputs, False).arrivals
+            inputs = KernelInputs.of(self.problem, self.parameters, vector)
+            before = self.kernel.sweep(self.tables(path), inputs, False).states
             mean = self._observed(vector, before, inputs.constants)
-        forcing = self.problem.forcing
-        with np.errstate(invalid="ignore", over="ignore"):  # states of a solution that blew up
-            after = before - forcing.weight * (before - forcing.value)
-        return Moments(mean, before, after, inputs.initial.numpy())
+        return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())
 
     def kernel_residuals(self, theta: Array, path: Path) -> Array:
         """The residuals [R, C] as the kernel computes them for its own gradients (for tests of their definition)."""
         with torch.no_grad():
-            inputs = Natural.of(self.problem, self.parameters, torch.from_numpy(theta))
+            inputs = KernelInputs.of(self.problem, self.parameters, torch.from_numpy(theta))
         return self.kernel.sweep(self.tables(path), inputs, False).residuals
 
     def _observed(self, vector: Tensor, before: Array, constants: Tensor) -> Array:
@@ -97,12 +97,12 @@ class NativeEngine:
         """One call of the kernel, forward and back: half the sum of squared residuals, and the product of `cotangent`
         (None: the residuals) with the residuals' Jacobian."""
         vector = torch.from_numpy(theta).requires_grad_()
-        n = Natural.of(self.problem, self.parameters, vector)
+        n = KernelInputs.of(self.problem, self.parameters, vector)
 
         def call() -> Swept:
             return self.kernel.sweep(self.tables(path), n, True, cotangent=cotangent, index=index)
 
-        loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.doses, n.times)  # type: ignore[no-untyped-call]  # torch's
+        loss: Tensor = HalfSquares.apply(call, n.weights, n.constants, n.initial, n.amounts, n.times)  # type: ignore[no-untyped-call]  # torch's
         if not loss.requires_grad:
             return float(loss), np.zeros_like(theta)
         (gradient,) = torch.autograd.grad(loss, vector, allow_unused=True)

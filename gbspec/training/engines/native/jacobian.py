@@ -1,12 +1,11 @@
-"""The Jacobian through the native kernel: derivatives of the stretches between key rows, and their chain.
+"""The Jacobian through the native kernel: derivatives of the intervals between key rows, and their chain.
 
-What `engines.torch.jacobian` says of segments holds here; the kernel does the work for some trajectories at a time,
-so that neither the derivatives of stretches nor the sums that they are chained to leave the processor's cache.
+What `engines.columns` says of intervals holds here; the kernel does the work for some trajectories at a time,
+so that neither the derivatives of intervals nor the sums that they are chained to leave the processor's cache.
 """
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,12 +14,15 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.backends.module.template.networks import _layers, _torch_like
+from gbspec.backends.module import network_layers
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import terms_of
 from gbspec.training.engines.engine import Moments
 from gbspec.training.engines.linearised import Jacobian, Observed
-from gbspec.training.engines.native.kernel import Kernel, Natural, Tables, workspace
+from gbspec.training.engines.native.inputs import KernelInputs
+from gbspec.training.engines.native.kernel import Kernel
+from gbspec.training.engines.native.tables import Tables
+from gbspec.training.engines.native.threads import workspace
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
@@ -28,35 +30,10 @@ from gbspec.training.problem.problem import Problem
 BLOCK_BYTES = 8 * 2**20
 """Derivatives of about this size are made before they are chained."""
 
-_FIELDS = (
-    "owner",
-    "first",
-    "steps",
-    "start",
-    "factor",
-    "shift",
-    "d_start",
-    "d_weights",
-    "d_constants",
-    "d_jumps",
-    "d_times",
-)
-
-
-class _Stretches(ctypes.Structure):
-    """`Stretches` of `jacobian.c`."""
-
-    _fields_ = [
-        ("count", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in _FIELDS),
-        ("columns", ctypes.c_int64),
-        ("jumps", ctypes.c_int64),
-    ]
-
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Of the states at the ends of B stretches: by their first states [B, n, n], by trained weights [B, n, columns]
+    """Of the states at the ends of B intervals: by their first states [B, n, n], by trained weights [B, n, columns]
     (columns beyond the weights' are zero) and by learnable constants, natural [B, n, n_learnables]."""
 
     start: Array
@@ -64,8 +41,8 @@ class Derivatives:
     constants: Array
 
 
-class Stretches:
-    """The stretches that end at the key rows of a problem, at one vector whose `moments` are these."""
+class Intervals:
+    """The intervals that end at the key rows of a problem, at one vector whose `moments` are these."""
 
     def __init__(
         self, problem: Problem, kernel: Kernel, parameters: Parameters, theta: Array, tables: Tables, moments: Moments
@@ -73,7 +50,7 @@ class Stretches:
         self.problem, self.kernel, self.parameters, self.tables = problem, kernel, parameters, tables
         vector = torch.from_numpy(theta)
         with torch.no_grad():
-            self.natural = Natural.of(problem, parameters, vector)
+            self.inputs = KernelInputs.of(problem, parameters, vector)
             self.factor, self.shift = _trained(problem, parameters, theta)
         packed = self.tables.packed
         self.first = packed.first_step
@@ -84,45 +61,41 @@ class Stretches:
         self.doses = _Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
 
     def derivatives(self, rows: Integers, columns: int) -> Derivatives:
-        """Of the stretches that end at some rows; none by weights with `columns` 0."""
+        """Of the intervals that end at some rows; none by weights with `columns` 0."""
         n, count = len(self.problem.model.states), len(rows)
         order = np.argsort(-self.steps[rows], kind="stable")
         chosen, back = rows[order], np.argsort(order, kind="stable")
-        jumps = len(self.problem.packed.doses.time)
-        arrays = {
-            "owner": np.ascontiguousarray(self.problem.packed.row_trajectory[chosen], dtype=np.int64),
-            "first": self.first[chosen],
-            "steps": self.steps[chosen],
-            "start": self.start[chosen],
-            "factor": self.factor,
-            "shift": self.shift,
-            "d_start": np.zeros((count, n, n)),
-            "d_weights": np.zeros((count, n, columns)),
-            "d_constants": np.zeros((count, n, len(self.problem.model.learnables))),
-            "d_jumps": np.zeros((n, jumps)),
-            "d_times": np.zeros((n, jumps)),
-        }
-        pointers: dict[str, int | None] = {name: array.ctypes.data for name, array in arrays.items()}
-        if not columns:
-            pointers["d_weights"] = None
-        struct = _Stretches(count, *(pointers[name] for name in _FIELDS), columns, jumps)
-        depth = int(arrays["steps"].max(initial=0))
-        weights, constants, _, doses, numbers = (np.ascontiguousarray(a) for a in self.natural.arrays())
+        arrivals = len(self.problem.packed.doses.time)
+        steps = self.steps[chosen]
+        depth = int(steps.max(initial=0))
+        d_start, d_weights = np.zeros((count, n, n)), np.zeros((count, n, columns))
+        d_constants = np.zeros((count, n, len(self.problem.model.learnables)))
+        d_amounts, d_times = np.zeros((n, arrivals)), np.zeros((n, arrivals))
         library = self.kernel.library
-        library.stretches(
-            ctypes.byref(self.tables.struct),
-            ctypes.byref(struct),
-            depth,
-            weights.ctypes.data,
-            numbers.ctypes.data,
-            constants.ctypes.data,
-            doses.ctypes.data,
-            workspace(int(library.stretch_bytes(depth))).ctypes.data,
+        intervals = library.struct(
+            "Intervals",
+            count=count,
+            depth=depth,
+            columns=columns,
+            arrivals=arrivals,
+            owner=np.ascontiguousarray(self.problem.packed.row_trajectory[chosen], dtype=np.int64),
+            first=self.first[chosen],
+            steps=steps,
+            start=self.start[chosen],
+            factor=self.factor,
+            shift=self.shift,
+            d_start=d_start,
+            d_weights=d_weights if columns else None,
+            d_constants=d_constants,
+            d_amounts=d_amounts,
+            d_times=d_times,
         )
-        found = arrays["d_constants"][back]
+        space = workspace(library.interval_bytes(depth))
+        library.intervals(self.tables.data(library), self.inputs.struct(library), intervals, space)
+        found = d_constants[back]
         if self.doses is not None:
-            self.doses.add(found, rows, arrays["d_jumps"], arrays["d_times"])
-        return Derivatives(arrays["d_start"][back], arrays["d_weights"][back], found)
+            self.doses.add(found, rows, d_amounts, d_times)
+        return Derivatives(d_start[back], d_weights[back], found)
 
     def blocks(self, columns: int) -> Iterator[tuple[Integers, list[Integers]]]:
         """Trajectories that are done together, and their key rows in turn: trajectory by trajectory, in time."""
@@ -141,18 +114,18 @@ class Stretches:
 
 
 def jacobian(columns: Columns, kernel: Kernel, tables: Tables, moments: Moments, observed: Observed) -> Jacobian:
-    """Derivatives of the measured values, the stretches' and their chain from the native kernel."""
+    """Derivatives of the measured values, the intervals' and their chain from the native kernel."""
     problem, parameters, packed = columns.problem, columns.parameters, columns.problem.packed
-    stretches = Stretches(problem, kernel, parameters, columns.theta, tables, moments)
+    intervals = Intervals(problem, kernel, parameters, columns.theta, tables, moments)
     # Every row is written once; for much data this is by far the largest array.
     shared = np.empty((len(observed.row), columns.shared))
     local = np.empty((len(observed.row), parameters.n_local))
     unused = [columns.zeros(())] * len(problem.model.constants)
     release, d_state = 1.0 - problem.forcing.weight, np.ascontiguousarray(observed.state.numpy())
-    for who, blocks in stretches.blocks(columns.shared):
+    for who, blocks in intervals.blocks(columns.shared):
         totals = [part.numpy() for part in columns.initial(torch.from_numpy(who))]
         for rows in blocks:
-            found, owner = stretches.derivatives(rows, columns.shared), packed.row_trajectory[rows]
+            found, owner = intervals.derivatives(rows, columns.shared), packed.row_trajectory[rows]
             own = np.zeros((len(rows), columns.n_states, local.shape[1]))
             of_constants = list(torch.from_numpy(found.constants).unbind(2))
             of_weights, of_own = torch.from_numpy(found.weights), torch.from_numpy(own)
@@ -178,14 +151,26 @@ def chain(
     total: Array,
     out: Array,
 ) -> None:
-    """Takes the sums `total` [.., n, columns] of owners on by their stretches, `d_start` [B, n, n] and `own`
+    """Takes the sums `total` [.., n, columns] of owners on by their intervals, `d_start` [B, n, n] and `own`
     [B, n, columns], and writes rows `places[0][b]` to `places[1][b] - 1` of the Jacobian `out` [m, columns], which
     `d_state` [m, n] gives; `release` [B, n] is left over by resets."""
     if not own.shape[-1]:
         return
-    arrays = [np.ascontiguousarray(owner, dtype=np.int64), d_start, own, np.ascontiguousarray(release), *places]
-    arrays += [d_state, total, out]
-    kernel.library.chain(len(owner), own.shape[-1], *(array.ctypes.data for array in arrays))
+    links = kernel.library.struct(
+        "Links",
+        rows=len(owner),
+        columns=own.shape[-1],
+        owner=np.ascontiguousarray(owner, dtype=np.int64),
+        d_start=d_start,
+        own=own,
+        release=np.ascontiguousarray(release),
+        begin=places[0],
+        end=places[1],
+        d_state=d_state,
+        sum=total,
+        out=out,
+    )
+    kernel.library.chain(links)
 
 
 def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Array, Array]:
@@ -197,18 +182,18 @@ def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Ar
     weights = parameters.weights(torch.from_numpy(theta))
     slopes = problem.module.weight_slopes({name: value.numpy() for name, value in weights.items()})
     factors, shifts = [np.zeros(0)], [np.zeros(0)]
-    for network in problem.module.networks:
-        layers, scales = _layers(network, weights, problem.ops, _torch_like)
-        center, scale, _, output_scale = (part.numpy() for part in scales)
-        for i, (weight, bias) in enumerate(layers):
+    for network in network_layers(problem.module, weights, problem.ops):
+        center, scale = network.input_center.numpy(), network.input_scale.numpy()
+        output_scale = network.output_scale.numpy()
+        for i, (weight, bias) in enumerate(network.layers):
             own = np.ones(tuple(weight.shape)), np.ones(tuple(bias.shape))
-            if i == len(layers) - 1 and not network["raw"]:
+            if i == len(network.layers) - 1 and not network.raw:
                 own = own[0] * output_scale[:, None], own[1] * output_scale
             if i == 0:
                 own = own[0] / scale, own[1]
             moved = np.broadcast_to(center, own[0].shape) if i == 0 else np.zeros(own[0].shape)
             for word, factor, shift in zip(("weight", "bias"), own, (moved, np.zeros(own[1].shape)), strict=True):
-                slope = slopes.get(f"network.{network['name']}.{i}.{word}", 1.0)
+                slope = slopes.get(f"network.{network.name}.{i}.{word}", 1.0)
                 factors.append((factor * slope).ravel())
                 shifts.append(shift.ravel())
     return np.concatenate(factors), np.concatenate(shifts)
@@ -236,12 +221,12 @@ class _Doses:
 
         self.of_amount = slopes([fraction for fraction, _ in terms]) * events.amount[:, None]
         self.of_time = slopes([lag for _, lag in terms])
-        self.row = tables.jump_row
+        self.row = tables.arrival_row
 
-    def add(self, constants: Array, rows: Integers, d_jumps: Array, d_times: Array) -> None:
-        """Adds, to derivatives by constants [B, n, n_learnables] of some rows, those through the jumps [n, E]."""
+    def add(self, constants: Array, rows: Integers, d_amounts: Array, d_times: Array) -> None:
+        """Adds, to derivatives by constants [B, n, n_learnables] of some rows, those through what arrives [n, E]."""
         here = np.flatnonzero(np.isin(self.row, rows))
         order = np.argsort(rows)
         place = order[np.searchsorted(rows, self.row[here], sorter=order)]
-        for by_jump, slope in ((d_jumps, self.of_amount), (d_times, self.of_time)):
-            np.add.at(constants, place, by_jump.T[here][:, :, None] * slope[here][:, None, :])
+        for by_arrival, slope in ((d_amounts, self.of_amount), (d_times, self.of_time)):
+            np.add.at(constants, place, by_arrival.T[here][:, :, None] * slope[here][:, None, :])

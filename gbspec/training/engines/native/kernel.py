@@ -1,154 +1,42 @@
-"""Solutions and gradients of packed problems by the generated native kernel (`gbspec.backends.native`).
-
-The kernel takes what the right-hand side uses (layers' weights, constants, initial states) and gives residuals and the
-gradient of half their squares in one call; how these come from the trainable vector is left to torch, whose automatic
-differentiation takes the kernel as one node (`HalfSquares`).
-"""
+"""Solutions and derivatives of packed problems by the compiled native kernel of a model (`gbspec.backends.native`)."""
 
 from __future__ import annotations
 
-import ctypes
-import os
-import threading
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends.module.template.networks import _folded, _layers, _torch_like
-from gbspec.backends.native import CompilerError, compiled, source
-from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
-from gbspec.backends.native.source import TILE, Precision
+from gbspec.backends.native import TILE, CompilerError, Library, NotCoveredError, Precision, Struct, source
 from gbspec.ir.methods import METHODS, RK4, Method
 from gbspec.ir.model import Model
-from gbspec.training.engines.deliveries import delivered
 from gbspec.training.engines.engine import Lack, Unable
+from gbspec.training.engines.native.inputs import KernelInputs
+from gbspec.training.engines.native.tables import Tables
+from gbspec.training.engines.native.threads import shared_out, workspace
 from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
 
 SHARES = 8
 """Shares of the work for each thread."""
-_FIELDS = (
-    "t",
-    "h",
-    "inputs",
-    "condition",
-    "steps",
-    "row_at",
-    "row_time",
-    "row_inputs",
-    "measured",
-    "factor",
-    "value",
-    "weight",
-    "jump_at",
-    "jump_next",
-    "jump_state",
-    "jump_cuts",
-    "slope",
-    "logarithmic",
-)
-
-
-class _Data(ctypes.Structure):
-    """`Data` of `driver.c`."""
-
-    _fields_ = [
-        ("depth", ctypes.c_int64),
-        ("trajectories", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in _FIELDS),
-    ]
-
-
-class Tables:
-    """A problem's data on a path as the kernel reads them; keeps the arrays that its pointers point to."""
-
-    def __init__(self, problem: Problem, path: Path) -> None:
-        self.path = path
-        packed = path.packed
-        row_at = np.full((packed.trajectories, packed.depth + 1), -1, dtype=np.int32)
-        row_at[packed.row_trajectory, packed.row_step] = np.arange(packed.rows)
-        arrays = {
-            # What is read step by step lies in one piece for a trajectory.
-            "t": packed.t.T,
-            "h": packed.h.T,
-            "inputs": packed.inputs.swapaxes(0, 1),
-            "condition": packed.condition,
-            "steps": packed.steps,
-            "row_at": row_at,
-            "row_time": packed.row_time,
-            "row_inputs": packed.row_inputs,
-            "measured": problem.measured,
-            "factor": problem.factor,
-            "value": problem.forcing.value,
-            "weight": problem.forcing.weight,
-            "logarithmic": problem.scaling.log.astype(np.int32),
-        } | _jumps(problem.model, path)
-        self._kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-        pointers = [self._kept[name].ctypes.data if name in self._kept else None for name in _FIELDS]
-        self.struct = _Data(packed.depth, packed.trajectories, *pointers)
-        self.packed, self.jumps = packed, len(packed.doses.time)
-        self.shape = (packed.rows, len(problem.model.channels))
-        self.states = len(problem.model.states)
-        self.steps, self.depth = packed.steps, packed.depth
-        # Trajectories of about the same number of steps share a tile.
-        self.order = np.argsort(-packed.steps, kind="stable").astype(np.int64)
-
-    @cached_property
-    def jump_row(self) -> Integers:
-        """The key row at the end of the stretch in which each dose arrives [E]; -1: none."""
-        packed, step = self.packed, self.path.step
-        owner, wide = packed.doses.owner, packed.depth + 2
-        row = np.lexsort((packed.row_step, packed.row_trajectory))
-        reached = packed.row_trajectory[row] * wide + packed.row_step[row]
-        place = np.searchsorted(reached, owner * wide + step, side="right")
-        found = np.append(row, 0)[np.minimum(place, len(row))]
-        lies = (step >= 0) & (place < len(row)) & (np.append(packed.row_trajectory[row], -1)[place] == owner)
-        return np.where(lies, found, -1)
-
-
-def _jumps(model: Model, places: Path) -> dict[str, NDArray[Any]]:
-    """Doses at the starts of sub-steps."""
-    packed, step = places.packed, places.step
-    if not len(step):
-        return {}
-    first = np.full((packed.trajectories, packed.depth), -1, dtype=np.int32)
-    heads = np.setdiff1d(np.flatnonzero(step >= 0), places.following)
-    first[packed.doses.owner[heads], step[heads]] = heads
-    state = np.array([model.state_index[dose.state] for dose in model.doses], dtype=np.int32)
-    return {
-        "jump_at": first,
-        "jump_next": places.following.astype(np.int32),
-        "jump_state": state[packed.doses.kind],
-        "jump_cuts": places.cuts.astype(np.int32),
-        "slope": places.slope.swapaxes(0, 1),
-    }
 
 
 @dataclass
 class Swept:
     """What a call of the kernel gives.
 
-    `residuals` [R, C], `arrivals` [R, n_states]; gradients of weights [W], learnable constants [N, n_learnables] and
-    initial states [N, n_states], doses [E] and, where lags are learned, their arrivals [E] (zeros where none were asked
-    for).
+    `residuals` [R, C], `states` on arrival [R, n_states]; gradients of weights [W], learnable constants
+    [N, n_learnables] and initial states [N, n_states], amounts of doses [E] and, where lags are learned, their arrivals
+    [E] (zeros where none were asked for).
     """
 
     residuals: Array
-    arrivals: Array
+    states: Array
     d_weights: Array
     d_constants: Array
     d_initial: Array
-    d_doses: Array
+    d_amounts: Array
     d_times: Array
 
     @classmethod
@@ -156,7 +44,12 @@ class Swept:
         """What is filled in for some tables."""
         n, rows = len(tables.steps), tables.shape[0]
         shapes = (tables.shape, (rows, tables.states), weights, (n, learnables), (n, tables.states))
-        return cls(*(np.zeros(shape) for shape in (*shapes, tables.jumps, tables.jumps)))
+        return cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals)))
+
+    def filled_by(self, library: Library) -> Struct:
+        """The arrays that all shares of a call write into, as the kernel takes them."""
+        names = ("residuals", "states", "d_constants", "d_initial", "d_amounts", "d_times")
+        return library.struct("Outputs", **{name: getattr(self, name) for name in names})
 
 
 class Kernel:
@@ -167,27 +60,16 @@ class Kernel:
 
     def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4) -> None:
         self.model, self.precision = model, precision
-        self.library = compiled(source(model, precision, method))
-        self.library.work_bytes.restype = ctypes.c_int64
-        self.library.work_bytes.argtypes = [ctypes.c_int64]
-        self.library.run.restype = None
-        pointer, whole = ctypes.c_void_p, ctypes.c_int64
-        self.library.run.argtypes = [pointer, pointer, *[whole] * 3, *[pointer] * 13, ctypes.c_int32, pointer]
-        if precision == "float64":  # what jacobian.c adds
-            self.library.stretch_bytes.restype = ctypes.c_int64
-            self.library.stretch_bytes.argtypes = [ctypes.c_int64]
-            self.library.stretches.restype = self.library.chain.restype = None
-            self.library.stretches.argtypes = [pointer, pointer, whole, *[pointer] * 5]
-            self.library.chain.argtypes = [whole, whole, *[pointer] * 9]
+        self.library = Library(source(model, precision, method))
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""
-        return int(self.library.work_bytes(depth))
+        return self.library.work_bytes(depth)
 
     def sweep(
         self,
         tables: Tables,
-        natural: Natural,
+        inputs: KernelInputs,
         gradient: bool,
         cotangent: Array | None = None,
         index: Integers | None = None,
@@ -198,75 +80,35 @@ class Kernel:
         Rows of other trajectories are zero. The gradient is
         `cotangent` [R, C] (None: the residuals) times the residuals' Jacobian.
         """
-        weights, constants, initial, doses, numbers = (np.ascontiguousarray(a) for a in natural.arrays())
         order = tables.order if index is None else index[np.argsort(-tables.steps[index], kind="stable")]
-        out = Swept.zeros(tables, len(weights), len(self.model.learnables))
+        out = Swept.zeros(tables, len(inputs.weights), len(self.model.learnables))
         tiles = -(-len(order) // TILE)
         threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
         # More shares than threads: a core that something else takes a while leaves its share to the others. Each share
         # has sums of its own, added in order, so that the result does not depend on which thread took which.
         count = 1 if threads == 1 else min(tiles, SHARES * threads)
-        size = self.work_bytes(tables.depth)
-        parts = [out.d_weights, *(np.zeros(len(weights)) for _ in range(count - 1))]
-        towards = None if cotangent is None else np.ascontiguousarray(cotangent)
-        given = _pointers(weights, numbers, constants, initial, doses, towards, out.residuals, out.arrivals)
-        derivatives = _pointers(out.d_constants, out.d_initial, out.d_doses, out.d_times)
+        size, library = self.work_bytes(tables.depth), self.library
+        parts = [out.d_weights, *(np.zeros_like(out.d_weights) for _ in range(count - 1))]
+        data, given, filled = tables.data(library), inputs.struct(library), out.filled_by(library)
+        common: dict[str, Array | Integers | int | None] = {
+            "count": len(order),
+            "stride": count,
+            "gradient": int(gradient),
+            "order": order,
+            "cotangent": None if cotangent is None else np.ascontiguousarray(cotangent),
+        }
 
         def part(i: int) -> None:
-            here, sums, space = (order.ctypes.data, len(order), i, count), parts[i], workspace(size)
-            to = (sums.ctypes.data, *derivatives, int(gradient), space.ctypes.data)
-            self.library.run(ctypes.byref(tables.struct), *here, *given, *to)
+            share = library.struct("Share", first=i, d_weights=parts[i], **common)
+            library.run(data, given, share, filled, workspace(size))
 
         if count == 1:
             part(0)
         else:
-            _shared_out(part, count, threads)
+            shared_out(part, count, threads)
         for other in parts[1:]:
             out.d_weights += other
         return out
-
-
-def _pointers(*arrays: Array | None) -> list[int | None]:
-    """Where arrays begin; None where there is none."""
-    return [None if array is None else array.ctypes.data for array in arrays]
-
-
-def _shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
-    """Does all parts on some threads. The one that asks is among them: if it slept, two that it wakes would often find
-    themselves on one core. The calls hold no lock of the interpreter, so plain threads run side by side."""
-    left = iter(range(count))
-
-    def work() -> None:
-        for i in left:
-            part(i)
-
-    helpers = [_pool(threads - 1, os.getpid()).submit(work) for _ in range(threads - 1)]
-    try:
-        work()
-    finally:
-        # Whatever stopped this one: the others read arrays of the caller.
-        for _ in left:
-            pass
-        wait(helpers)
-    for helper in helpers:
-        helper.result()
-
-
-@cache
-def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Threads that wait for work, made anew in a forked process."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="gbspec-kernel")
-
-
-_spaces = threading.local()
-
-
-def workspace(size: int) -> NDArray[np.uint8]:
-    """The work space of the thread that asks, kept between calls."""
-    space: NDArray[np.uint8] | None = getattr(_spaces, "bytes", None)
-    if space is None or len(space) < size:
-        space = _spaces.bytes = np.empty(size, dtype=np.uint8)
-    return space
 
 
 _kernels: dict[tuple[type[Any], Precision], Kernel | Unable] = {}
@@ -283,82 +125,3 @@ def kernel_of(model: Model, module: type[Any], precision: Precision = "float64")
         except CompilerError as error:
             _kernels[key] = Unable(Lack.COMPILER, str(error))
     return _kernels[key]
-
-
-# ---------------------------------------------------------------------- from the trainable vector
-def _layer_weights(problem: Problem, weights: dict[str, Tensor], like: Tensor) -> Tensor:
-    """All layers' weights and biases as the kernel takes them, the networks' scales multiplied in."""
-    parts: list[Tensor] = []
-    for network in problem.module.networks:
-        layers, scales = _layers(network, weights, problem.ops, _torch_like)
-        parts += [part.reshape(-1) for layer in _folded(network, layers, scales) for part in layer]
-    return torch.cat(parts) if parts else like.new_zeros(0)
-
-
-def _numbers(problem: Problem, weights: dict[str, Tensor]) -> Array:
-    """Centres and scales of outputs, scales of arguments, network by network."""
-    names = {"center": "output_center", "scale": "output_scale", "spread": "input_scale"}
-    parts = [
-        weights[f"network.{network['name']}.{names[word]}"].detach().numpy().ravel()
-        for network in problem.module.networks
-        for word in NUMBER_WORDS
-    ]
-    return np.concatenate([*parts, np.zeros(0)])
-
-
-@dataclass(frozen=True)
-class Natural:
-    """What the kernel takes, as functions of the trainable vector.
-
-    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `doses` [E], how
-    much of each arrives, and `times` [E], when; `numbers`: scales that the forms of contracts use.
-    """
-
-    weights: Tensor
-    constants: Tensor
-    initial: Tensor
-    doses: Tensor
-    times: Tensor
-    numbers: Array
-
-    @classmethod
-    def of(cls, problem: Problem, parameters: Parameters, vector: Tensor) -> Natural:
-        """The values at a vector, differentiable in it."""
-        weights = parameters.weights(vector)
-        constants = parameters.constants(vector)
-        condition = torch.from_numpy(problem.packed.condition)
-        initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
-        layers = _layer_weights(problem, weights, vector)
-        return cls(layers, constants, initial, *delivered(problem, constants), _numbers(problem, weights))
-
-    def arrays(self) -> tuple[Array, ...]:
-        """What a call of the kernel is given, as arrays: all but the times, which are in the tables."""
-        tensors = (self.weights, self.constants, self.initial, self.doses)
-        return *(x.detach().numpy() for x in tensors), self.numbers
-
-
-class HalfSquares(torch.autograd.Function):
-    """Half the sum of squared residuals; its gradient is found in the same call of the kernel as its value."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        call: Callable[[], Swept],
-        weights: Tensor,
-        constants: Tensor,
-        initial: Tensor,
-        doses: Tensor,
-        times: Tensor,
-    ) -> Tensor:
-        """`call` sweeps at the values of the other arguments."""
-        swept = call()
-        known = constants.shape[1] - swept.d_constants.shape[1]
-        d_constants = np.concatenate([np.zeros((len(constants), known)), swept.d_constants], 1)
-        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_doses, swept.d_times)
-        ctx.save_for_backward(*map(torch.from_numpy, found))
-        return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
-
-    @staticmethod
-    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
-        """The gradient found with the value."""
-        return (None, *(scale * saved for saved in ctx.saved_tensors))

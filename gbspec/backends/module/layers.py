@@ -1,0 +1,42 @@
+"""The networks of a generated module as lists of layers, for those who evaluate them otherwise than the module does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from gbspec.backends.module.template.networks import _folded, _layers, _torch_like
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+@dataclass(frozen=True)
+class NetworkLayers:
+    """A network at some weights: `layers`, weights [out, in] and biases [out] as its contracts make them of the trained
+    ones, and its scales. With `raw` outputs the last layer's are put in by the forms of contracts."""
+
+    name: str
+    raw: bool
+    layers: list[tuple[Tensor, Tensor]]
+    input_center: Tensor
+    input_scale: Tensor
+    output_center: Tensor
+    output_scale: Tensor
+
+    @property
+    def folded(self) -> list[tuple[Tensor, Tensor]]:
+        """The layers with the scales multiplied into the first and, unless the outputs are raw, the last."""
+        scales = (self.input_center, self.input_scale, self.output_center, self.output_scale)
+        return _folded({"raw": self.raw}, self.layers, scales)
+
+
+def network_layers(module: Any, weights: Mapping[str, Tensor], ops: Any) -> list[NetworkLayers]:
+    """The networks of a generated module (its class or an instance) at weights by name; `ops` is its arithmetic of
+    torch."""
+    found = []
+    for network in module.networks:
+        layers, scales = _layers(network, weights, ops, _torch_like)
+        found.append(NetworkLayers(network["name"], bool(network["raw"]), layers, *scales))
+    return found

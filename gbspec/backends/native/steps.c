@@ -1,0 +1,144 @@
+/* One step of a tile, forward and in reverse, with what arrives at its start. */
+
+/* Before a way back: the calls that are made once for a tile gather their outputs' cotangents. */
+static void invariant_start(Work *w) {
+    for (int i = 0; i < RHS_SITES; i++)
+        if (SITE_INVARIANT[i]) zero(w->sites[i].yb, TILE * w->sites[i].net->size[w->sites[i].net->layers]);
+}
+
+/* Puts sub-steps `first` to `first + steps - 1` of a trajectory into a lane (whether it is active, the caller says). */
+static void set_lane(Work *w, int t, int64_t who, int64_t first, int64_t steps) {
+    w->who[t] = who;
+    w->first[t] = first;
+    w->steps[t] = steps;
+    if (steps > w->depth) w->depth = steps;
+    for (int i = 0; i < CONDITIONS; i++) w->condition[i * TILE + t] = R(w->data->condition[who * CONDITIONS + i]);
+    for (int i = 0; i < CONSTANTS; i++) w->constants[i * TILE + t] = R(w->inputs->constants[who * CONSTANTS + i]);
+}
+
+typedef struct {
+    real h[TILE], time[STAGES][TILE], inputs[STAGES][INPUTS * TILE + 1];
+} Step;
+
+static void read_step(const Work *w, int64_t s, Step *step) {
+    const Data *d = w->data;
+    for (int t = 0; t < TILE; t++) {
+        const int moves = w->active[t] && s < w->steps[t];
+        const int64_t at = w->who[t] * d->depth + (moves ? w->first[t] + s : 0);
+        const double h = moves ? d->h[at] : 0.0;
+        step->h[t] = R(h);
+        for (int q = 0; q < STAGES; q++) {
+            step->time[q][t] = R(d->t[at] + TABLEAU_C[q] * h);
+            for (int j = 0; j < INPUTS; j++)
+                step->inputs[q][j * TILE + t] = R(d->inputs[(at * NODES + TABLEAU_NODE[q]) * INPUTS + j]);
+        }
+    }
+}
+
+/* The first arrival in a lane at the start of step s, -1 for none. */
+static int32_t arrival_of(const Work *w, int64_t s, int t) {
+    const Data *d = w->data;
+    const int there = d->arrival_at && w->active[t] && s < w->steps[t];
+    return there ? d->arrival_at[w->who[t] * d->depth + w->first[t] + s] : -1;
+}
+
+/* Lanes that have ended wait where they began, so that a state that has grown large gives no infinite rates. */
+static void wait_where_begun(const Work *w, int64_t s, real *x) {
+    for (int t = 0; t < TILE; t++)
+        if (s == w->steps[t])
+            for (int i = 0; i < STATES; i++) x[i * TILE + t] = w->begun[i * TILE + t];
+}
+
+/* sum += the rows' sum, weighted. A row of weight 0 takes no part: it may be infinite. */
+INLINE void add_weighted(const int count, const double *weights, real rows[][STATES * TILE], real *sum) {
+    for (int p = 0; p < count; p++)
+        if (weights[p] != 0)
+            for (int i = 0; i < STATES * TILE; i++) sum[i] += R(weights[p]) * rows[p][i];
+}
+
+static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
+    Step step;
+    real k[STAGES][STATES * TILE], sum[STATES * TILE];
+    read_step(w, s, &step);
+    if (s) wait_where_begun(w, s, x);
+    for (int t = 0; t < TILE; t++)
+        for (int32_t j = arrival_of(w, s, t); j >= 0; j = w->data->arrival_next[j])
+            x[w->data->arrival_state[j] * TILE + t] += R(w->inputs->amounts[j]);
+    if (!s) memcpy(w->begun, x, sizeof w->begun);
+    for (int q = 0; q < STAGES; q++) {
+        real *place = w->states + (slot * STAGES + q) * (STATES * TILE);
+        zero(sum, STATES * TILE);
+        add_weighted(q, TABLEAU_A[q], k, sum);
+        for (int i = 0; i < STATES * TILE; i++) place[i] = x[i] + step.h[i % TILE] * sum[i];
+        rhs_forward(w, slot * STAGES + q, place, step.time[q], step.inputs[q], k[q]);
+    }
+    zero(sum, STATES * TILE);
+    add_weighted(STAGES, TABLEAU_B, k, sum);
+    for (int i = 0; i < STATES * TILE; i++) x[i] += step.h[i % TILE] * sum[i];
+    if (TIMED) memcpy(w->rates + slot * (STAGES * STATES * TILE), k, sizeof k);
+}
+
+/* The first arrival in a lane at the start of step s, if it moves that start; else -1. */
+static int32_t cut_of(const Work *w, int64_t s, int t) {
+    const int32_t j = arrival_of(w, s, t);
+    return j >= 0 && w->data->arrival_cuts[j] ? j : -1;
+}
+
+static const real *rate(const Work *w, size_t slot, int q) { return w->rates + (slot * STAGES + q) * (STATES * TILE); }
+
+/* Whether an arrival moves the start or the end of a lane's step s. */
+static int at_cut(const Work *w, int64_t s) {
+    for (int t = 0; t < TILE; t++)
+        if (cut_of(w, s, t) >= 0 || cut_of(w, s + 1, t) >= 0) return 1;
+    return 0;
+}
+
+/* What the times of cuts get from a sub-step: cotangents `hb` of its length as it stands in the step's formulas, `tb` of
+   the times of its Runge-Kutta stages and `ub` of the inputs there. */
+static void time_reverse(Work *w, int64_t s, const real *hb, real tb[STAGES][TILE], real ub[STAGES][INPUTS * TILE + 1]) {
+    for (int t = 0; t < TILE; t++) {
+        const int32_t start = cut_of(w, s, t), end = cut_of(w, s + 1, t);
+        double of_start = 0, of_length = hb[t];
+        if (start < 0 && end < 0) continue;
+        const double *slope = w->data->slope + (w->who[t] * w->data->depth + w->first[t] + s) * INPUTS;
+        for (int q = 0; q < STAGES; q++) {
+            double moved = tb[q][t];
+            for (int j = 0; j < INPUTS; j++) moved += ub[q][j * TILE + t] * slope[j];
+            of_start += moved;
+            of_length += TABLEAU_C[q] * moved;
+        }
+        if (start >= 0) w->d_times[start] += of_start - of_length;
+        if (end >= 0) w->d_times[end] += of_length;
+    }
+}
+
+/* What a step's length gets from a rate of some weight, `bar` being the cotangent of the sum that it is part of. */
+static void length_reverse(double weight, const real *bar, const real *rates, real *hb) {
+    for (int i = 0; weight != 0 && i < STATES * TILE; i++) hb[i % TILE] += bar[i] * R(weight) * rates[i];
+}
+
+/* `xb`: cotangent of the state after the step, then of that before what arrives at its start. */
+static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
+    Step step;
+    real sb[STAGES][STATES * TILE], ob[STATES * TILE];
+    real tb[STAGES][TILE] = {{0}}, ub[STAGES][INPUTS * TILE + 1] = {{0}}, hb[TILE] = {0};
+    const int cut = TIMED && at_cut(w, s);
+    read_step(w, s, &step);
+    for (int q = 0; cut && q < STAGES; q++) length_reverse(TABLEAU_B[q], xb, rate(w, slot, q), hb);
+    for (int q = STAGES - 1; q >= 0; q--) {
+        const real *place = w->states + (slot * STAGES + q) * (STATES * TILE);
+        zero(ob, STATES * TILE);
+        add_weighted(1, &TABLEAU_B[q], (real(*)[STATES * TILE])xb, ob);
+        for (int p = q + 1; p < STAGES; p++) add_weighted(1, &TABLEAU_A[p][q], &sb[p], ob);
+        for (int i = 0; i < STATES * TILE; i++) ob[i] *= step.h[i % TILE];
+        zero(sb[q], STATES * TILE);
+        rhs_reverse(w, slot * STAGES + q, place, step.time[q], step.inputs[q], ob, sb[q], w->kb, tb[q], ub[q]);
+        for (int p = 0; cut && p < q; p++) length_reverse(TABLEAU_A[q][p], sb[q], rate(w, slot, p), hb);
+    }
+    for (int q = 0; q < STAGES; q++)
+        for (int i = 0; i < STATES * TILE; i++) xb[i] += sb[q][i];
+    if (cut) time_reverse(w, s, hb, tb, ub);
+    for (int t = 0; t < TILE; t++)
+        for (int32_t j = arrival_of(w, s, t); j >= 0; j = w->data->arrival_next[j])
+            w->d_amounts[j] = xb[w->data->arrival_state[j] * TILE + t];
+}

@@ -1,0 +1,172 @@
+"""What the kernel is given and gives: its structs and functions, once. The C text of the declarations and the side of
+Python (`library`) are both made from these lists."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+Element = Literal["double", "int64_t", "int32_t"]
+
+
+@dataclass(frozen=True)
+class Field:
+    """A whole number (`shape` None), or a pointer to an array of `shape`: lengths separated by commas, each the name of
+    a field, of a number of the source (`STATES`) or of any length that the struct's arrays share, or that plus 1.
+
+    `written`: the C writes into it; `optional`: it may be NULL.
+    """
+
+    name: str
+    about: str = ""
+    element: Element = "int64_t"
+    shape: str | None = None
+    written: bool = False
+    optional: bool = False
+
+    @cached_property
+    def lengths(self) -> tuple[tuple[str, int], ...]:
+        """The lengths of an array's axes: a name, and how much is added to it."""
+        parts = [part.strip().partition(" + ") for part in self.shape.split(",")] if self.shape else []
+        return tuple((name, int(more or 0)) for name, _, more in parts)
+
+    @property
+    def declaration(self) -> str:
+        """The line of the C struct."""
+        if self.shape is None:
+            return f"    int64_t {self.name};" + (f" /* {self.about} */" if self.about else "")
+        constant = "" if self.written else "const "
+        about = "".join(f"[{length.strip()}]" for length in self.shape.split(",")) + (
+            f": {self.about}" if self.about else ""
+        )
+        return f"    {constant}{self.element} *{self.name}; /* {about}{'; or NULL' if self.optional else ''} */"
+
+
+def _reals(name: str, shape: str, about: str = "", optional: bool = False) -> Field:
+    return Field(name, about, "double", shape, optional=optional)
+
+
+def _wholes(name: str, shape: str, about: str = "") -> Field:
+    return Field(name, about, "int64_t", shape)
+
+
+def _places(name: str, shape: str, about: str = "", optional: bool = False) -> Field:
+    return Field(name, about, "int32_t", shape, optional=optional)
+
+
+def _found(name: str, shape: str, about: str = "", optional: bool = False) -> Field:
+    return Field(name, about, "double", shape, written=True, optional=optional)
+
+
+STRUCTS: Mapping[str, tuple[Field, ...]] = {
+    # Data that do not depend on the trainable vector (but for where sub-steps are cut).
+    "Data": (
+        Field("depth", "most sub-steps of a trajectory"),
+        Field("trajectories"),
+        _reals("t", "trajectories, depth", "starts of sub-steps"),
+        _reals("h", "trajectories, depth", "their lengths"),
+        _reals("inputs", "trajectories, depth, NODES, INPUTS"),
+        _reals("condition", "trajectories, CONDITIONS"),
+        _wholes("steps", "trajectories", "numbers of sub-steps"),
+        _places("row_at", "trajectories, depth + 1", "key row on arrival, -1 for none"),
+        _reals("row_time", "rows"),
+        _reals("row_inputs", "rows, INPUTS"),
+        _reals("measured", "rows, CHANNELS"),
+        _reals("factor", "rows, CHANNELS", "of residuals; 0: not measured"),
+        _reals("value", "rows, STATES", "to which states are reset"),
+        _reals("weight", "rows, STATES", "by how much; 1: wholly"),
+        _places("arrival_at", "trajectories, depth", "first arrival at a sub-step's start, -1 for none", optional=True),
+        _places("arrival_next", "arrivals", "next one at the same place, -1 for none", optional=True),
+        _places("arrival_state", "arrivals", "to which state it is added", optional=True),
+        _places("arrival_cuts", "arrivals", "whether it moves the start of its sub-step", optional=True),
+        _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, where sub-steps are cut", optional=True),
+        _places("logarithmic", "CHANNELS"),
+    ),
+    # What the trainable vector decides.
+    "Inputs": (
+        _reals("weights", "WEIGHTS", "layer by layer ([out][in], then the bias), network by network"),
+        _reals("numbers", "NUMBERS", "scales that the forms of contracts use"),
+        _reals("constants", "trajectories, CONSTANTS"),
+        _reals("initial", "trajectories, STATES"),
+        _reals("amounts", "arrivals", "what is added to the state"),
+    ),
+    # The part of a call of `run`: of `order` every `stride`-th tile from `first` on.
+    "Share": (
+        Field("count"),
+        Field("first"),
+        Field("stride"),
+        Field("gradient", "whether the way back is taken"),
+        _wholes("order", "count", "trajectories"),
+        _reals("cotangent", "rows, CHANNELS", "NULL: the residuals themselves", optional=True),
+        _found("d_weights", "WEIGHTS", "the share's own sum"),
+    ),
+    # What `run` fills in for the trajectories of its share: derivatives are products of the cotangent with the Jacobian
+    # of the residuals.
+    "Outputs": (
+        _found("residuals", "rows, CHANNELS"),
+        _found("states", "rows, STATES", "on arrival, before resets"),
+        _found("d_constants", "trajectories, LEARNABLES"),
+        _found("d_initial", "trajectories, STATES"),
+        _found("d_amounts", "arrivals"),
+        _found("d_times", "arrivals", "added to, if TIMED: of arrivals that cut sub-steps"),
+    ),
+    # Pieces of trajectories between consecutive key rows, in the order of their numbers of sub-steps.
+    "Intervals": (
+        Field("count"),
+        Field("depth", "most sub-steps of an interval"),
+        Field("columns", "of `d_weights`, the first WEIGHTS of which are written"),
+        Field("arrivals"),
+        _wholes("owner", "count", "trajectory"),
+        _wholes("first", "count", "first sub-step"),
+        _wholes("steps", "count", "number of sub-steps"),
+        _reals("start", "count, STATES"),
+        _reals("factor", "WEIGHTS", "see `write_lane`"),
+        _reals("shift", "WEIGHTS"),
+        _found("d_start", "count, STATES, STATES", "of each final state, by the first one"),
+        _found("d_weights", "count, STATES, columns", "added to", optional=True),
+        _found("d_constants", "count, STATES, LEARNABLES", "added to"),
+        _found("d_amounts", "STATES, arrivals"),
+        _found("d_times", "STATES, arrivals", "added to"),
+    ),
+    # Derivatives of intervals, and the residuals at their ends.
+    "Links": (
+        Field("rows"),
+        Field("columns"),
+        _wholes("owner", "rows", "whose sum it is; rows of an owner follow each other in time"),
+        _reals("d_start", "rows, STATES, STATES"),
+        _reals("own", "rows, STATES, columns", "what the interval itself adds"),
+        _reals("release", "rows, STATES", "what resets leave"),
+        _wholes("begin", "rows", "first residual"),
+        _wholes("end", "rows", "one behind the last"),
+        _reals("d_state", "residuals, STATES"),
+        _found("sum", "owners, STATES, columns", "derivatives of the owners' states"),
+        _found("out", "residuals, columns", "rows of the Jacobian"),
+    ),
+}
+"""The structs, by name."""
+
+SPACE = "char *space"
+"""Work space, of as many bytes as the function for it says."""
+
+FUNCTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "work_bytes": ("int64_t", ("int64_t depth",)),
+    "run": ("void", ("Data", "Inputs", "Share", "Outputs", SPACE)),
+    "interval_bytes": ("int64_t", ("int64_t depth",)),
+    "intervals": ("void", ("Data", "Inputs", "Intervals", SPACE)),
+    "chain": ("void", ("Links",)),
+}
+"""What is called from outside: the type of the result and the parameters, structs by their names."""
+
+
+def declarations() -> Iterator[str]:
+    """The C of all structs and the prototypes of all functions."""
+    for name, fields in STRUCTS.items():
+        yield "typedef struct {"
+        yield from (field.declaration for field in fields)
+        yield f"}} {name};"
+        yield ""
+    for name, (result, parameters) in FUNCTIONS.items():
+        given = (f"const {p} *{p.lower()}" if p in STRUCTS else p for p in parameters)
+        yield f"{result} {name}({', '.join(given)});"

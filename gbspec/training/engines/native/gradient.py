@@ -1,0 +1,44 @@
+"""Half the sum of squared residuals by the native kernel.
+
+The kernel takes what the right-hand side uses (layers' weights, constants, initial states) and gives residuals and the
+gradient of half their squares in one call; how these come from the trainable vector is left to torch, whose automatic
+differentiation takes the kernel as one node (`HalfSquares`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.training.engines.native.kernel import Swept
+
+
+class HalfSquares(torch.autograd.Function):
+    """Half the sum of squared residuals; its gradient is found in the same call of the kernel as its value."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        call: Callable[[], Swept],
+        weights: Tensor,
+        constants: Tensor,
+        initial: Tensor,
+        amounts: Tensor,
+        times: Tensor,
+    ) -> Tensor:
+        """`call` sweeps at the values of the other arguments."""
+        swept = call()
+        known = constants.shape[1] - swept.d_constants.shape[1]
+        d_constants = np.concatenate([np.zeros((len(constants), known)), swept.d_constants], 1)
+        found = (swept.d_weights, d_constants, swept.d_initial, swept.d_amounts, swept.d_times)
+        ctx.save_for_backward(*map(torch.from_numpy, found))
+        return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
+
+    @staticmethod
+    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
+        """The gradient found with the value."""
+        return (None, *(scale * saved for saved in ctx.saved_tensors))

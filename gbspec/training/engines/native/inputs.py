@@ -1,0 +1,61 @@
+"""What the native kernel takes as functions of the trainable vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.arrays import Array
+from gbspec.backends.module import NetworkLayers, network_layers
+from gbspec.backends.native import NUMBER_WORDS, Library, Struct
+from gbspec.training.engines.deliveries import delivered
+from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem.problem import Problem
+
+
+@dataclass(frozen=True)
+class KernelInputs:
+    """What the kernel takes, as functions of the trainable vector.
+
+    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `amounts` [E],
+    how much of each dose arrives, and `times` [E], when; `numbers`: scales that the forms of contracts use.
+    """
+
+    weights: Tensor
+    constants: Tensor
+    initial: Tensor
+    amounts: Tensor
+    times: Tensor
+    numbers: Array
+
+    @classmethod
+    def of(cls, problem: Problem, parameters: Parameters, vector: Tensor) -> KernelInputs:
+        """The values at a vector, differentiable in it."""
+        constants = parameters.constants(vector)
+        condition = torch.from_numpy(problem.packed.condition)
+        initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
+        networks = network_layers(problem.module, parameters.weights(vector), problem.ops)
+        layers = _layer_weights(networks, vector)
+        return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))
+
+    def struct(self, library: Library) -> Struct:
+        """What a call of the kernel is given: all but the times, which are in the tables."""
+        tensors = {name: getattr(self, name) for name in ("weights", "constants", "initial", "amounts")}
+        arrays = {name: np.ascontiguousarray(x.detach().numpy()) for name, x in tensors.items()}
+        return library.struct("Inputs", numbers=self.numbers, **arrays)
+
+
+def _layer_weights(networks: list[NetworkLayers], like: Tensor) -> Tensor:
+    """All layers' weights and biases as the kernel takes them, the networks' scales multiplied in."""
+    parts = [part.reshape(-1) for network in networks for layer in network.folded for part in layer]
+    return torch.cat(parts) if parts else like.new_zeros(0)
+
+
+def _numbers(networks: list[NetworkLayers]) -> Array:
+    """Centres and scales of outputs, scales of arguments, network by network."""
+    names = {"center": "output_center", "scale": "output_scale", "spread": "input_scale"}
+    parts = [getattr(network, names[word]).detach().numpy() for network in networks for word in NUMBER_WORDS]
+    return np.concatenate([*(part.ravel() for part in parts), np.zeros(0)])
