@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gbspec.analysis.prediction.metrics import finite
-from gbspec.analysis.prediction.noise import Flags, interval, logarithmic, noise_at
+from gbspec.analysis.prediction.noise import Flags, interval, noise_at
+from gbspec.data.residuals import logarithmic
 from gbspec.data.trajectories import Array
 from gbspec.studies.folds import Fold
 

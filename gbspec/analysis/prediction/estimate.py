@@ -1,9 +1,10 @@
 """Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
 
 Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are the differences at all measured values, each over its channel's spread; what
-is known beforehand, from the trajectories of the training, pulls towards its centre: as strongly as the noise says
-where that is known, else just enough to keep what the data do not determine from running away.
+trajectory has its own. The residuals are those of `gbspec.data.residuals` at all measured values, in units of the
+standard deviation of the channel's data; what is known beforehand, from the trajectories of the training, pulls towards
+its centre: as strongly as the noise says where that is known, else just enough to keep what the data do not determine
+from running away.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.analysis.prediction.metrics import spread
 from gbspec.analysis.prediction.predict import (
     Prediction,
     Start,
@@ -26,6 +26,7 @@ from gbspec.analysis.prediction.predict import (
     predict,
 )
 from gbspec.analysis.systems.points import spread_points
+from gbspec.data.residuals import deviations, logarithmic, residuals
 from gbspec.data.window import recognised
 
 if TYPE_CHECKING:
@@ -72,8 +73,7 @@ def predictions(
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
-    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in trajectories.items]).T])
-    estimator = Estimator(evaluator, model, spreads)
+    estimator = Estimator(evaluator, model, deviations(model, trajectories))
     positions = learned_positions(evaluator.instance, trajectories, data or {})
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
@@ -83,12 +83,13 @@ def predictions(
 
 
 class Estimator:
-    """Least squares for the start of one trajectory. `spreads` [C] scale the channels' residuals; `noise` [C], where it
-    is known, is the standard deviation of their measurements."""
+    """Least squares for the start of one trajectory. `scales` [C] are the residuals' (see `deviations`); `noise` [C],
+    where it is known, is the standard deviation of measurements in the same units (of logarithms, if log-normal)."""
 
-    def __init__(self, evaluator: Any, model: Model, spreads: Array, noise: Array | None = None) -> None:
-        self.evaluator, self.model, self.spreads = evaluator, model, spreads
-        self.pull = PULL if noise is None else max(PULL, float(np.median(noise / spreads)))
+    def __init__(self, evaluator: Any, model: Model, scales: Array, noise: Array | None = None) -> None:
+        self.evaluator, self.model, self.scales = evaluator, model, scales
+        self.logarithmic = logarithmic(model)
+        self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))
         self.prior = prior_of(evaluator.instance, model)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
         self.own_spread = self._spread_of_own()
@@ -135,9 +136,8 @@ class Estimator:
 
         columns = list(free)
         scale = np.concatenate([self.spread(item)[columns], self.own_spread])
-        weights = np.isfinite(item.values) / self.spreads
-        measured = np.nan_to_num(item.values)
-        worst = np.full(int(np.sum(weights > 0)) + len(scale), 1e3)
+        measured = np.isfinite(item.values)
+        worst = np.full(int(np.sum(measured)) + len(scale), 1e3)
 
         def moved(z: Array) -> Start:
             x0, k = state.copy(), constants.copy()
@@ -146,19 +146,19 @@ class Estimator:
             k = np.clip(k, self.low, self.high)
             return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
 
-        def residuals(z: Array) -> Array:
+        def errors(z: Array) -> Array:
             found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)
             if found.failure:
                 return worst
-            error = ((found.channels - measured) * weights)[weights > 0]
-            return np.concatenate([error, self.pull * z])
+            error = residuals(found.channels, item.values, self.scales, self.logarithmic)
+            return np.concatenate([error[measured], self.pull * z])
 
         trials = self._trials(len(scale))
-        costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
+        costs = [float(np.sum(errors(z) ** 2)) for z in trials]
         best = trials[int(np.argmin(costs))]
         if min(costs) >= float(np.sum(worst**2)):
             return Start(state, constants, "failed", "no start was found from which it can be integrated")
-        solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
+        solution = least_squares(errors, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
         return moved(np.asarray(solution.x, dtype=float))
 
     @staticmethod

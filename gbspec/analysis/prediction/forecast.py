@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.metrics import finite, spread
-from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
+from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.systems.system import trained_ranges
+from gbspec.data.residuals import deviations, logarithmic
 from gbspec.diagnostics import ComputationError
 
 if TYPE_CHECKING:
@@ -204,12 +205,6 @@ def _spreads(trajectories: Trajectories) -> Array:
     return np.array([s if math.isfinite(s) and s > 0 else 1.0 for s in found])
 
 
-def _sizes(trajectories: Trajectories) -> Array:
-    """The typical size [C] of each channel's values over the table; 1 where it is not measured."""
-    columns = np.abs(np.concatenate([item.values for item in trajectories.items]).T)
-    return np.array([np.nanmedian(column) if np.isfinite(column).any() else 1.0 for column in columns])
-
-
 def _warnings(items: Sequence[Foretold], members: int) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if members == 1:
@@ -238,7 +233,8 @@ class _Seer:
 
     def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, spreads: Array) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
-        self.estimator = Estimator(evaluator, run.model, spreads, noise_at(run, _sizes(trajectories)))
+        noise = noise_at(run, np.ones(len(run.model.channels)))
+        self.estimator = Estimator(evaluator, run.model, deviations(run.model, trajectories), noise)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
         self.spreads = spreads
 

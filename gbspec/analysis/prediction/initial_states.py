@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.metrics import spread
 from gbspec.analysis.prediction.predict import learned_positions, learned_start, needed
 from gbspec.analysis.systems.steady import ordered_modes
 from gbspec.analysis.systems.system import System
+from gbspec.data.residuals import deviations
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
@@ -129,10 +129,9 @@ def initial_states(
     """
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
-    spreads = np.array([spread(column) for column in np.concatenate([item.values for item in data.items]).T])
-    spreads = np.where((spreads > 0) & np.isfinite(spreads), spreads, 1.0)
-    breeder = Estimator(evaluator, model, spreads)
-    judge = None if truth is None else Estimator(truth, model, spreads)
+    scales = deviations(model, data)
+    breeder = Estimator(evaluator, model, scales)
+    judge = None if truth is None else Estimator(truth, model, scales)
     found = []
     for index in chosen:
         item, position = data.items[index], positions[index]

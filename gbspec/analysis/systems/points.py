@@ -1,4 +1,6 @@
-"""Points spread evenly over a box without a random number: the additive recurrence with the generalised golden ratio.
+"""Evenly spaced: positions in a list, and points of a box without a random number.
+
+The points are those of the additive recurrence with the generalised golden ratio:
 
 x_i = (1/2 + i/g, 1/2 + i/g^2, ...) modulo 1, with g the root of g^(d+1) = g + 1 (Roberts 2018, "The unreasonable
 effectiveness of quasirandom sequences"): a low discrepancy in few dimensions, every beginning of it included.
@@ -10,6 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def spaced(count: int, most: int) -> list[int]:
+    """All of `count` positions, or `most` of them evenly from the first to the last."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))] if count else []
 
 
 def spread_points(count: int, size: int, seed: int = 0) -> Array:

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.analysis.prediction.metrics import finite, truth_scale
+from gbspec.analysis.systems.points import spaced
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction.predict import Prediction
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from gbspec.runs.store import Run
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 LEANS = 0.01
 """A difference above this part of the states' range means that the right-hand side leans on its step."""
@@ -95,20 +95,13 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     for member in run.members:
         positions = learned_positions(member, trajectories, run.fit.get("data", {}))
         fitted = [(i, position) for i, position in enumerate(positions) if position is not None]
-        chosen = _spread(fitted, count)
+        chosen = [fitted[i] for i in spaced(len(fitted), count)]
         evaluator = Evaluator(member)
         items = [trajectories.items[i] for i, _ in chosen]
         starts = [learned_start(evaluator, position, trajectories.items[i]) for i, position in chosen]
         predicted = [predict(evaluator, run.model, item, start) for item, start in zip(items, starts, strict=True)]
         checks.append(step_check(evaluator, member.info.get("max_step"), items, predicted))
     return tuple(checks)
-
-
-def _spread(items: Sequence[T], count: int) -> list[T]:
-    """At most `count` of the items, evenly from the first to the last."""
-    if not items:
-        return []
-    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).astype(int))]
 
 
 def step_check(
@@ -118,11 +111,12 @@ def step_check(
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
     if step is None:
         return StepCheck(None, None, step)
-    failed = _spread([(item, one) for item, one in zip(items, predictions, strict=True) if one.failure], LOOKED_AT)
-    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in failed)
+    failed = [(item, one) for item, one in zip(items, predictions, strict=True) if one.failure]
+    looked_at = (failed[i] for i in spaced(len(failed), LOOKED_AT))
+    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in looked_at)
     if not pairs:
         return StepCheck(None, None, step, 0, unsolved)
-    chosen = _spread(pairs, LOOKED_AT)
+    chosen = [pairs[i] for i in spaced(len(pairs), LOOKED_AT)]
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])
