@@ -308,7 +308,7 @@ def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) 
 
 def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
     """The figure of one or several members' curves, beside the truth's."""
-    from gbspec.report.plane import plane
+    from gbspec.report.files import plane
 
     return plane(diagrams[0], diagrams[1:], truth)
 
@@ -322,7 +322,7 @@ def joined(diagrams: Sequence[Diagram]) -> Diagram:
 
 def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
     """The figure of one or several members' diagrams, beside the truth's."""
-    from gbspec.report.diagram import diagram
+    from gbspec.report.files import diagram
 
     return diagram(joined(diagrams), diagrams[1:], truth)
 
@@ -385,7 +385,7 @@ def profile(
 
 def profile_figure(run: Run, found: Profile) -> Figure:
     """The figure of a profile, with the truth where the model states one."""
-    from gbspec.report.profile import draw
+    from gbspec.report.files import profile as draw
 
     truths = {t.name: t.value for t in run.model.truth_constants}
     return draw(found, truths.get(found.name))
@@ -415,8 +415,8 @@ def report(
 
 
 def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
-    """A figure of a run: one of `gbspec.report.KINDS`."""
-    from gbspec.report.figures import draw
+    """A figure of a run: one of `gbspec.report.kinds`."""
+    from gbspec.report.files import draw
 
     return draw(kind, run, data, show)
 

@@ -6,7 +6,7 @@
 
 with the predicted value p, the measured value y, the scale s, and the weight w: the square root of the number of
 measurements that y averages. l is the logarithm, continued by its tangent below f, so that a prediction that is not
-positive has a residual too, which falls as the prediction rises. s is in the channel's unit; under log-normal noise it
+positive has a residual too, one that tells which way is better. s is in the channel's unit; under log-normal noise it
 is the deviation of logarithms, without a unit.
 """
 

@@ -15,7 +15,7 @@ from gbspec import driver
 from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
-from gbspec.report import diagram as figures
+from gbspec.report import files as figures
 from tests.analysis.conftest import model_of, nearly_true
 
 
