@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.report import style
 
@@ -48,7 +48,7 @@ def register() -> None:
         formatters["image/png"].for_type_by_name(module, name, png)
 
 
-def figure(shown: Any) -> Figure:
+def figure(shown: object) -> Figure:
     """The figure of a diagram, curves in a plane, initial states, eigenvalues or a profile; `TypeError` for others."""
     from matplotlib.figure import Figure
 
@@ -57,7 +57,7 @@ def figure(shown: Any) -> Figure:
     return shown if isinstance(shown, Figure) else result(shown)
 
 
-def png(shown: Any) -> bytes:
+def png(shown: object) -> bytes:
     """The figure as the bytes of a PNG."""
     written = io.BytesIO()
     with style.styled():

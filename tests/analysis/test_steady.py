@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.analysis.systems.points import spread_points
+from gbspec.analysis.systems.points import spaced, spread_points
 from gbspec.analysis.systems.steady import ordered_eigenvalues, steady_states
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import baltzis_fredrickson, brusselator, cusp, lorenz, urp
@@ -61,3 +61,10 @@ def test_points_are_spread() -> None:
     counts = np.histogramdd(points, bins=(2, 2, 2), range=[(0, 1)] * 3)[0]
     assert counts.min() >= 26
     assert not np.array_equal(points, spread_points(256, 3, seed=1))
+
+
+def test_positions_are_spaced_from_the_first_to_the_last() -> None:
+    assert spaced(3, 5) == [0, 1, 2]
+    assert spaced(9, 3) == [0, 4, 8]
+    assert spaced(0, 5) == []
+    assert len(spaced(1000, 24)) == 24

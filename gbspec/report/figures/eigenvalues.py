@@ -37,7 +37,7 @@ def along(source: Source) -> Eigen:
 def figure(found: Eigen) -> Figure:
     """Learned as points, true as circles; a view of all but the few that lie far to the left."""
     points = [found.points[i] for i in spaced(len(found.points), MOST)]
-    learned = np.concatenate([point.eigenvalues for point in points])
+    learned = np.concatenate([np.zeros(0, complex), *(point.eigenvalues for point in points)])
     marks: list[Mark] = [Rule("x", 0.0), Points(learned.real, learned.imag, "learned", LEARNED, 3.2, alpha=0.6)]
     true = [point.truth for point in points if point.truth is not None]
     if true:
@@ -53,6 +53,8 @@ def figure(found: Eigen) -> Figure:
 
 def _view(values: Array) -> tuple[float, float] | None:
     """The range of all but the lowest hundredth, where those few would press everything else together."""
+    if not len(values):
+        return None
     low, high = float(np.quantile(values, 0.01)), float(values.max())
     if low - values.min() < 2.0 * (high - low):
         return None
