@@ -150,7 +150,9 @@ class _Drawn:
         """The range of argument `i` in which the network was trained, None where the weights do not say it."""
         weights = self.fitted.evaluators[0].instance.weights
         ends = [weights.get(f"network.{self.network}.input_{end}") for end in ("low", "high")]
-        return None if ends[0] is None or ends[1] is None else (float(ends[0][i]), float(ends[1][i]))
+        if ends[0] is None or ends[1] is None or not ends[0][i] < ends[1][i]:
+            return None  # of a hidden state its guess alone is known where the range is taken
+        return float(ends[0][i]), float(ends[1][i])
 
     def reach(self, i: int) -> tuple[float, float]:
         """The range of argument `i` among the points whose other arguments lie in their middle halves."""

@@ -14,6 +14,8 @@ from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, UserError
 from gbspec.report import collect
+from gbspec.report.description import Span
+from gbspec.report.figures.functions import slice_panel
 from gbspec.report.figures.summary import liveliest
 from gbspec.report.files import draw
 from gbspec.report.kinds import KINDS
@@ -148,6 +150,18 @@ def test_learned_functions_follow_the_members(fitted: collect.Fitted) -> None:
     direct = fitted.evaluators[1].functions_many("mu", piece.x[:, None])
     np.testing.assert_allclose(piece.members[1], direct)
     assert found.plane is None
+
+
+def test_the_trained_range_is_that_of_the_weights_where_it_has_a_width(fitted: collect.Fitted) -> None:
+    weights = fitted.evaluators[0].instance.weights
+    for low, high, trained in ((0.5, 4.0, (0.5, 4.0)), (1.0, 1.0, None)):
+        weights |= {"network.mu.input_low": np.array([low]), "network.mu.input_high": np.array([high])}
+        (found,) = learned_functions(fitted)
+        assert found.slices[0].trained == trained
+        grounds = [mark for mark in slice_panel("mu", found.slices[0]).marks if isinstance(mark, Span)]
+        assert bool(grounds) == (trained is not None)
+    for end in ("low", "high"):
+        del weights[f"network.mu.input_{end}"]
 
 
 def test_constants_stand_beside_their_truths(run: Run) -> None:
