@@ -15,7 +15,7 @@ class ChannelFit:
     """One channel of one trajectory.
 
     Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one a member of the
-    ensemble (their mean is drawn, their spread shaded), and the `truth` [G] where there is one.
+    ensemble (their mean is drawn, their range shaded), and the `truth` [G] where there is one.
     """
 
     name: str
