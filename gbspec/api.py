@@ -352,7 +352,7 @@ def bifurcate(source: str | Path, over: str, low: float, high: float, **options:
 
 
 def figure(result: Any) -> Figure:
-    """The figure of a diagram, of curves in a plane, of initial states or of a profile."""
+    """The figure of a diagram, of curves in a plane, of eigenvalues, of initial states or of a profile."""
     from gbspec.report.notebook import figure as draw
 
     return draw(result)

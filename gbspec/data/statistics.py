@@ -9,6 +9,8 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectories
+from gbspec.ir.model import Model
+from gbspec.ir.residuals import logarithmic
 
 MAD_TO_SD = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""
@@ -71,6 +73,21 @@ def channel_scales(trajectories: Trajectories) -> Array:
     """`measured_scale` of each channel [C] over all measurements of a table with at least one trajectory."""
     stacked = np.concatenate([item.values for item in trajectories.items])
     return np.array([measured_scale(column) for column in stacked.T])
+
+
+def deviations(model: Model, trajectories: Trajectories) -> Array:
+    """What residuals are scaled by where no noise is stated: `measured_scale` of each channel [C], of logarithms where
+    its residuals are of logarithms (1 where these do not vary)."""
+    columns = np.concatenate([np.zeros((0, len(model.channels))), *(item.values for item in trajectories.items)]).T
+    return np.array(
+        [_of_logarithms(c) if log else measured_scale(c) for c, log in zip(columns, logarithmic(model), strict=True)]
+    )
+
+
+def _of_logarithms(values: Array) -> float:
+    logarithms = np.log(values[np.isfinite(values) & (values > 0)])
+    deviation = float(logarithms.std()) if logarithms.size else 0.0
+    return deviation if deviation > FLAT * float(np.abs(logarithms).max(initial=0.0)) else 1.0
 
 
 def evenly_spaced(count: int, most: int) -> list[int]:

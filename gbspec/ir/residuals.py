@@ -21,14 +21,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.ir.model import Model
+
 LOG_FLOOR = 1e-3
 """Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
 _LEAST = 1e-300
 """Stands for a measured zero, of which there is no logarithm."""
 
 
+def logarithmic(model: Model) -> NDArray[np.bool_]:
+    """Which channels [C] have residuals of logarithms."""
+    return np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=np.bool_)
+
+
 def residuals(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.bool_], xp: Any = np) -> Any:
-    """Residuals [..., C] of `predicted` and `measured` [..., C] (any finite number where nothing was measured).
+    """Residuals [..., C] of `predicted` and `measured` [..., C] (any number where nothing was
+    measured; NaN there gives NaN where the factor is positive).
 
     `factor` [..., C] is w / s, 0 where nothing was measured: the residual is then 0 whatever was predicted.
     `logarithmic` [C]: which channels have log-normal noise. `xp` is numpy for arrays or torch for tensors.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gbspec.operations.analysing import bifurcate, eigen, joined, true_diagram, validate
+from gbspec.operations import analysing
 from gbspec.operations.models import learned
 
 if TYPE_CHECKING:
@@ -21,29 +21,29 @@ if TYPE_CHECKING:
 
 def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
     """The figure of one or several members' diagrams, beside the truth's."""
-    from gbspec.report.diagram import diagram
+    from gbspec.report.files import diagram
 
-    return diagram(joined(diagrams), diagrams[1:], truth)
+    return diagram(analysing.joined(diagrams), diagrams[1:], truth)
 
 
 def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
     """The figure of one or several members' curves, beside the truth's."""
-    from gbspec.report.plane import plane
+    from gbspec.report.files import plane
 
     return plane(diagrams[0], diagrams[1:], truth)
 
 
 def profile_figure(run: Run, found: Profile) -> Figure:
     """The figure of a profile, with the truth where the model states one."""
-    from gbspec.report.profile import draw
+    from gbspec.report.files import profile as draw
 
     truths = {t.name: t.value for t in run.model.truth_constants}
     return draw(found, truths.get(found.name))
 
 
 def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
-    """A figure of a run: one of `gbspec.report.KINDS`."""
-    from gbspec.report.figures import draw
+    """A figure of a run: one of `gbspec.report.kinds`."""
+    from gbspec.report.files import draw
 
     return draw(kind, run, data, show)
 
@@ -65,7 +65,10 @@ def report(
     source = learned(run)
     drawn = None
     if diagram is not None:
-        drawn = bifurcate(source, *diagram, cycles=cycles), true_diagram(source, *diagram, cycles=cycles)
-    spectra = None if data is None else eigen(source, along=data)
+        drawn = (
+            analysing.bifurcate(source, *diagram, cycles=cycles),
+            analysing.true_diagram(source, *diagram, cycles=cycles),
+        )
+    spectra = None if data is None else analysing.eigen(source, along=data)
     fitted = None if data is None else Fitted(run, data)
-    write_text(path, page(fitted, run, Found(validate(run, data), spectra, drawn)))
+    write_text(path, page(fitted, run, Found(analysing.validate(run, data), spectra, drawn)))

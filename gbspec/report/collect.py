@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from gbspec.analysis.systems.system import system_of
 from gbspec.arrays import Array
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
-from gbspec.data.statistics import channel_scales
+from gbspec.data.statistics import deviations
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
+from gbspec.ir.residuals import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
     ChannelFit,
@@ -30,6 +31,8 @@ from gbspec.report.content import (
     TrajectoryFit,
 )
 from gbspec.runs.store import Run
+from gbspec.training.problem.packing import pack
+from gbspec.training.problem.scaling import scaling_of
 
 DENSE = 240
 """Points of a curve over one trajectory."""
@@ -43,7 +46,7 @@ class Fitted:
     def __init__(self, run: Run, data: Trajectories) -> None:
         self.run, self.data, self.model = run, data, run.model
         self.evaluators = [Evaluator(member) for member in run.members]
-        self.spreads = channel_scales(self.data)
+        self.scales = deviations(self.model, data)
         self.truth = self._truth()
         self._starts: dict[tuple[int, int], Start] = {}
 
@@ -63,7 +66,7 @@ class Fitted:
             if position is not None:
                 found = learned_start(evaluator, position, item)
             else:
-                found = Estimator(evaluator, self.model, self.spreads).start(item)
+                found = Estimator(evaluator, self.model, self.scales).start(item)
             self._starts[member, index] = found
         return self._starts[member, index]
 
@@ -81,11 +84,6 @@ class Fitted:
         start = Start(np.mean(starts, axis=0), self.truth.constants, "known")
         found = predict(self.truth, self.model, at_times(self.data.items[index], times), start)
         return found.states, found.channels
-
-
-def spaced(count: int, most: int) -> list[int]:
-    """All of `count` positions, or `most` evenly chosen ones."""
-    return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most))}) if count else []
 
 
 def initial_states(fitted: Fitted, indices: Sequence[int]) -> InitialStates:
@@ -107,24 +105,27 @@ def dense_times(item: Trajectory) -> Array:
     return np.linspace(item.start, item.end, DENSE) if item.end > item.start else np.array([item.start])
 
 
-def trajectory_fits(fitted: Fitted, indices: Sequence[int]) -> tuple[TrajectoryFit, ...]:
-    """Measurements and curves of these trajectories."""
-    return tuple(_trajectory_fit(fitted, index) for index in indices)
+def trajectory_fits(fitted: Fitted, indices: Sequence[int], *, hidden: bool = False) -> tuple[TrajectoryFit, ...]:
+    """Measurements and curves of these trajectories; `hidden`: also of the states that are no channel."""
+    return tuple(_trajectory_fit(fitted, index, hidden) for index in indices)
 
 
-def _trajectory_fit(fitted: Fitted, index: int) -> TrajectoryFit:
-    item = fitted.data.items[index]
+def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
+    item, model = fitted.data.items[index], fitted.model
     grid = dense_times(item)
-    _, channels = fitted.solutions(index, grid)
+    states, channels = fitted.solutions(index, grid)
     true = fitted.true_solution(index, grid)
     shown = []
-    for j, channel in enumerate(fitted.model.channels):
+    for j, channel in enumerate(model.channels):
         measured = np.isfinite(item.values[:, j])
         reference = None if true is None else true[1][:, j]
-        values = item.values[measured, j]
-        curve = ChannelFit(channel.name, item.times[measured], values, grid, channels[:, :, j], reference)
-        shown.append(replace(curve, unit=channel.unit or ""))
-    return TrajectoryFit(item.label, condition_text(fitted.model, item), tuple(shown))
+        shown.append(ChannelFit(channel.name, item.times[measured], item.values[measured, j], grid, channels[:, :, j],
+                                reference, channel.unit or ""))  # fmt: skip
+    for i, state in enumerate(model.states):
+        if hidden and all(channel.state != i for channel in model.channels):
+            reference, nothing = None if true is None else true[0][:, i], np.zeros(0)
+            shown.append(ChannelFit(state.name, nothing, nothing, grid, states[:, :, i], reference, state.unit or ""))
+    return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), fitted.start(0, index).origin)
 
 
 def condition_text(model: Model, item: Trajectory) -> str:
@@ -133,20 +134,23 @@ def condition_text(model: Model, item: Trajectory) -> str:
 
 
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
-    """Measured minus fitted (mean of the members), over each channel's standard deviation, at every measurement."""
-    rows = []
-    for index, item in enumerate(fitted.data.items):
-        _, channels = fitted.solutions(index, item.times)
-        rows.append((item.times, item.values, channels.mean(axis=0)))
-    found = []
-    for j, channel in enumerate(fitted.model.channels):
-        times = np.concatenate([t for t, _, _ in rows])
-        measured = np.concatenate([v[:, j] for _, v, _ in rows])
-        predicted = np.concatenate([c[:, j] for _, _, c in rows])
-        seen = np.isfinite(measured) & np.isfinite(predicted)
-        residual = (measured - predicted)[seen] / fitted.spreads[j]
-        found.append(Residuals(channel.name, times[seen], predicted[seen], residual))
-    return tuple(found)
+    """The residuals that training made small, of the mean of the members, at every measurement."""
+    model, data = fitted.model, fitted.data
+    # One step for the whole of a trajectory: of the steps nothing is used here
+    packed = pack(data, model, math.inf)
+    scaling = scaling_of(model, packed, data)
+    predicted = np.full(packed.values.shape, np.nan)
+    for index in range(len(data)):
+        rows = packed.row_trajectory == index
+        predicted[rows] = fitted.solutions(index, packed.row_time[rows])[1].mean(axis=0)
+    factor = np.where(packed.weights > 0, packed.weights / scaling.row_scale, np.nan)
+    found = np.where(np.isfinite(factor), residuals_of(predicted, packed.values, factor, scaling.log), np.nan)
+    shown = []
+    for j, channel in enumerate(model.channels):
+        seen = np.isfinite(found[:, j])
+        values = packed.row_time[seen], predicted[seen, j], found[seen, j]
+        shown.append(Residuals(channel.name, *values, bool(scaling.log[j])))
+    return tuple(shown)
 
 
 def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tuple[Orbit, ...]:
@@ -222,18 +226,33 @@ def _positive(text: str) -> float:
     return value if value > 0 else math.nan
 
 
+class _Network(Protocol):
+    """A network of the generated module over arrays; with raw outputs it has more, which the module reads."""
+
+    def __call__(self, *arguments: Array | float) -> tuple[Array, ...]: ...
+
+
+class _Recorded:
+    """A network that keeps the arguments of its calls; everything else is the network's own."""
+
+    def __init__(self, network: _Network) -> None:
+        self.network = network
+        self.calls: list[Array] = []
+
+    def __call__(self, *arguments: Array | float) -> tuple[Array, ...]:
+        self.calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
+        return self.network(*arguments)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.network, name)
+
+
 def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
     """The arguments [P, A] with which the model calls a network along its solutions at the measured rows."""
     evaluator = fitted.evaluators[0]
-    member: Any = evaluator.instance
-    calls: list[Array] = []
-    plain = member.numpy_networks()
-
-    def recorded(*arguments: Any) -> Any:
-        calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
-        return plain[network](*arguments)
-
-    networks = tuple(recorded if i == network else one for i, one in enumerate(plain))
+    member: Any = evaluator.instance  # its class is generated from the model
+    networks = list(member.numpy_networks())
+    networks[network] = recorded = _Recorded(networks[network])
     for index, item in enumerate(fitted.data.items):
         states, _ = fitted.solutions(index, item.times)
         rows = np.isfinite(states[0]).all(axis=1)
@@ -242,6 +261,6 @@ def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
         inputs = input_values(fitted.model, item, item.times)[rows]
         own = tuple(np.float64(value) for value in fitted.start(0, index).constants)
         for method in (member._rhs, member._observe):
-            method(member.arithmetic("numpy"), t, x, condition, inputs, own, networks)
-    found = np.concatenate(calls) if calls else np.zeros((0, len(fitted.model.networks[network].arguments)))
+            method(member.arithmetic("numpy"), t, x, condition, inputs, own, tuple(networks))
+    found = np.concatenate([np.zeros((0, len(fitted.model.networks[network].arguments))), *recorded.calls])
     return found[:: max(1, len(found) // limit)]

@@ -12,7 +12,7 @@ class ChannelFit:
     """One channel of one trajectory.
 
     Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one a member of the
-    ensemble (their mean is drawn, their spread shaded), and the `truth` [G] where there is one.
+    ensemble (their mean is drawn, their range shaded), and the `truth` [G] where there is one.
     """
 
     name: str
@@ -26,11 +26,12 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class TrajectoryFit:
-    """One trajectory: its label, its condition in words, and its channels."""
+    """One trajectory: its label, its condition in words, its channels, and the origin of its initial state."""
 
     label: str
     condition: str
     channels: tuple[ChannelFit, ...]
+    origin: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Slice:
     """A function of one argument: `x` [G], `members` [M, G], `truth` [G] or None; `label` says what is held fixed.
 
     `postulate` [G] is what the user supposed, None where nothing was; `visited` [V] are values of the argument in the
-    data, within the range of `x`.
+    data, within the range of `x`; `trained` is the range in which the network was trained, where it is known.
     """
 
     argument: str
@@ -65,6 +66,7 @@ class Slice:
     label: str
     postulate: Array | None = None
     visited: Array | None = None
+    trained: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -105,12 +107,16 @@ class History:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Measured minus fitted of one channel, in standard deviations of the channel: at `times` [N], all trajectories."""
+    """The residuals [N] of one channel (see `gbspec.ir.residuals`) at `times` [N] of all trajectories.
+
+    `predicted` [N] are the values there in the channel's unit; `logarithmic`: the residuals are of logarithms.
+    """
 
     name: str
     times: Array
-    fitted: Array
+    predicted: Array
     residual: Array
+    logarithmic: bool = False
 
 
 @dataclass(frozen=True)

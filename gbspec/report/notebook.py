@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.report import style
 
@@ -48,31 +48,16 @@ def register() -> None:
         formatters["image/png"].for_type_by_name(module, name, png)
 
 
-def figure(shown: Any) -> Figure:
-    """The figure of a diagram, curves in a plane, initial states or a profile. Raises `TypeError` for others."""
+def figure(shown: object) -> Figure:
+    """The figure of a diagram, curves in a plane, initial states, eigenvalues or a profile; `TypeError` for others."""
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.bifurcation.diagram import Diagram
-    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
-    from gbspec.analysis.prediction.start_comparison import InitialStates
-    from gbspec.report import diagram, initial_states, plane, profile
-    from gbspec.training.profile.likelihood import Profile
+    from gbspec.report.files import result
 
-    match shown:
-        case Figure():
-            return shown
-        case Diagram():
-            return diagram.diagram(shown)
-        case PlaneDiagram():
-            return plane.plane(shown)
-        case InitialStates():
-            return initial_states.initial_states(shown)
-        case Profile():
-            return profile.draw(shown)
-    raise TypeError(f"{type(shown).__name__} has no figure")
+    return shown if isinstance(shown, Figure) else result(shown)
 
 
-def png(shown: Any) -> bytes:
+def png(shown: object) -> bytes:
     """The figure as the bytes of a PNG."""
     written = io.BytesIO()
     with style.styled():

@@ -11,15 +11,16 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.files import writable
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LEARNED, TRUTH, MEASURED, MUTED = "#1f5fa8", "#2b2b2b", "#d9622b", "#8a8f98"
 """Learned curves, the truth, measurements, and what is secondary. Distinct in grey and to the colour-blind."""
 MEMBERS = ("#1f5fa8", "#3a8f5c", "#8e5ea2", "#c2872b", "#4aa3b8", "#b14a5b")
 """One colour a member, or a state, where several are drawn."""
-DASHED: Any = {"color": TRUTH, "linestyle": (0, (3.2, 2.2)), "linewidth": 1.2}
-"""How a truth is drawn."""
+CYCLE, FOLD = MEMBERS[1], MEMBERS[2]
+"""Limit cycles; folds."""
+BEHIND = "#c3c7cd"
+"""The truth behind diagrams, where dashes would be taken for what is unstable."""
 FORMS = (".png", ".svg", ".pdf")
 
 _SETTINGS: Any = {
@@ -89,21 +90,3 @@ def save(made: Figure, path: str | Path) -> None:
     metadata = clocks.get(target.suffix.lower(), {})
     with styled():
         made.savefig(target, metadata=metadata)
-
-
-def band(axes: Axes, x: Any, members: Any, label: str = "learned", color: str = LEARNED) -> None:
-    """A curve for the mean of members [M, G], and a shade from the smallest to the largest where there are several."""
-    axes.plot(x, members.mean(axis=0), color=color, label=label, zorder=3)
-    if len(members) > 1:
-        axes.fill_between(x, members.min(axis=0), members.max(axis=0), color=color, alpha=0.18, linewidth=0, zorder=2)
-
-
-def truth_line(axes: Axes, x: Any, y: Any, label: str = "truth") -> None:
-    """The reference: dashed, over the learned curve, so that agreement is seen as the dashes lying on it."""
-    axes.plot(x, y, label=label, zorder=4, **DASHED)
-
-
-def points(axes: Axes, x: Any, y: Any, label: str = "measured") -> None:
-    """Measurements."""
-    look: Any = {"color": MEASURED, "markersize": 4.2, "markeredgecolor": "white", "markeredgewidth": 0.6}
-    axes.plot(x, y, "o", label=label, zorder=5, **look)

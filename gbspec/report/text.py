@@ -124,7 +124,7 @@ def _left(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def run_summary(run: Run) -> str:
-    """A run in a few lines: constants with their spread and interval, errors of each member, warnings."""
+    """A run in a few lines: constants with their standard deviation and interval, errors of each member, warnings."""
     fit: dict[str, Any] = run.fit
     parts = [f"{run.model.name}: {run.model.title}" if run.model.title else run.model.name]
     truths = {t.name: t.value for t in run.model.truth_constants}

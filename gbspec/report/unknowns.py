@@ -36,7 +36,8 @@ def learned_functions(fitted: Fitted) -> tuple[LearnedFunction, ...]:
         truth = truth_of(fitted.model, unknown.name) if fitted.truth is not None else None
         supposed = postulate_of(fitted, unknown)
         names = tuple(argument.name for argument in arguments)
-        found.append(_Drawn(fitted, unknown.name, names, points, truth, supposed).function())
+        network = fitted.model.networks[unknown.network].name
+        found.append(_Drawn(fitted, unknown.name, network, names, points, truth, supposed).function())
     return tuple(found)
 
 
@@ -87,12 +88,14 @@ class _Drawn:
         self,
         fitted: Fitted,
         name: str,
+        network: str,
         arguments: tuple[str, ...],
         points: Array,
         truth: Expression | None,
         postulate: Expression | None,
     ) -> None:
-        self.fitted, self.name, self.arguments, self.points = fitted, name, arguments, points
+        self.fitted, self.name, self.network = fitted, name, network
+        self.arguments, self.points = arguments, points
         self.truth, self.postulate = truth, postulate
         self.low = np.quantile(points, EDGE, axis=0)
         self.high = np.quantile(points, 1 - EDGE, axis=0)
@@ -140,7 +143,16 @@ class _Drawn:
             self._label({i}),
             self.supposed(points),
             near[:: max(1, len(near) // TICKS)],
+            self.trained(i),
         )
+
+    def trained(self, i: int) -> tuple[float, float] | None:
+        """The range of argument `i` in which the network was trained, None where the weights do not say it."""
+        weights = self.fitted.evaluators[0].instance.weights
+        ends = [weights.get(f"network.{self.network}.input_{end}") for end in ("low", "high")]
+        if ends[0] is None or ends[1] is None or not ends[0][i] < ends[1][i]:
+            return None  # of a hidden state its guess alone is known where the range is taken
+        return float(ends[0][i]), float(ends[1][i])
 
     def reach(self, i: int) -> tuple[float, float]:
         """The range of argument `i` among the points whose other arguments lie in their middle halves."""
@@ -175,8 +187,3 @@ class _Drawn:
     def _label(self, varied: set[int]) -> str:
         fixed = [i for i in range(len(self.arguments)) if i not in varied]
         return ", ".join(f"{self.arguments[i]} = {self.middle[i]:.3g}" for i in fixed)
-
-
-def _flatness(piece: Slice) -> float:
-    """Slices along which the function varies most come first."""
-    return -float(np.ptp(piece.members.mean(axis=0)))

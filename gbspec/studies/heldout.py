@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
+from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.arrays import Array, Mask
 from gbspec.files import finite
+from gbspec.ir.residuals import logarithmic
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:

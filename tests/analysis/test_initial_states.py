@@ -16,7 +16,7 @@ from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import UserError
 from gbspec.operations import analysing, models
-from gbspec.report.initial_states import initial_states as draw
+from gbspec.report.files import result as draw
 from tests.analysis.conftest import model_of, nearly_true
 
 OPTIONS = SimulateOptions(trajectories=2, span=3.0, sampling="gamma", channels="own-clock", seed=2,

@@ -16,7 +16,7 @@ from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
 from gbspec.operations import analysing
-from gbspec.report import diagram as figures
+from gbspec.report import files as figures
 from tests.analysis.conftest import model_of, nearly_true
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram, bifurcation_plane
 from gbspec.diagnostics import UserError
-from gbspec.report.plane import plane
+from gbspec.report.files import plane
 from tests.analysis.textbook import brusselator, cusp, urp
 
 

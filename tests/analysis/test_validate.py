@@ -23,7 +23,7 @@ from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.sampling import SimulateOptions
-from gbspec.data.trajectories import Trajectories
+from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.operations.models import reference
@@ -228,6 +228,19 @@ def test_estimated_starts_recover_the_true_ones() -> None:
         start = estimator.start(item)
         assert start.origin == "estimated"
         assert start.state == pytest.approx(full.values[0], rel=1e-3)
+
+
+def test_a_start_is_fitted_to_logarithms_where_the_noise_is_in_them(tmp_path: Path) -> None:
+    text = "model decay\nstate x in [0, 2]\ninitial x learn\nx' = -x\nobserve y = 2*x noise lognormal(0.3)\n"
+    (tmp_path / "decay.gb").write_text(text)
+    model = load_model(tmp_path / "decay.gb", Findings())
+    times = np.linspace(0.5, 4.0, 8)
+    wrong = np.where(np.arange(8) % 2, 1.3, 0.6)
+    values = (2.0 * 0.8 * np.exp(-times) * wrong)[:, None]
+    item = Trajectory("1", 0.0, times, values, np.ones((8, 1)), np.full((8, 1), np.nan), np.zeros(0))
+    start = Estimator(Evaluator(load_module(model)()), model, np.ones(1)).start(item)
+    # Least squares of logarithms average them; those of values would follow the first ones alone.
+    assert start.state[0] == pytest.approx(0.8 * math.exp(np.log(wrong).mean()), rel=1e-3)
 
 
 def test_a_measured_first_row_is_the_start(urp_instance: Any) -> None:

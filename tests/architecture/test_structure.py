@@ -128,8 +128,7 @@ def test_functions_fit_on_a_screen() -> None:
 
 
 def test_private_names_stay_in_their_package() -> None:
-    """A name that begins with an underscore is known in the folder of its module and in the one above, whose door it may
-    be, and nowhere else."""
+    """A name that begins with an underscore is known in the folder of its module and in the one above, nowhere else."""
     known = trees()
     found = set()
     for module, (path, tree) in known.items():

@@ -15,7 +15,11 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, UserError
 from gbspec.operations import models, tables
 from gbspec.report import collect
-from gbspec.report.figures import KINDS, draw, liveliest
+from gbspec.report.description import Span
+from gbspec.report.figures.functions import slice_panel
+from gbspec.report.figures.summary import liveliest
+from gbspec.report.files import draw
+from gbspec.report.kinds import KINDS
 from gbspec.report.unknowns import Expression, learned_functions, postulate_of, truth_of
 from gbspec.runs.store import Run
 
@@ -37,11 +41,9 @@ truth mu(S) = 0.5*S/(1 + S)
 """
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def written(folder: Path, text: str) -> Run:
     """A run of two members whose weights are random: what is drawn does not depend on how good they are."""
-    folder = tmp_path_factory.mktemp("collect")
-    (folder / "growth.gb").write_text(TEXT)
+    (folder / "growth.gb").write_text(text)
     model = frontend.load_model(folder / "growth.gb", Findings())
     for member in (0, 1):
         place = folder / "members" / str(member)
@@ -49,6 +51,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
         load_module(model).random(seed=member).save(place / "weights.safetensors")
     entry = {"value": 0.5, "sd": 0.1, "interval": [0.4, 0.6], "start": 0.5, "per_member": [0.5, 0.5]}
     return Run(folder, model, {"constants": {"Y": entry}, "members": [{"loss": 2.0}, {"loss": 1.0}]}, (0, 1))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return written(tmp_path_factory.mktemp("collect"), TEXT)
 
 
 @pytest.fixture(scope="module")
@@ -89,12 +96,29 @@ def test_a_fit_shows_what_was_measured_and_nothing_else(fitted: collect.Fitted, 
     assert shown.condition.startswith("D = ")
 
 
-def test_residuals_are_measured_minus_fitted_in_standard_deviations(fitted: collect.Fitted, data: Trajectories) -> None:
-    found = collect.residuals(fitted)[0]
+def test_residuals_are_those_of_the_fit(fitted: collect.Fitted, data: Trajectories) -> None:
     fits = [fitted.solutions(i, item.times)[1].mean(axis=0)[:, 0] for i, item in enumerate(data.items)]
     measured = np.concatenate([item.values[:, 0] for item in data.items])
-    expected = (measured - np.concatenate(fits)) / np.std(measured)
-    np.testing.assert_allclose(found.residual, expected, rtol=1e-9)
+    expected = (np.concatenate(fits) - measured) / np.std(measured)
+    found = collect.residuals(fitted)[0]
+    order = np.lexsort((found.residual, found.times))
+    other = np.lexsort((expected, np.concatenate([item.times for item in data.items])))
+    np.testing.assert_allclose(found.residual[order], expected[other], rtol=1e-9)
+
+
+def test_residuals_are_of_logarithms_where_the_fit_was(tmp_path: Path) -> None:
+    run = written(tmp_path, TEXT.replace("observe X\n", "observe X noise lognormal(0.2)\n"))
+    options = SimulateOptions(trajectories=2, span=4.0, keep_start=True)
+    fitted = collect.Fitted(run, tables.simulate(models.reference(run.model), options))
+    item = fitted.data.items[0]
+    ratio = fitted.solutions(0, item.times)[1].mean(axis=0)[:, 0] / item.values[:, 0]
+    first, second = collect.residuals(fitted)
+    assert (first.logarithmic, second.logarithmic) == (True, False)
+    # The only channel with a stated noise: its scale is the deviation of its logarithms
+    logs = np.log(np.concatenate([one.values[:, 0] for one in fitted.data.items]))
+    expected = np.log(ratio) / logs.std()
+    assert np.isin(expected.round(9), first.residual.round(9)).all()
+    assert np.abs(expected).max() > 1e-3
 
 
 def test_every_application_of_an_unknown_is_visited(fitted: collect.Fitted, data: Trajectories) -> None:
@@ -129,6 +153,18 @@ def test_learned_functions_follow_the_members(fitted: collect.Fitted) -> None:
     assert found.plane is None
 
 
+def test_the_trained_range_is_that_of_the_weights_where_it_has_a_width(fitted: collect.Fitted) -> None:
+    weights = fitted.evaluators[0].instance.weights
+    for low, high, trained in ((0.5, 4.0, (0.5, 4.0)), (1.0, 1.0, None)):
+        weights |= {"network.mu.input_low": np.array([low]), "network.mu.input_high": np.array([high])}
+        (found,) = learned_functions(fitted)
+        assert found.slices[0].trained == trained
+        grounds = [mark for mark in slice_panel("mu", found.slices[0]).marks if isinstance(mark, Span)]
+        assert bool(grounds) == (trained is not None)
+    for end in ("low", "high"):
+        del weights[f"network.mu.input_{end}"]
+
+
 def test_constants_stand_beside_their_truths(run: Run) -> None:
     (found,) = collect.constants(run)
     assert (found.name, found.value, found.interval, found.truth, found.start) == ("Y", 0.5, (0.4, 0.6), 0.4, 0.5)
@@ -141,7 +177,7 @@ def test_the_liveliest_trajectory_changes_most(data: Trajectories) -> None:
     assert liveliest(replace(data, items=(*data.items[:2], wild))) == 2
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("history", "initial-states")])
+@pytest.mark.parametrize("kind", [kind.name for kind in KINDS if kind.name not in ("history", "initial-states")])
 def test_every_kind_is_drawn(run: Run, data: Trajectories, kind: str) -> None:
     assert draw(kind, run, data).axes
 
@@ -155,3 +191,24 @@ def test_initial_states_that_were_not_learned_are_said(run: Run, data: Trajector
 def test_a_history_that_is_not_there_is_said(run: Run, data: Trajectories, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="history"):
         draw("history", run, data)
+
+
+CONTRACT = """\
+model contract
+condition g in [0, 5]
+state u in [0, 5] = 1
+unknown mu(u, g in [0, 5]) >= 0, zero at u = 0, increasing in u by mlp(4)
+u' = 0.5 - mu(u, g)
+observe u
+initial u = 1
+truth mu(u, g) = u/(1 + g)
+"""
+
+
+@pytest.mark.parametrize("kind", ["functions", "parity"])
+def test_an_unknown_whose_contract_needs_raw_outputs_is_drawn(tmp_path: Path, kind: str) -> None:
+    run = written(tmp_path, CONTRACT)
+    data = tables.simulate(models.reference(run.model), SimulateOptions(trajectories=2, span=2.0, keep_start=True))
+    points = collect.visited(collect.Fitted(run, data), 0)
+    assert {float(value) for value in points[:, 1]} >= {float(item.condition[0]) for item in data.items}
+    assert draw(kind, run, data).axes

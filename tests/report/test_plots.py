@@ -1,4 +1,4 @@
-"""Figures from plain arrays: what is drawn, and that every form can be written."""
+"""Figures from plain arrays: what matplotlib draws of them, and that every form can be written."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gbspec.diagnostics import UserError
-from gbspec.report import plots, style
+from gbspec.report import style
 from gbspec.report.content import (
     ChannelFit,
     History,
@@ -20,6 +20,8 @@ from gbspec.report.content import (
     Slice,
     TrajectoryFit,
 )
+from gbspec.report.drawn import drawn
+from gbspec.report.figures import constants, fit, functions, history, phase, residuals, summary
 
 GRID = np.linspace(0.0, 1.0, 30)
 TIMES = np.array([0.1, 0.5, 0.9])
@@ -44,7 +46,7 @@ def test_a_fit_has_a_row_for_each_trajectory_and_a_column_for_each_channel() -> 
         TrajectoryFit("1", "D = 0.2", (channel("x"), channel("y"))),
         TrajectoryFit("2", "", (channel("x"),)),
     ]
-    made = plots.fit(trajectories)
+    made = drawn(fit.figure(trajectories))
     assert len(made.axes) == 4
     labels = [axes.get_ylabel() for axes in made.axes if axes.axison]
     assert labels == ["x [g/L]", "y [g/L]", "x [g/L]"]
@@ -52,23 +54,23 @@ def test_a_fit_has_a_row_for_each_trajectory_and_a_column_for_each_channel() -> 
 
 
 def test_measurements_fit_and_truth_are_drawn_where_they_are() -> None:
-    axes = plots.fit([TrajectoryFit("1", "", (channel("x"),))]).axes[0]
+    axes = drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))])).axes[0]
     lines = {line.get_label(): np.column_stack(line.get_data()) for line in axes.lines}
     assert set(lines) == {"learned", "truth", "measured"}
     np.testing.assert_allclose(lines["learned"][:, 1], np.sin(GRID) + 0.01)  # the mean of the members
     np.testing.assert_allclose(lines["measured"], np.column_stack([TIMES, np.sin(TIMES)]))
-    assert len(axes.collections) == 1  # the members' spread is shaded
+    assert len(axes.collections) == 1  # the range of the members is shaded
 
 
 def test_without_a_truth_and_with_one_member_neither_is_drawn() -> None:
-    axes = plots.fit([TrajectoryFit("1", "", (channel("x", truth=False, members=1),))]).axes[0]
+    axes = drawn(fit.figure([TrajectoryFit("1", "", (channel("x", truth=False, members=1),))])).axes[0]
     assert {line.get_label() for line in axes.lines} == {"learned", "measured"}
     assert not axes.collections
 
 
 @pytest.mark.parametrize(("truth", "plane", "panels"), [(True, True, 5), (False, True, 3), (False, False, 2)])
 def test_functions_have_slices_planes_and_parity(truth: bool, plane: bool, panels: int) -> None:
-    made = plots.functions([function(truth=truth, plane=plane)])
+    made = drawn(functions.figure([function(truth=truth, plane=plane)]))
     bars = 0 if not plane else 2 if truth else 1
     assert sum(axes.axison for axes in made.axes) == panels + bars
     assert {line.get_label() for line in made.axes[0].lines} >= {"learned", "postulate"}
@@ -77,13 +79,13 @@ def test_functions_have_slices_planes_and_parity(truth: bool, plane: bool, panel
 def test_parity_says_the_median_error() -> None:
     points = np.linspace(0, 1, 101)[:, None]
     shifted = LearnedFunction("f", ("a",), points, points[:, 0][None] + 0.01, points[:, 0], (), None)
-    made = plots.functions([shifted])
+    made = drawn(functions.figure([shifted]))
     assert made.axes[0].get_title(loc="left") == "median error 1 % of range"
 
 
 def test_constants_each_on_an_axis_with_what_is_known() -> None:
     full = LearnedConstant("B", 11.1, (10.9, 11.2), (11.0, 11.2), start=5.0, truth=11.0)
-    made = plots.constants([full, LearnedConstant("k", 2.0, None, (2.0,))])
+    made = drawn(constants.figure([full, LearnedConstant("k", 2.0, None, (2.0,))]))
     assert made.axes[0].get_title(loc="left") == "B = 11.1, 0.91 % from the truth"
     assert {line.get_label() for line in made.axes[0].lines} == {"interval", "members", "learned", "truth", "start"}
     assert {line.get_label() for line in made.axes[1].lines} == {"learned"}
@@ -92,7 +94,7 @@ def test_constants_each_on_an_axis_with_what_is_known() -> None:
 def test_history_has_the_loss_and_each_constant() -> None:
     seconds = np.arange(1.0, 7.0)
     member = History(0, ("warm",) * 2 + ("fit",) * 4, seconds, 10.0**-seconds, {"k": seconds})
-    made = plots.history([member, member])
+    made = drawn(history.figure([member, member]))
     assert [axes.get_ylabel() for axes in made.axes] == ["loss", "k"]
     assert made.axes[0].get_yscale() == "log"
     assert [text.get_text() for text in made.axes[0].texts] == ["warm", "fit"]
@@ -100,41 +102,43 @@ def test_history_has_the_loss_and_each_constant() -> None:
 
 def test_a_gap_in_the_loss_does_not_break_the_history() -> None:
     loss = np.array([1.0, np.nan, 0.1])
-    assert plots.history([History(0, ("fit",) * 3, np.arange(3.0), loss, {})]).axes
+    assert drawn(history.figure([History(0, ("fit",) * 3, np.arange(3.0), loss, {})])).axes
 
 
 def test_residuals_have_three_panels_a_channel() -> None:
     channels = [Residuals(name, TIMES, TIMES, np.array([0.1, -0.1, 0.1])) for name in "xy"]
-    made = plots.residuals(channels)
+    made = drawn(residuals.figure(channels))
     assert len(made.axes) == 6
-    assert made.axes[0].get_title(loc="left") == "x: 3 values, rms 0.1 sd"
+    assert made.axes[0].get_title(loc="left") == "x: 3 values, rms 0.1"
 
 
 def test_phase_draws_each_orbit_and_labels_one() -> None:
     path = np.column_stack([GRID, GRID**2])
-    made = plots.phase([Orbit("1", path, path, path[:3]), Orbit("2", path, None, np.zeros((0, 2)))], "x", "y")
+    made = drawn(phase.figure([Orbit("1", path, path, path[:3]), Orbit("2", path, None, np.zeros((0, 2)))], "x", "y"))
     assert [text.get_text() for text in made.axes[0].get_legend().get_texts()] == ["learned", "truth", "measured"]
 
 
-@pytest.mark.parametrize("constants", [0, 2])
+@pytest.mark.parametrize("count", [0, 2])
 @pytest.mark.parametrize("with_function", [True, False])
-def test_a_summary_of_whatever_there_is(with_function: bool, constants: int) -> None:
-    learned = [LearnedConstant(f"k{i}", 1.0, None, (1.0,)) for i in range(constants)]
-    made = plots.summary(TrajectoryFit("1", "", (channel("x"),)), function() if with_function else None, learned, "t")
-    assert len(made.axes) == 1 + 2 * with_function + constants
+def test_a_summary_of_whatever_there_is(with_function: bool, count: int) -> None:
+    learned = [LearnedConstant(f"k{i}", 1.0, None, (1.0,)) for i in range(count)]
+    made = drawn(
+        summary.figure(TrajectoryFit("1", "", (channel("x"),)), function() if with_function else None, learned, "t")
+    )
+    assert len(made.axes) == 1 + 2 * with_function + count
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf", "PNG"])
 def test_the_same_figure_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
     for name in "ab":
-        style.save(plots.fit([TrajectoryFit("1", "", (channel("x"),))]), tmp_path / f"{name}.{suffix}")
+        style.save(drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))])), tmp_path / f"{name}.{suffix}")
     assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
 
 
 @pytest.mark.parametrize(("name", "code"), [("f.jpeg", "GB812"), ("f", "GB812"), ("no/f.png", "GB805")])
 def test_a_form_that_cannot_be_written(tmp_path: Path, name: str, code: str) -> None:
     with pytest.raises(UserError) as caught:
-        style.save(plots.fit([TrajectoryFit("1", "", (channel("x"),))]), tmp_path / name)
+        style.save(drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))])), tmp_path / name)
     assert [d.code for d in caught.value.diagnostics] == [code]
 
 
@@ -142,5 +146,5 @@ def test_figures_leave_the_settings_of_matplotlib_alone() -> None:
     import matplotlib as mpl
 
     before = dict(mpl.rcParams)
-    plots.fit([TrajectoryFit("1", "", (channel("x"),))])
+    drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))]))
     assert dict(mpl.rcParams) == before

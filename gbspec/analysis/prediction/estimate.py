@@ -1,9 +1,10 @@
 """Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
 
 Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are the differences at all measured values, each over its channel's standard
-deviation; what is known beforehand, from the trajectories of the training, pulls towards its centre: as strongly as the
-noise says where that is known, else just enough to keep what the data do not determine from running away.
+trajectory has its own. The residuals are those of `gbspec.ir.residuals` at all measured values, in units of the
+standard deviation of the channel's data; what is known beforehand, from the trajectories of the training, pulls towards
+its centre: as strongly as the noise says where that is known, else just enough to keep what the data do not determine
+from running away.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from gbspec.analysis.prediction.predict import (
 )
 from gbspec.analysis.systems.points import spread_points
 from gbspec.arrays import Array
-from gbspec.data.statistics import channel_scales
+from gbspec.data.statistics import deviations
 from gbspec.data.window import recognised
+from gbspec.ir.residuals import logarithmic, residuals
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
@@ -71,8 +73,7 @@ def predictions(
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
-    scales = channel_scales(trajectories)
-    estimator = Estimator(evaluator, model, scales)
+    estimator = Estimator(evaluator, model, deviations(model, trajectories))
     positions = learned_positions(evaluator.instance, trajectories, data or {})
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
@@ -82,11 +83,12 @@ def predictions(
 
 
 class Estimator:
-    """Least squares for the start of one trajectory. `scales` [C] scale the channels' residuals; `noise` [C], where it
-    is known, is the standard deviation of their measurements."""
+    """Least squares for the start of one trajectory. `scales` [C] are the residuals' (see `deviations`); `noise` [C],
+    where it is known, is the standard deviation of measurements in the same units (of logarithms, if log-normal)."""
 
     def __init__(self, evaluator: Any, model: Model, scales: Array, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.scales = evaluator, model, scales
+        self.logarithmic = logarithmic(model)
         self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))
         self.prior = prior_of(evaluator.instance, model)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
@@ -134,9 +136,8 @@ class Estimator:
 
         columns = list(free)
         scale = np.concatenate([self.start_sd(item)[columns], self.own_sd])
-        weights = np.isfinite(item.values) / self.scales
-        measured = np.nan_to_num(item.values)
-        worst = np.full(int(np.sum(weights > 0)) + len(scale), 1e3)
+        measured = np.isfinite(item.values)
+        worst = np.full(int(np.sum(measured)) + len(scale), 1e3)
 
         def moved(z: Array) -> Start:
             x0, k = state.copy(), constants.copy()
@@ -145,20 +146,20 @@ class Estimator:
             k = np.clip(k, self.low, self.high)
             return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
 
-        def residuals(z: Array) -> Array:
+        def errors(z: Array) -> Array:
             found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)
             if found.failure:
                 return worst
-            error = ((found.channels - measured) * weights)[weights > 0]
-            return np.concatenate([error, self.pull * z])
+            error = residuals(found.channels, item.values, 1.0 / self.scales, self.logarithmic)
+            return np.concatenate([error[measured], self.pull * z])
 
         trials = self._trials(len(scale))
         with np.errstate(over="ignore"):  # squares of a solution that runs away: its cost is infinite
-            costs = [float(np.sum(residuals(z) ** 2)) for z in trials]
+            costs = [float(np.sum(errors(z) ** 2)) for z in trials]
             best = trials[int(np.argmin(costs))]
             if min(costs) >= float(np.sum(worst**2)):
                 return Start(state, constants, "failed", "no start was found from which it can be integrated")
-            solution = least_squares(residuals, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
+            solution = least_squares(errors, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
         return moved(np.asarray(solution.x, dtype=float))
 
     @staticmethod

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.noise import interval, logarithmic, noise_at
+from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.systems.system import trained_ranges
 from gbspec.arrays import Array, Mask
-from gbspec.data.statistics import channel_scales
+from gbspec.data.statistics import channel_scales, deviations
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
+from gbspec.ir.residuals import logarithmic
 
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
@@ -198,12 +199,6 @@ def hidden_states(model: Model) -> tuple[int, ...]:
     return tuple(i for i, state in enumerate(model.states) if state.name not in named)
 
 
-def _sizes(trajectories: Trajectories) -> Array:
-    """The typical size [C] of each channel's values over the table; 1 where it is not measured."""
-    columns = np.abs(np.concatenate([item.values for item in trajectories.items]).T)
-    return np.array([np.nanmedian(column) if np.isfinite(column).any() else 1.0 for column in columns])
-
-
 def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if members == 1:
@@ -232,7 +227,8 @@ class _MemberPredictions:
 
     def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, scales: Array) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
-        self.estimator = Estimator(evaluator, run.model, scales, noise_at(run, _sizes(trajectories)))
+        noise = noise_at(run, np.ones(len(run.model.channels)))
+        self.estimator = Estimator(evaluator, run.model, deviations(run.model, trajectories), noise)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
         self.scales = scales
 

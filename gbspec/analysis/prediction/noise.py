@@ -11,19 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
+from gbspec.ir.residuals import logarithmic
 
 if TYPE_CHECKING:
-    from gbspec.ir.model import Model
     from gbspec.runs.store import Run
 
 
 NORMAL_90 = 1.6448536269514722
 """Half of the width of a normal distribution's 90 % interval, in standard deviations."""
-
-
-def logarithmic(model: Model) -> Mask:
-    """Which channels [C] have lognormal noise."""
-    return np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=bool)
 
 
 def noise_at(run: Run, values: Array) -> Array:

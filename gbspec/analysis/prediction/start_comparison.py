@@ -19,7 +19,7 @@ from gbspec.analysis.prediction.predict import learned_positions, learned_start,
 from gbspec.analysis.systems.steady import ordered_modes
 from gbspec.analysis.systems.system import System
 from gbspec.arrays import Array, ComplexArray
-from gbspec.data.statistics import channel_scales
+from gbspec.data.statistics import deviations
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def initial_states(
     """
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
-    scales = channel_scales(data)
+    scales = deviations(model, data)
     breeder = Estimator(evaluator, model, scales)
     judge = None if truth is None else Estimator(truth, model, scales)
     found = []

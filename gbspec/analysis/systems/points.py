@@ -1,4 +1,6 @@
-"""Points spread evenly over a box without a random number: the additive recurrence with the generalised golden ratio.
+"""Evenly spaced: positions in a list, and points of a box without a random number.
+
+The points are those of the additive recurrence with the generalised golden ratio:
 
 x_i = (1/2 + i/g, 1/2 + i/g^2, ...) modulo 1, with g the root of g^(d+1) = g + 1 (Roberts 2018, "The unreasonable
 effectiveness of quasirandom sequences"): a low discrepancy in few dimensions, every beginning of it included.
@@ -9,6 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """All of `count` positions, or `most` of them evenly from the first to the last."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))] if count else []
 
 
 def spread_points(count: int, size: int, seed: int = 0) -> Array:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
+from gbspec.report.kinds import KINDS, names
 
-Kind = Literal[
-    "fit", "functions", "function", "constants", "history", "residuals", "phase", "initial-states", "summary"
-]
-"""The kinds of `gbspec.report.figures`, which is not imported to show the help."""
+if TYPE_CHECKING:
+    Kind = str
+else:
+    Kind = Literal[names()]  # the choices of the command, which a type checker cannot know
+
+HELP = "What to draw: " + ", ".join(f"{kind.name} ({kind.help})" for kind in KINDS) + "."
 
 
 @command(
@@ -25,7 +28,7 @@ Kind = Literal[
 def run(
     output: Output,
     directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
-    kind: Annotated[Kind, typer.Argument(help="What to draw.", metavar="KIND")],
+    kind: Annotated[Kind, typer.Argument(help=HELP, metavar="KIND")],
     to: Annotated[str, typer.Option("--output", "-o", help="The figure: .png, .svg or .pdf.", metavar="FILE")],
     data: Annotated[
         str | None, typer.Option("--data", help="A table; without it the one trained on.", metavar="DATA")

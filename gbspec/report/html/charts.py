@@ -1,252 +1,139 @@
-"""Charts as plain plotly documents (data and layout), each from the arrays of `gbspec.report.content`."""
+"""Panels of figures as plain plotly documents (data and layout)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias, assert_never
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from gbspec.analysis.bifurcation.diagram import NAMES, Diagram
-from gbspec.analysis.bifurcation.eigen import Eigen
-from gbspec.analysis.prediction.start_comparison import InitialStates
-from gbspec.arrays import Array
-from gbspec.report.content import ChannelFit, History, LearnedFunction, Orbit, Plane, Residuals, Slice
-from gbspec.report.style import LEARNED, MEASURED, MEMBERS, MUTED, TRUTH
+from gbspec.report.description import Axis, Band, Bars, Heat, Line, Mark, Panel, Points, Rug, Rule, Span, Text
 
-Chart = dict[str, Any]
-Trained = tuple[float, float] | None
+Chart: TypeAlias = dict[str, Any]
 DIGITS = 7
 """Significant digits of numbers in a chart: more than a screen can show."""
-CYCLE = "#3a8f5c"
-LOGARITHMIC: Chart = {"type": "log", "exponentformat": "power", "dtick": 1}
-"""An axis with powers of ten alone."""
-MOST_EIGENVALUES = 400
-"""Points whose eigenvalues are drawn; of more than these, evenly chosen ones: more would be one black spot."""
+PIXELS = 1.25
+"""Pixels of a line's width to a point."""
+SIZE = 1.6
+"""Pixels of a mark's size to a point: a page is looked at from further away."""
+DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot"}
+MARKERS = {"circle": "circle", "square": "square", "diamond": "diamond", "up": "triangle-up", "down": "triangle-down",
+           "plus": "cross", "cross": "x-thin-open", "bar": "line-ns-open"}  # fmt: skip
+TICK = 0.03
+"""The length of a rug's ticks, as a share of the panel's height."""
+MOST_IN_SVG = 3000
+"""Points from which the browser's graphics card draws them."""
 
 
-def numbers(values: Any) -> list[float | None]:
+def numbers(values: ArrayLike) -> list[float | None]:
     """An array as JSON takes it: rounded, null (a gap) where it is not finite."""
-    return [float(f"{v:.{DIGITS}g}") if math.isfinite(v) else None for v in np.ravel(values).tolist()]
+    return [float(f"{v:.{DIGITS}g}") if math.isfinite(v) else None for v in np.ravel(np.asarray(values)).tolist()]
 
 
-def line(
-    x: Any, y: Any, label: str, color: str, *, dash: str = "solid", width: float = 2.0, legend: bool = True
-) -> Chart:
-    """A curve."""
-    look = {"color": color, "dash": dash, "width": width}
-    return {"type": "scatter", "mode": "lines", "x": numbers(x), "y": numbers(y), "name": label, "line": look,
-            "showlegend": legend}  # fmt: skip
+def chart(panel: Panel) -> Chart:
+    """A panel as a document of its own."""
+    data: list[Chart] = []
+    layout = _layout(panel)
+    for mark in panel.marks:
+        _draw(mark, data, layout)
+    labels: set[str] = set()
+    for entry in (*data, *layout["shapes"]):
+        label = entry["name"] if entry.get("showlegend") else ""
+        entry["showlegend"] = bool(label) and label not in labels
+        labels.add(label)
+    several = len(labels - {""}) > 1
+    layout["showlegend"] = several
+    layout["margin"]["b"] = 80 if several else 50
+    if any(isinstance(mark, Text) for mark in panel.marks):
+        layout["margin"]["t"] += 15
+    return {"data": data, "layout": layout}
 
 
-def dots(x: Any, y: Any, label: str, color: str, *, size: float = 6, legend: bool = True, **look: Any) -> Chart:
-    """Points."""
-    return {"type": "scattergl" if np.size(x) > 3000 else "scatter", "mode": "markers", "x": numbers(x),
-            "y": numbers(y), "name": label, "marker": {"color": color, "size": size, **look},
-            "showlegend": legend}  # fmt: skip
-
-
-def chart(data: list[Chart], x: str, y: str, title: str = "", **layout: Any) -> Chart:
-    """A document of one panel; `layout` is put over the common one."""
-    several = sum(bool(one.get("showlegend", False)) for one in data) > 1
-    common: Chart = {
-        "showlegend": several,
-        "title": {"text": title, "font": {"size": 14}, "x": 0, "xanchor": "left", "pad": {"l": 8}},
-        "xaxis": {"title": {"text": x}, "zeroline": False},
-        "yaxis": {"title": {"text": y}, "zeroline": False},
-        "margin": {"l": 60, "r": 15, "t": 40 if title else 15, "b": 80 if several else 50},
+def _layout(panel: Panel) -> Chart:
+    return {
+        "title": {"text": panel.title, "font": {"size": 14}, "x": 0, "xanchor": "left", "pad": {"l": 8}},
+        "xaxis": _axis(panel.x),
+        "yaxis": _axis(panel.y),
+        "margin": {"l": 60, "r": 15, "t": 40 if panel.title else 15},
         "legend": {"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"},
         "hovermode": "closest",
-        "height": 330,
+        "height": round(65 + 95 * panel.height),
+        "shapes": [],
+        "annotations": [],
     }
-    for key, value in layout.items():
-        common[key] = {**common[key], **value} if isinstance(common.get(key), dict) else value
-    return {"data": data, "layout": common}
 
 
-def shaded(low: float, high: float) -> Chart:
-    """The range in which the model was trained, as a shape."""
-    return {"type": "rect", "xref": "x", "yref": "paper", "x0": low, "x1": high, "y0": 0, "y1": 1, "layer": "below",
-            "fillcolor": "#eaf1fa", "line": {"width": 0}}  # fmt: skip
+def _axis(axis: Axis) -> Chart:
+    made: Chart = {"title": {"text": axis.title}, "zeroline": False}
+    if axis.log:
+        made |= {"type": "log", "exponentformat": "power", "dtick": 1}
+    if axis.range is not None:
+        made["range"] = [math.log10(end) if axis.log else end for end in axis.range]
+    if not axis.shown:
+        made |= {"showticklabels": False, "showgrid": False}
+    return made
 
 
-def band(x: Any, members: Any) -> list[Chart]:
-    """The members' mean, and their range as a shade where there are several."""
-    found = [line(x, members.mean(axis=0), "learned", LEARNED)]
-    if len(members) > 1:
-        both = np.concatenate([members.max(axis=0), members.min(axis=0)[::-1]])
-        shade = line(np.concatenate([x, x[::-1]]), both, "members", LEARNED, width=0)
-        found.insert(0, {**shade, "fill": "toself", "fillcolor": "rgba(31,95,168,0.18)", "hoverinfo": "skip"})
-    return found
+def _draw(mark: Mark, data: list[Chart], layout: Chart) -> None:
+    match mark:
+        case Line():
+            look = {"color": mark.color, "dash": DASHES[mark.dash], "width": round(PIXELS * mark.width, 2)}
+            data.append(_trace("lines", mark.x, mark.y, mark.label, mark.hover) | {"line": look, "opacity": mark.alpha})
+        case Points():
+            data.append(_points(mark))
+        case Band():
+            x, y = np.concatenate([mark.x, mark.x[::-1]]), np.concatenate([mark.high, mark.low[::-1]])
+            look = {"line": {"width": 0}, "fill": "toself", "fillcolor": _clear(mark.color, mark.alpha)}
+            data.append(_trace("lines", x, y, mark.label) | look | {"hoverinfo": "skip"})
+        case Span():
+            layout["shapes"].append(_shape("rect", mark.axis, mark.low, mark.high, mark.label) | {
+                "layer": "below", "fillcolor": _clear(mark.color, mark.alpha), "line": {"width": 0}})  # fmt: skip
+        case Rule():
+            look = {"color": mark.color, "dash": DASHES[mark.dash], "width": round(PIXELS * mark.width, 2)}
+            layout["shapes"].append(_shape("line", mark.axis, mark.value, mark.value, mark.label) | {"line": look})
+        case Rug():
+            path = "".join(f"M{x:.{DIGITS}g},0L{x:.{DIGITS}g},{TICK}" for x in mark.x.tolist())
+            layout["shapes"].append({"type": "path", "xref": "x", "yref": "paper", "path": path, "opacity": 0.5,
+                                     "line": {"color": mark.color, "width": 1}})  # fmt: skip
+        case Heat():
+            data.append({"type": "heatmap", "x": numbers(mark.x), "y": numbers(mark.y), "zmin": mark.low,
+                         "zmax": mark.high, "z": [numbers(row) for row in mark.values],
+                         "colorscale": "Viridis"})  # fmt: skip
+        case Bars():
+            middles = (mark.edges[:-1] + mark.edges[1:]) / 2
+            data.append({"type": "bar", "orientation": "h", "x": numbers(mark.counts), "y": numbers(middles),
+                         "width": numbers(np.diff(mark.edges)), "marker": {"color": mark.color}})  # fmt: skip
+        case Text():
+            place = {"xref": "x", "yref": "paper", "y": 1, "xanchor": "center", "yanchor": "bottom"}
+            layout["annotations"].append({"x": mark.x, "text": mark.text, "showarrow": False, **place})
+        case _:
+            assert_never(mark)
 
 
-def fit(channel: ChannelFit, time: str, *, measured: bool) -> Chart:
-    """One channel, or state, of one trajectory: measurements, learned curve, truth."""
-    data = band(channel.grid, channel.members)
-    if channel.truth is not None:
-        data.append(line(channel.grid, channel.truth, "truth", TRUTH, dash="dash", width=1.4))
-    if len(channel.times):
-        data.append(dots(channel.times, channel.measured, "measured", MEASURED, size=7))
-    title = channel.name + ("" if measured else ": not measured")
-    return chart(data, time, channel.name + (f" [{channel.unit}]" if channel.unit else ""), title)
+def _trace(mode: str, x: ArrayLike, y: ArrayLike, label: str, hover: Sequence[str] = ()) -> Chart:
+    made: Chart = {"type": "scatter", "mode": mode, "x": numbers(x), "y": numbers(y), "name": label,
+                   "showlegend": bool(label)}  # fmt: skip
+    return made | ({"hovertext": list(hover)} if hover else {}) | ({} if label or hover else {"hoverinfo": "x+y"})
 
 
-def residuals(one: Residuals, time: str) -> Chart:
-    """Residuals of a channel over time, in its standard deviations."""
-    rms = float(np.sqrt(np.mean(one.residual**2))) if len(one.residual) else math.nan
-    data = [dots(one.times, one.residual, "residual", LEARNED, size=4, legend=False, opacity=0.6)]
-    return chart(data, time, "residual / sd", f"{one.name}: {len(one.residual)} values, rms {rms:.3g} sd", height=260)
+def _points(mark: Points) -> Chart:
+    look: Chart = {"color": mark.color, "size": round(SIZE * mark.size, 1), "opacity": mark.alpha,
+                   "symbol": MARKERS[mark.marker]}  # fmt: skip
+    if mark.hollow:
+        look["symbol"] += "-open"
+    made = _trace("markers", mark.x, mark.y, mark.label, mark.hover) | {"marker": look}
+    return made | ({"type": "scattergl"} if len(mark.x) > MOST_IN_SVG else {})
 
 
-def history(members: Sequence[History]) -> list[Chart]:
-    """The loss over the seconds of training, and each constant."""
-    losses, constants = [], []
-    for k, member in enumerate(members):
-        color = MEMBERS[k % len(MEMBERS)]
-        curve = line(member.seconds, member.loss, f"member {member.member}", color, width=1.6)
-        losses.append({**curve, "text": list(member.stage), "hovertemplate": "%{text}<br>%{x:.3g} s: %{y:.4g}"})
-    for name in members[0].constants:
-        curves = [line(m.seconds, m.constants[name], f"member {m.member}", MEMBERS[k % len(MEMBERS)], width=1.6)
-                  for k, m in enumerate(members)]  # fmt: skip
-        constants.append(chart(curves, "seconds", name, height=240))
-    return [chart(losses, "seconds", "loss", yaxis=LOGARITHMIC), *constants]
+def _shape(kind: str, axis: str, low: float, high: float, label: str) -> Chart:
+    along, across = ("x", "y") if axis == "x" else ("y", "x")
+    return {"type": kind, f"{along}ref": along, f"{across}ref": "paper", f"{along}0": low, f"{along}1": high,
+            f"{across}0": 0, f"{across}1": 1, "name": label, "showlegend": bool(label)}  # fmt: skip
 
 
-def slice_of(name: str, piece: Slice, trained: Trained, postulate: Any = None) -> Chart:
-    """A learned function along one argument, beside its truth and postulate, its trained range shaded."""
-    data = band(piece.x, piece.members)
-    if piece.truth is not None:
-        data.append(line(piece.x, piece.truth, "truth", TRUTH, dash="dash", width=1.4))
-    if postulate is not None:
-        data.append(line(piece.x, postulate, "postulate", MUTED, dash="dot", width=1.6))
-    title = f"{name} at {piece.label}" if piece.label else name
-    shapes = [] if trained is None else [shaded(*trained)]
-    return chart(data, piece.argument, name, title, shapes=shapes)
-
-
-def planes(name: str, plane: Plane) -> list[Chart]:
-    """Heatmaps of a learned function, and of its truth in the same colours."""
-    shown = [("learned", plane.learned)] + ([("truth", plane.truth)] if plane.truth is not None else [])
-    low = min(float(np.nanmin(values)) for _, values in shown)
-    high = max(float(np.nanmax(values)) for _, values in shown)
-    found = []
-    for word, values in shown:
-        data: Chart = {"type": "heatmap", "x": numbers(plane.x), "y": numbers(plane.y), "zmin": low, "zmax": high,
-                       "z": [numbers(row) for row in values], "colorscale": "Viridis"}  # fmt: skip
-        at = f" at {plane.label}" if plane.label else ""
-        found.append(chart([data], plane.x_name, plane.y_name, f"{name}, {word}{at}"))
-    return found
-
-
-def parity(name: str, true: Any, learned: Any) -> Chart:
-    """Learned against true values, with the line on which they would be equal."""
-    ends = [float(np.min(true)), float(np.max(true))]
-    data = [
-        line(ends, ends, "equal", MUTED, width=1, legend=False),
-        dots(true, learned, "learned", LEARNED, size=4, legend=False, opacity=0.5),
-    ]
-    return chart(data, f"true {name}", f"learned {name}", name)
-
-
-def phase(orbits: Sequence[Orbit], x: str, y: str) -> Chart:
-    """Trajectories in the plane of two states."""
-    data = []
-    for k, orbit in enumerate(orbits):
-        data.append(line(orbit.learned[:, 0], orbit.learned[:, 1], "learned", LEARNED, width=1.6, legend=k == 0))
-        data[-1]["hovertext"] = f"trajectory {orbit.label}"
-        if orbit.truth is not None:
-            data.append(line(orbit.truth[:, 0], orbit.truth[:, 1], "truth", TRUTH, dash="dash", width=1, legend=k == 0))
-        if len(orbit.measured):
-            data.append(dots(orbit.measured[:, 0], orbit.measured[:, 1], "measured", MEASURED, size=5, legend=k == 0))
-    return chart(data, x, y, height=460)
-
-
-def eigenvalues(found: Eigen) -> Chart:
-    """Eigenvalues in the complex plane at all points."""
-    data = []
-    points = found.points[:: -(-len(found.points) // MOST_EIGENVALUES)]
-    learned = np.concatenate([point.eigenvalues for point in points])
-    data.append(dots(learned.real, learned.imag, "learned", LEARNED, size=5, opacity=0.6))
-    true = [point.truth for point in points if point.truth is not None]
-    if true:
-        values = np.concatenate(true)
-        data.append(dots(values.real, values.imag, "truth", TRUTH, size=7, opacity=0.5, symbol="circle-open"))
-    every = np.concatenate([learned, *true]).real
-    view = _view(every)
-    left_out = int(np.sum(every < view[0])) if view else 0
-    title = f"{left_out} of {len(every)} lie further left: double click" if left_out else ""
-    return chart(
-        data, "real part", "imaginary part", title, xaxis={"zeroline": True, **({"range": view} if view else {})}
-    )
-
-
-def _view(values: Array) -> list[float] | None:
-    """The range of all but the lowest hundredth, where those few would press everything else together."""
-    low, high = float(np.quantile(values, 0.01)), float(values.max())
-    if low - values.min() < 2.0 * (high - low):
-        return None
-    margin = 0.1 * (high - low)
-    return [low - margin, high + margin]
-
-
-def initial_states(found: InitialStates) -> list[Chart]:
-    """Of each mode, slowest first, how far learned and bred starts are off; one point a trajectory."""
-    labels = [item.trajectory for item in found.items]
-    panels = []
-    for rank, rate in enumerate(found.rates):
-        drawn = [("learned", LEARNED, [item.learned_off[rank] for item in found.items])]
-        bred = [item.bred_off[rank] for item in found.items if item.bred_off is not None]
-        drawn += [("bred", MEASURED, bred)] if bred else []
-        marks = [
-            {**dots(range(len(labels)), sizes, word, color), "hovertext": [f"trajectory {label}" for label in labels]}
-            for word, color, sizes in drawn
-        ]
-        pace = f"decays in {-1 / rate:.3g}" if rate < 0 else "grows"
-        panels.append(chart(marks, "trajectory", f"off {found.reference}", f"mode {rank + 1}: {pace}",
-                            yaxis=LOGARITHMIC))  # fmt: skip
-    return panels
-
-
-def functions_parity(function: LearnedFunction) -> Chart | None:
-    """Learned against true values of a function where the data are; None without a truth."""
-    if function.truth is None:
-        return None
-    return parity(function.name, function.truth, function.members.mean(axis=0))
-
-
-def diagram(shown: Diagram, truth: Diagram | None, state: int) -> Chart:
-    """A bifurcation diagram in one state: stable solid, unstable dashed; the truth grey behind it."""
-    data = [*(_curves(truth, state, plain=True) if truth is not None else []), *_curves(shown, state, plain=False)]
-    for kind in dict.fromkeys(point.kind for point in shown.special):
-        points = shown.of_kind(kind)
-        heights = [shown.drawn_at(point)[state] for point in points]
-        data.append(dots([point.value for point in points], heights, NAMES[kind], MEASURED, size=9))
-    shapes = [] if shown.trained is None else [shaded(*shown.trained)]
-    return chart(data, shown.parameter, shown.states[state], shapes=shapes, xaxis={"range": [shown.low, shown.high]},
-                 height=400)  # fmt: skip
-
-
-def _curves(shown: Diagram, state: int, *, plain: bool) -> list[Chart]:
-    """Branches and cycles (their largest and smallest values), cut where their stability changes."""
-    curves = [("steady", LEARNED, [(p.value, p.state[state], p.stable) for p in b.points]) for b in shown.branches]
-    for family in shown.cycles:
-        for which in ("maximum", "minimum"):
-            points = [(c.value, getattr(c, which)[state], c.stable) for c in family.cycles]
-            curves.append(("cycle", CYCLE, points))
-    found: list[Chart] = []
-    named: set[str] = set()
-    for word, color, points in curves:
-        start = 0
-        for end in range(1, len(points) + 1):
-            if end < len(points) and points[end][2] == points[start][2]:
-                continue
-            stable = points[start][2]
-            label = "truth" if plain else f"{word}, {'stable' if stable else 'unstable'}"
-            x, y, _ = zip(*points[start : end + 1], strict=True)
-            dash, width = "solid" if stable else "dash", 4.5 if plain else 2.0
-            shade = "#c9ccd1" if plain else color
-            found.append(line(x, y, label, shade, dash=dash, width=width, legend=label not in named))
-            named.add(label)
-            start = end
-    return found
+def _clear(color: str, alpha: float) -> str:
+    """A colour `#rrggbb` through which what lies below is seen."""
+    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{alpha:g})"

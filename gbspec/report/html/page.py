@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gbspec.diagnostics import UserError
 from gbspec.ir.model import Model
 from gbspec.report import collect
-from gbspec.report.html import charts, gather, mathml
+from gbspec.report.description import Figure, Panel
+from gbspec.report.figures import diagram
+from gbspec.report.html import charts, mathml, tables
+from gbspec.report.kinds import KINDS, Kind
+from gbspec.report.source import MissingError, Source
+from gbspec.report.text import number
 from gbspec.runs.store import Run
 from gbspec.version import __version__
 
@@ -20,8 +25,6 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.eigen import Eigen
     from gbspec.analysis.validation.validate import Validation
 
-IN_PLANE = 8
-"""Trajectories in the phase portrait: more would hide each other."""
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 HARMLESS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
 """Characters that could end a script element, as JSON writes them within strings."""
@@ -46,7 +49,7 @@ def page(fitted: collect.Fitted | None, run: Run, found: Findings) -> str:
     environment.filters["math"] = mathml.inline
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     store = _Charts()
-    content = _content(fitted, run, found, store.add)
+    content = _content(fitted, run, found, store)
     return template.render(**content, charts=store.script(), plotly=get_plotlyjs())
 
 
@@ -56,10 +59,22 @@ class _Charts:
     def __init__(self) -> None:
         self.all: list[charts.Chart] = []
 
-    def add(self, chart: charts.Chart) -> int:
-        """Keeps a chart and gives its number."""
-        self.all.append(chart)
+    def add(self, panel: Panel) -> int:
+        """Keeps the chart of a panel and gives its number."""
+        self.all.append(charts.chart(panel))
         return len(self.all) - 1
+
+    def groups(self, figure: Figure) -> list[Group]:
+        """The panels of a figure, those together that a heading of the figure has in common."""
+        found: list[Group] = []
+        for block in (block for row in figure.rows for block in row):
+            for row in block.rows:
+                numbers = [self.add(panel) for panel in row.panels if panel is not None]
+                if row.heading or not found or block.chosen:
+                    found.append(Group(row.heading, row.note, numbers, block.chosen))
+                else:
+                    found[-1].charts.extend(numbers)
+        return found
 
     def script(self) -> str:
         """All charts as JSON that can stand in a script element."""
@@ -69,44 +84,73 @@ class _Charts:
         return text
 
 
-Add = Callable[[charts.Chart], int]
+@dataclass(frozen=True)
+class Group:
+    """Charts under a heading; `chosen`: a reader looks at one such group at a time."""
+
+    heading: str
+    note: str
+    charts: list[int]
+    chosen: bool
 
 
-def _content(fitted: collect.Fitted | None, run: Run, found: Findings, add: Add) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Section:
+    """A section of the page: that of a figure with its charts, or of tables, which the template writes by the id.
+
+    `missing` says why there are no charts.
+    """
+
+    id: str
+    heading: str
+    note: str = ""
+    groups: tuple[Group, ...] = ()
+    missing: str = ""
+
+
+BEFORE = (Section("model", "Model"),)
+AFTER = {
+    "functions": (Section("constants", "Constants"), Section("metrics", "Errors")),
+    "history": (Section("bifurcation", "Bifurcations"),),
+}
+"""The sections of tables that follow a figure's."""
+LAST = (Section("reproduce", "How to reproduce it"),)
+
+
+def _sections(source: Source, store: _Charts) -> list[Section]:
+    """All sections in their order."""
+    figures = [_section(kind, source, store) for kind in KINDS if kind.heading]
+    return [*BEFORE, *(one for figure in figures for one in (figure, *AFTER.get(figure.id, ()))), *LAST]
+
+
+def _section(kind: Kind, source: Source, store: _Charts) -> Section:
+    """The section of a kind of figure, or why it is empty."""
+    try:
+        groups = tuple(store.groups(kind.build(source)))
+    except MissingError as missing:
+        return Section(kind.id, kind.heading, missing=missing.why)
+    except UserError as error:
+        return Section(kind.id, kind.heading, missing=error.diagnostics[0].message)
+    return Section(kind.id, kind.heading, kind.note, groups)
+
+
+def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _Charts) -> dict[str, Any]:
     """The template's variables."""
     model = run.model
-
-    def panels(given: Sequence[gather.Panel]) -> list[dict[str, Any]]:
-        return [{"label": p.label, "note": p.note, "charts": [add(c) for c in p.charts]} for p in given]
-
-    indices = gather.chosen(len(fitted.data)) if fitted else []
-    past = collect.history(run)
-    names = [s.name for s in model.states]
-    validation = found.validation.to_json()
+    source = Source(run, fitted.data if fitted else None, page=True, over=fitted, spectra=found.eigen)
     return {
         "model": model,
         "equations": _equations(model),
-        "declared": gather.declared_table(model),
+        "declared": tables.declared(model),
         "summary": _summary(run, found),
         "warnings": found.validation.warnings_after(run.fit),
+        "sections": _sections(source, store),
         "total": len(fitted.data) if fitted else 0,
-        "fits": panels(gather.fits(fitted, indices)) if fitted else [],
-        "residuals": [add(charts.residuals(r, model.time.name)) for r in collect.residuals(fitted)] if fitted else [],
-        "history": [add(c) for c in charts.history(past)] if past else [],
-        "functions": panels(gather.functions(fitted)) if fitted else [],
-        "constants": gather.constants_table(run),
-        "correlations": gather.correlations_table(run),
-        "metrics": gather.metrics_tables(validation),
-        "starts": [add(c) for c in gather.starts(fitted, indices)] if fitted else [],
-        "parity": [add(c) for c in gather.parity(fitted)] if fitted else [],
-        "diagram": _diagram(found, add),
-        "eigen": add(charts.eigenvalues(found.eigen)) if found.eigen and found.eigen.points else None,
+        "constants": tables.constants(run),
+        "correlations": tables.correlations(run),
+        "metrics": tables.metrics(found.validation.to_json()),
+        "diagram": _diagram(found, store),
         "fast": found.eigen.fast_modes if found.eigen else (),
-        "phase": add(
-            charts.phase(collect.orbits(fitted, collect.spaced(len(fitted.data), IN_PLANE), (0, 1)), *names[:2])
-        )
-        if fitted and len(names) > 1
-        else None,
         "reproduce": _reproduce(run),
     }
 
@@ -128,8 +172,6 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     """A few numbers that are seen first."""
-    from gbspec.report.text import number
-
     data = run.fit.get("data", {})
     errors = [one.nrmse for one in found.validation.channels.values()]
     cards = [
@@ -138,21 +180,21 @@ def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
         (str(len(run.numbers)), "members" if len(run.numbers) > 1 else "member"),
     ]
     if errors:
-        cards.append((number(max(errors), 3), "largest error of a channel, in its spread"))
+        cards.append((number(max(errors), 3), "largest error of a channel, in its standard deviation"))
     truth = found.validation.truth
     if truth is not None:
         cards.append((number(truth.rhs.L2, 3), "L2 error of the right-hand side"))
     return cards
 
 
-def _diagram(found: Findings, add: Add) -> dict[str, Any] | None:
+def _diagram(found: Findings, store: _Charts) -> dict[str, Any] | None:
     """Charts and special points of the bifurcation diagram."""
     if found.diagrams is None:
         return None
     shown, truth = found.diagrams
     return {
         "parameter": shown.parameter,
-        "charts": [add(charts.diagram(shown, truth, i)) for i in range(len(shown.states))],
+        "groups": store.groups(diagram.figure(shown, truth=truth)),
         "text": str(shown),
         "truth": "" if truth is None else str(truth),
     }

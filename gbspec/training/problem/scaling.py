@@ -18,8 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
+from gbspec.data.statistics import deviations
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
+from gbspec.ir.residuals import logarithmic
 from gbspec.training.problem.packing import Packed
 
 
@@ -39,8 +41,7 @@ class Scaling:
 
 def scaling_of(model: Model, packed: Packed, trajectories: Trajectories) -> Scaling:
     """Scales of the residuals (see the module's documentation)."""
-    log = np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=bool)
-    deviation = np.array([_deviation(trajectories, i, bool(log[i])) for i in range(len(model.channels))])
+    log, deviation = logarithmic(model), deviations(model, trajectories)
     stated = np.full(len(model.channels), np.nan)
     for i, channel in enumerate(model.channels):
         if channel.noise is not None:
@@ -61,18 +62,3 @@ def scaling_of(model: Model, packed: Packed, trajectories: Trajectories) -> Scal
     if own.any():
         row_scale = np.where(own, np.where(own, packed.sd, 1.0) / level, row_scale)
     return Scaling(log, row_scale, channel_scale, level if known.all() and level > 0 else None)
-
-
-def _deviation(trajectories: Trajectories, channel: int, log: bool) -> float:
-    """Standard deviation of a channel's data (of their logarithms); 1 or the values' size where they do not vary."""
-    values = np.concatenate([item.values[:, channel] for item in trajectories.items] or [np.zeros(0)])
-    values = values[np.isfinite(values)]
-    if log:
-        values = np.log(values[values > 0])
-    if len(values) == 0:
-        return 1.0
-    deviation = float(values.std())
-    size = float(np.abs(values).max())
-    if deviation > 1e-9 * max(size, 1e-300):
-        return deviation
-    return size if size > 0 and not log else 1.0

@@ -1,0 +1,101 @@
+"""The unknown functions over what the data visit: along each argument, over planes, and against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.report.content import LearnedFunction, Plane, Slice
+from gbspec.report.description import (
+    Axis,
+    Block,
+    Figure,
+    Heat,
+    Line,
+    Mark,
+    Panel,
+    Points,
+    Row,
+    Rug,
+    beyond,
+    diagonal,
+    ensemble,
+    truth,
+    wrapped,
+)
+from gbspec.report.source import MissingError, Source
+from gbspec.report.style import LEARNED, MUTED
+from gbspec.report.unknowns import learned_functions
+
+ACROSS = 3
+"""Panels side by side."""
+SLICES = 3
+"""Slices of a function in a file; those along which it varies most come first."""
+OUTERMOST = 0.002
+"""The share of values at either end that the comparison with the truth leaves out."""
+
+
+def build(source: Source) -> Figure:
+    """Every unknown of the model."""
+    fitted = source.fitted
+    if not fitted.model.unknowns:
+        raise MissingError("every function of the model is known", "constants")
+    return figure(learned_functions(fitted), None if source.page else SLICES)
+
+
+def figure(learned: Sequence[LearnedFunction], slices: int | None = SLICES) -> Figure:
+    """A block a function: so many (None: all) slices, its plane where it has several arguments, and the truth."""
+    blocks = []
+    for function in learned:
+        shown = [slice_panel(function.name, piece, legend=k == 0) for k, piece in enumerate(function.slices[:slices])]
+        if function.plane is not None:
+            shown += planes(function.name, function.plane)
+        if function.truth is not None:
+            shown.append(parity_panel(function.name, function.truth, function.members.mean(axis=0)))
+        first, *others = wrapped(tuple(shown), ACROSS) or (Row((None,)),)
+        heading = f"{function.name} of {', '.join(function.arguments)}"
+        blocks.append((Block((Row(first.panels, heading), *others)),))
+    return Figure(tuple(blocks))
+
+
+def slice_panel(name: str, piece: Slice, *, legend: bool = True) -> Panel:
+    """A function along one argument, beside its truth and postulate; ticks show where data are."""
+    ends = float(piece.x[0]), float(piece.x[-1])
+    marks: list[Mark] = [*beyond("x", ends, piece.trained)]
+    if piece.postulate is not None:
+        marks.append(Line(piece.x, piece.postulate, "postulate", MUTED, 1.5, "dotted", layer=2))
+    marks += ensemble(piece.x, piece.members)
+    if piece.truth is not None:
+        marks.append(truth(piece.x, piece.truth))
+    if piece.visited is not None:
+        marks.append(Rug(piece.visited))
+    return Panel(tuple(marks), Axis(piece.argument, margin=0.02), Axis(name), _at(name, piece.label), legend)
+
+
+def planes(name: str, plane: Plane) -> list[Panel]:
+    """A function over the plane of two arguments, and its truth in the same colours."""
+    shown = [("learned", plane.learned)] + ([("truth", plane.truth)] if plane.truth is not None else [])
+    low = min(float(np.nanmin(values)) for _, values in shown)
+    high = max(float(np.nanmax(values)) for _, values in shown)
+    return [
+        Panel((Heat(plane.x, plane.y, values, low, high),), Axis(plane.x_name), Axis(plane.y_name),
+              _at(f"{name}, {word}", plane.label))
+        for word, values in shown
+    ]  # fmt: skip
+
+
+def parity_panel(name: str, true: Array, learned: Array) -> Panel:
+    """Learned against true values [P], the outermost left out."""
+    low, high = np.quantile(np.concatenate([learned, true]), [OUTERMOST, 1 - OUTERMOST])
+    shown = (np.minimum(learned, true) >= low) & (np.maximum(learned, true) <= high)
+    error = float(np.median(np.abs(learned - true)))
+    share = f"{100 * error / (high - low):.2g} % of range" if high > low else f"{error:.2g}"
+    points = Points(true[shown], learned[shown], "learned", LEARNED, 2.4, alpha=0.45, layer=3)
+    return Panel((diagonal(float(low), float(high)), points), Axis(f"true {name}"), Axis(f"learned {name}"),
+                 f"median error {share}")  # fmt: skip
+
+
+def _at(text: str, where: str) -> str:
+    return f"{text} at {where}" if where else text

@@ -1,0 +1,59 @@
+"""The loss and the learned constants over the time of training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+from gbspec.report import collect
+from gbspec.report.content import History
+from gbspec.report.description import Axis, Block, Figure, Line, Mark, Panel, Row, Span, Text
+from gbspec.report.source import MissingError, Source
+from gbspec.report.style import MEMBERS
+
+
+def build(source: Source) -> Figure:
+    """The history of every member."""
+    members = collect.history(source.run)
+    if not members:
+        raise MissingError("the run has no `history.csv`", "fit")
+    return figure(members)
+
+
+def figure(members: Sequence[History]) -> Figure:
+    """The loss, and below it each constant; every other stage of the first member is shaded."""
+    grounds, words = _stages(members[0])
+    time = Axis("seconds")
+    loss = Panel((*grounds, *words, *_curves(members, None)), time, Axis("loss", log=True), "",
+                 legend=True, width=6.4, height=2.6)  # fmt: skip
+    constants = [
+        Panel((*grounds, *_curves(members, name)), time, Axis(name), width=6.4, height=1.25)
+        for name in members[0].constants
+    ]
+    return Figure(((Block(tuple(Row((panel,)) for panel in (loss, *constants)), shared="column"),),))
+
+
+def _curves(members: Sequence[History], name: str | None) -> list[Mark]:
+    """A constant, or the loss, of each member."""
+    return [
+        Line(m.seconds, m.loss if name is None else m.constants[name], f"member {m.member}",
+             MEMBERS[k % len(MEMBERS)], 1.3, hover=m.stage)
+        for k, m in enumerate(members)
+    ]  # fmt: skip
+
+
+def _stages(member: History) -> tuple[list[Span], list[Text]]:
+    """Ground for every other stage of a member, and the names of those that are long enough for theirs."""
+    if not member.stage:
+        return [], []
+    stage, seconds = member.stage, member.seconds
+    starts = [0, *(i for i in range(1, len(stage)) if stage[i] != stage[i - 1])]
+    total = float(seconds[-1] - seconds[0]) or 1.0
+    grounds, words = [], []
+    for k, (first, last) in enumerate(pairwise([*starts, len(stage) - 1])):
+        left, right = float(seconds[first]), float(seconds[last])
+        if k % 2:
+            grounds.append(Span("x", left, right, color="#f2f4f7"))
+        if (right - left) / total > 0.013 * len(stage[first]):
+            words.append(Text((left + right) / 2, stage[first]))
+    return grounds, words

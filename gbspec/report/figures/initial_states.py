@@ -1,0 +1,66 @@
+"""Learned, bred and true initial states: each state over its reference, then how far off in each mode."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbspec.analysis.prediction.start_comparison import InitialStates
+from gbspec.arrays import Array
+from gbspec.data.statistics import evenly_spaced
+from gbspec.report import collect
+from gbspec.report.description import Axis, Block, Figure, Panel, Points, diagonal, wrapped
+from gbspec.report.source import Source
+from gbspec.report.style import LEARNED, MEASURED
+
+IN_FILE, ON_PAGE = 40, 24
+"""Trajectories that are compared where none are named."""
+ACROSS = 3
+FLOOR = 1e-12
+"""Differences below this are drawn here: a logarithmic axis has no zero."""
+
+
+def build(source: Source) -> Figure:
+    """The initial states of some trajectories. Raises `UserError` (GB876) where none were learned."""
+    fitted = source.fitted
+    most = ON_PAGE if source.page else IN_FILE
+    return figure(collect.initial_states(fitted, source.chosen() or evenly_spaced(len(fitted.data), most)))
+
+
+def figure(found: InitialStates) -> Figure:
+    """Above one panel a state, learned and bred over the reference; below one a mode, slowest first."""
+    states = tuple(_state(found, i, name) for i, name in enumerate(found.states))
+    modes = tuple(_mode(found, i) for i in range(len(found.states)))
+    return Figure(((Block((*wrapped(states, ACROSS), *wrapped(modes, ACROSS)), "below"),),))
+
+
+def _state(found: InitialStates, i: int, name: str) -> Panel:
+    reference = np.array([item.bred[i] if item.true is None else item.true[i] for item in found.items])
+    marks = [_learned(reference, np.array([item.learned[i] for item in found.items]), found)]
+    if found.items[0].true is not None:
+        marks.append(_bred(reference, np.array([item.bred[i] for item in found.items]), found))
+    line = diagonal(float(reference.min()), float(reference.max()))
+    return Panel((line, *marks), Axis(f"{name}, {found.reference}"), Axis(name), width=3.4, height=2.7)
+
+
+def _mode(found: InitialStates, i: int) -> Panel:
+    places = np.arange(len(found.items), dtype=np.float64)
+    marks = [_learned(places, np.maximum([item.learned_off[i] for item in found.items], FLOOR), found)]
+    bred = [item.bred_off[i] for item in found.items if item.bred_off is not None]
+    if bred:
+        marks.append(_bred(places, np.maximum(bred, FLOOR), found))
+    rate = found.rates[i]
+    pace = f"decays in {-1 / rate:.3g}" if rate < 0 else "grows"
+    return Panel(tuple(marks), Axis("trajectory"), Axis(f"off {found.reference}", log=True), f"mode {i + 1}: {pace}",
+                 width=3.4, height=2.7)  # fmt: skip
+
+
+def _learned(x: Array, y: Array, found: InitialStates) -> Points:
+    return Points(x, y, "learned", LEARNED, 4, layer=3, hover=_labels(found))
+
+
+def _bred(x: Array, y: Array, found: InitialStates) -> Points:
+    return Points(x, y, "bred", MEASURED, 4, "up", layer=4, hover=_labels(found))
+
+
+def _labels(found: InitialStates) -> tuple[str, ...]:
+    return tuple(f"trajectory {item.trajectory}" for item in found.items)

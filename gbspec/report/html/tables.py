@@ -1,0 +1,72 @@
+"""The tables of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from gbspec.ir.model import Model
+from gbspec.report import collect
+from gbspec.report.text import number
+from gbspec.runs.store import Run
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: header and rows of texts."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def constants(run: Run) -> Table:
+    """Learned constants with intervals, starts and truths."""
+    rows = []
+    for one in collect.constants(run):
+        between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
+        error = f"{100 * abs(one.value / one.truth - 1):.2g} %" if one.truth else "-"
+        rows.append((one.name, number(one.value, 6), between, number(one.start), number(one.truth, 6), error))
+    return Table(("constant", "value", "90 % interval", "start", "truth", "off by"), tuple(rows))
+
+
+def correlations(run: Run) -> Table:
+    """Correlations of the learned constants; no rows where they are not known."""
+    known = run.fit.get("correlations", {})
+    rows = [(name, *(f"{value:.3f}" for value in row.values())) for name, row in known.items()]
+    return Table(("correlation", *known), tuple(rows))
+
+
+def declared(model: Model) -> Table:
+    """What each name means."""
+    groups = (("state", model.states), ("condition", model.conditions), ("input", model.inputs),
+              ("constant", model.constants), ("learned", model.learnables), ("unknown", model.unknowns),
+              ("measured", model.channels))  # fmt: skip
+    rows = [(item.name, kind, item.unit or "-", item.description or "-") for kind, group in groups for item in group]
+    kept = any(row[2] != "-" for row in rows), any(row[3] != "-" for row in rows)
+    header = ("name", "is a", *(["unit"] if kept[0] else []), *(["meaning"] if kept[1] else []))
+    return Table(
+        header,
+        tuple((*row[:2], *([row[2]] if kept[0] else []), *([row[3]] if kept[1] else [])) for row in rows),
+    )
+
+
+def metrics(validation: Mapping[str, Any]) -> dict[str, Table]:
+    """The numbers of `gbspec validate`: errors on the data, and against the truth."""
+    found = {}
+    channels = validation["channels"]
+    if channels:
+        keys = ("n", "rmse", "nrmse", "mae", "r2")
+        rows = tuple((name, *(number(one[key], 5) for key in keys)) for name, one in channels.items())
+        found["on the data"] = Table(("channel", *keys), rows)
+    truth = validation.get("truth")
+    if truth:
+        norms = {"solution": truth["solution"], "right-hand side": truth["rhs"], **truth["functions"]}
+        kinds = ("L1", "L2", "Linf")
+        compared = tuple((name, *(number(one[kind]) for kind in kinds)) for name, one in norms.items() if one)
+        found["against the truth"] = Table(("of", *kinds), compared)
+    check = validation.get("step_check") or {}
+    again = (("at half the step", check.get("half_step")), ("by an adaptive solver", check.get("adaptive")))
+    solved = tuple((name, number(value)) for name, value in again)
+    found["the solver's step"] = Table(("solved again", "largest normalised difference"), solved)
+    return found

@@ -1,0 +1,126 @@
+"""The figures of a run by their kinds: one entry each, from which `gbspec plot` and the page take what they offer.
+
+A kind's module has a function `build(source: Source) -> Figure`, which raises `MissingError` where there is nothing to
+show. The modules are imported when a figure is asked for, so that this table costs nothing to read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol, cast
+
+if TYPE_CHECKING:
+    from gbspec.report.description import Figure
+    from gbspec.report.source import Source
+
+
+class Builder(Protocol):
+    """What a kind's module has."""
+
+    @staticmethod
+    def build(source: Source) -> Figure:
+        """The description of the figure. Raises `MissingError` where there is nothing to show."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of figure: `name` for `gbspec plot`, `help` beside it, and the `module` that builds it.
+
+    `heading` and `note` are those of its section on the page (without a heading it has none), `section` is the
+    section's id where it is not the name. `also` are other names for `gbspec plot`.
+    """
+
+    name: str
+    help: str
+    module: str
+    heading: str = ""
+    note: str = ""
+    section: str = ""
+    also: tuple[str, ...] = ()
+
+    @property
+    def id(self) -> str:
+        """The id of its section on the page."""
+        return self.section or self.name
+
+    def build(self, source: Source) -> Figure:
+        """The description of the figure. Raises `MissingError` where there is nothing to show."""
+        return cast(Builder, import_module(self.module)).build(source)
+
+
+_HERE = "gbspec.report.figures"
+KINDS = (
+    Kind(
+        "fit",
+        "measurements and the learned solution",
+        f"{_HERE}.fit",
+        heading="Data and fit",
+        note="Solutions from the initial states, by an adaptive solver. Measurements are dots; the truth is dashed; "
+        "the shade is the range of the members.",
+    ),
+    Kind(
+        "functions",
+        "unknown functions along each argument",
+        f"{_HERE}.functions",
+        heading="Learned functions",
+        note="Along each argument with the others at their medians over the data, then over a plane of two, where the "
+        "data go. Ticks: where data are. Grey ground: beyond the trained range.",
+        also=("function",),
+    ),
+    Kind("constants", "learned constants with intervals", f"{_HERE}.constants", also=("constant",)),
+    Kind(
+        "parity",
+        "the right-hand side, learned against true",
+        f"{_HERE}.parity",
+        heading="Right-hand side, learned against true",
+        note="At the fitted states of the measured rows.",
+    ),
+    Kind(
+        "residuals",
+        "residuals over time and prediction, and their distribution",
+        f"{_HERE}.residuals",
+        heading="Residuals",
+        note="Predicted minus measured, or the logarithm of their ratio under log-normal noise, in the "
+        "scale of the fit.",
+        also=("residual",),
+    ),
+    Kind("history", "the loss and the constants over the training", f"{_HERE}.history", heading="Training"),
+    Kind(
+        "eigenvalues",
+        "eigenvalues of the Jacobian along the data",
+        f"{_HERE}.eigenvalues",
+        heading="Eigenvalues along the data",
+    ),
+    Kind(
+        "initial-states",
+        "learned, bred and true initial states",
+        f"{_HERE}.initial_states",
+        heading="Initial states along fast and slow directions",
+        note="Learned and bred initial states over the reference, then how far they are off, split into the modes of "
+        "the Jacobian there, slowest first, in parts of the states' ranges. Bred: the start from which the learned "
+        "dynamics follow the whole trajectory best. What is off along a fast direction is gone before it is measured.",
+        section="starts",
+    ),
+    Kind(
+        "phase",
+        "trajectories in the plane of the first two states",
+        f"{_HERE}.phase",
+        heading="Phase portrait",
+    ),
+    Kind("summary", "a fit, a function and the constants in one", f"{_HERE}.summary"),
+)
+"""In the order of the page."""
+
+
+def names() -> tuple[str, ...]:
+    """Everything that `gbspec plot` takes for a kind."""
+    return tuple(name for kind in KINDS for name in (kind.name, *kind.also))
+
+
+def kind_of(name: str) -> Kind:
+    """The kind of that name. Raises `ValueError` where there is none."""
+    for kind in KINDS:
+        if name in (kind.name, *kind.also):
+            return kind
+    raise ValueError(f"`{name}` is no kind of figure; there are {', '.join(kind.name for kind in KINDS)}")

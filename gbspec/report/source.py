@@ -1,0 +1,66 @@
+"""What the figures of a run are built from: the run, its data, and the trajectories that were asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from gbspec.data.statistics import evenly_spaced
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.report.collect import Fitted
+
+if TYPE_CHECKING:
+    from gbspec.analysis.bifurcation.eigen import Eigen
+    from gbspec.data.trajectories import Trajectories
+    from gbspec.runs.store import Run
+
+
+class MissingError(Exception):
+    """The run, the model or the data have nothing for a figure: `why`, and what can be drawn `instead`."""
+
+    def __init__(self, why: str, instead: str) -> None:
+        super().__init__(why)
+        self.why, self.instead = why, instead
+
+
+@dataclass(frozen=True)
+class Source:
+    """A run, its `data` (None where they are not there), and labels of trajectories to `show` (none: some of them).
+
+    `page`: the figure is for the page, which has room for more than a file. `over` and `spectra` are the run over its
+    data and the eigenvalues along them, where they are there already.
+    """
+
+    run: Run
+    data: Trajectories | None
+    show: tuple[str, ...] = ()
+    page: bool = False
+    over: Fitted | None = None
+    spectra: Eigen | None = None
+
+    @cached_property
+    def fitted(self) -> Fitted:
+        """The run over its data. Raises `MissingError` where there are none."""
+        if self.over is not None:
+            return self.over
+        if self.data is None or not len(self.data):
+            raise MissingError(
+                "the table that the run was trained on is not where it was; name one with `--data`", "constants"
+            )
+        return Fitted(self.run, self.data)
+
+    def chosen(self) -> list[int]:
+        """The trajectories that were asked for, in that order. Raises `UserError` (GB813) where one is not there."""
+        labels = [item.label for item in self.fitted.data.items]
+        missing = [label for label in self.show if label not in labels]
+        if missing:
+            named = ", ".join(f"`{label}`" for label in missing)
+            help = f"the first ones are {', '.join(labels[:8])}"
+            raise UserError([Diagnostic("GB813", f"the table has no trajectory {named}", None, help=help)])
+        return [labels.index(label) for label in self.show]
+
+    def some(self, in_file: int, on_page: int) -> list[int]:
+        """The trajectories that were asked for; where none were, the first few in a file, evenly chosen on the page."""
+        count = len(self.fitted.data)
+        return self.chosen() or (evenly_spaced(count, on_page) if self.page else list(range(min(in_file, count))))
