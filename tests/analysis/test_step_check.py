@@ -42,7 +42,7 @@ def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path
     run = driver.train(model_of(DECAY), data, tmp_path / "run", options(1.0))
     assert [check["half_step"] > 0.01 for check in run.fit["step_checks"]] == [True, True]
     assert [check["trajectories"] for check in run.fit["step_checks"]] == [8, 8]
-    told = [warning for warning in run.fit["warnings"] if "leans on its training step of 1" in warning]
+    told = [warning for warning in run.fit["warnings"] if "depends on its training step of 1" in warning]
     assert [warning.partition(":")[0] for warning in told] == ["member 0", "member 1"]
     assert all("Train with a smaller `--max-step`" in warning for warning in told)
     assert open_run(tmp_path / "run").fit == run.fit

@@ -296,7 +296,7 @@ def test_a_step_that_is_too_large_is_told(urp_data: Trajectories) -> None:
     assert checks[0].warning is None
     assert checks[1].adaptive is not None
     assert checks[1].adaptive > 0.01
-    assert "leans on its training step of 0.6" in str(checks[1].warning)
+    assert "depends on its training step of 0.6" in str(checks[1].warning)
 
 
 def test_a_fixed_step_that_blows_up_is_told() -> None:

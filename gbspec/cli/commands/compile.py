@@ -1,4 +1,4 @@
-"""`gbspec compile MODEL|RUN -o FILE`: the model in another form."""
+"""`gbspec compile MODEL|RUN -o FILE`: writes the model in another form."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def run(
         Form,
         typer.Option(
             "--emit",
-            help="module: a Python module; ir: what the compiler understood, as text; latex: a page of typeset "
-            "equations; c: right-hand side, Jacobian and step in C, with the numbers of a run or of the model's truth.",
+            help="module: a Python module; ir: the compiler's intermediate representation as text; latex: a page of "
+            "typeset equations; c: right-hand side, Jacobian and step in C, with the values of a run or of the truth.",
         ),
     ] = "module",
 ) -> None:
-    """Compile a model to a standalone Python module (torch to run it, casadi to analyse it, gbspec for neither)."""
+    """Compile a model to a standalone Python module (torch runs it, casadi analyses it, gbspec is not needed)."""
     from gbspec import driver
     from gbspec.backends.module import class_name
     from gbspec.backends.registry import BACKENDS

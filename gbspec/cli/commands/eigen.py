@@ -34,18 +34,20 @@ def run(
         str | None, typer.Option("--along", help="Rows of a table with every state measured.", metavar="DATA")
     ] = None,
     steady: Annotated[
-        bool, typer.Option("--steady", help="Search for steady states (at the conditions that --at gives).")
+        bool, typer.Option("--steady", help="Search for steady states (at the conditions given by --at).")
     ] = False,
     initial_states: Annotated[
         bool,
-        typer.Option("--initial-states", help="Of a run: learned, bred and true initial states along the modes."),
+        typer.Option(
+            "--initial-states", help="For a run: compare learned, bred and true initial states along the modes."
+        ),
     ] = False,
     set_values: Settings = None,
     member: Annotated[
-        int | None, typer.Option("--member", help="Which member of a run; the best.", metavar="K")
+        int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
     ] = None,
 ) -> None:
-    """Give the eigenvalues of the Jacobian at points, at steady states or along data; of a run beside the truth's."""
+    """Compute eigenvalues of the Jacobian at points, steady states or along data; for a run also those of the truth."""
     from gbspec import driver
     from gbspec.diagnostics import Findings
 
@@ -66,10 +68,12 @@ def run(
 
 
 def _trained(subject: Subject, along: str | None, findings: Findings) -> Trajectories:
-    """The table whose initial states were learned. Raises `UserError` (GB814, GB859) where there is none."""
+    """The table whose initial states were learned. Raises `UserError` (GB814, GB859) if there is none."""
     from gbspec import driver
 
     if subject.run is None:
-        help = "give a run; a model's own initial states are in the model"
-        raise UserError([Diagnostic("GB814", "`--initial-states` compares what a run learned", None, help=help)])
+        help = "give a run instead of a model"
+        raise UserError(
+            [Diagnostic("GB814", "`--initial-states` compares the initial states of a run", None, help=help)]
+        )
     return driver.trained_on(subject.run, along, findings)

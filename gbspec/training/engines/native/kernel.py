@@ -320,9 +320,9 @@ def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int
     if not isinstance(found, str):
         return Choice(found)
     if wanted:
-        help_text = "leave `--backend` out: the torch graph then serves"
-        raise UserError([Diagnostic("GB863", f"`--backend native` cannot be had: {found}", None, help=help_text)])
-    return Choice(None, f"the torch graph serves: {found}")
+        help_text = "leave out `--backend`: the torch graph is then used"
+        raise UserError([Diagnostic("GB863", f"`--backend native` is not available: {found}", None, help=help_text)])
+    return Choice(None, f"the torch graph is used: {found}")
 
 
 # ---------------------------------------------------------------------- from the trainable vector
