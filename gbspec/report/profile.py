@@ -35,7 +35,7 @@ def draw(found: Profile, truth: float | None = None) -> Figure:
         axes.set_ylim(-0.2, max(2.2 * found.threshold, 1.0))
         axes.set_ylabel("deviance")
         ends = [f"{end:.5g}" if end is not None else "open" for end in (found.low, found.high)]
-        interval = f"90 %: {ends[0]} to {ends[1]}" if found.settled else "the fits had not come to rest"
+        interval = f"90 %: {ends[0]} to {ends[1]}" if found.settled else "the fits have not converged"
         axes.set_title(f"{found.name} = {found.estimate:.5g}, {interval}")
         for panel, name in zip(column[1:], names, strict=True):
             panel.plot(values, [p.others[name] for p in found.points], color=style.LEARNED, marker="o", markersize=3)

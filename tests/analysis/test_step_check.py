@@ -54,7 +54,7 @@ def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path
 def test_a_fit_that_holds_at_any_step_has_its_check_and_no_warning(data: Trajectories, tmp_path: Path) -> None:
     run = driver.train(model_of(DECAY), data, tmp_path / "run", options(0.1))
     assert all(0 <= check[name] < 0.01 for check in run.fit["step_checks"] for name in ("half_step", "adaptive"))
-    assert not any("leans" in warning for warning in run.fit["warnings"])
+    assert not any("depends on its training step" in warning for warning in run.fit["warnings"])
 
 
 def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> No
     data = driver.read_data(str(tmp_path / "blow.csv"), model, found)
     run = driver.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
     assert run.fit["step_checks"][0]["unsolved"] == 2
-    assert any("2 of 2 trajectories" in w and "alone, not by an adaptive solver" in w for w in run.fit["warnings"])
+    assert any("2 of 2 trajectories" in w and "but not by an adaptive solver" in w for w in run.fit["warnings"])
 
 
 def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:
@@ -99,7 +99,7 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
     points = [Point("long", {}, options(1.0)), Point("short", {}, options(0.1))]
     driver.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
     assert len(open_run(tmp_path / "short").fit["step_checks"]) == 2
-    assert [text.partition(":")[0] for text in said if "leans" in text] == ["long", "long"]
+    assert [text.partition(":")[0] for text in said if "depends on its training step" in text] == ["long", "long"]
 
 
 def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_path: Path) -> None:

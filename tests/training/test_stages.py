@@ -64,8 +64,8 @@ def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) 
         ({"stages": "teacher forcing; teasing"}, "`--stages teasing` must be one of `adam`"),
         ({"stages": " ; "}, "`--stages  ; ` must be one of `adam`"),
         ({"stages": "blend", "method": "lm"}, "`--method lm` must be `auto` where stages are named"),
-        ({"stages": "search"}, "there is no `search` for this model and data with these options, but `adam`, `imputed"),
-        ({"stages": "half step", "effort": "low"}, "there is no `half step`"),
+        ({"stages": "search"}, "with this model, data and options there is no stage `search`, only `adam`, `imputed"),
+        ({"stages": "half step", "effort": "low"}, "there is no stage `half step`"),
     ],
 )
 def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, tmp_path: Path) -> None:
