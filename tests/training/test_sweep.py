@@ -95,6 +95,6 @@ def test_a_sweep_that_is_refused_has_begun_nothing(tmp_path: Path) -> None:
     findings = Findings()
     base = TrainOptions(effort="low", workers=1)
     wrong = points(["stages=teacher-forcing,half-step"], base, findings)
-    with pytest.raises(UserError, match="there is no `half step`"):
+    with pytest.raises(UserError, match="there is no stage `half step`"):
         sweep(model_of(URP), urp_data(4, 2.0, 6), wrong, base, tmp_path / "sweep")
     assert not (tmp_path / "sweep").exists()
