@@ -100,7 +100,7 @@ def summary(folder: Path, picture: str) -> str:
         paragraphs += _steps(json.loads((folder / "step.json").read_text()))
     if (folder / "accuracy.json").is_file():
         paragraphs.append(_accuracy(json.loads((folder / "accuracy.json").read_text())["curves"]))
-    image = f"![training steps beside their limit, their growth, time to an accuracy]({picture})"
+    image = f"![time of a training step and its limit, its growth with the data, time to a given accuracy]({picture})"
     return "\n\n".join([*paragraphs, image])
 
 
@@ -120,8 +120,9 @@ def _steps(result: Result) -> list[str]:
     about = (
         f"One training step (loss and gradient over {work['trajectories']} trajectories of the reactor, "
         f"{work['measured']} measured values, {work['substeps']} Runge-Kutta steps) on {machine['processor']} "
-        f"({machine['vector']}), medians of {result['rounds']} interleaved rounds. The limit is the time of the needed "
-        "matrix products alone, at the rate measured in the same rounds; all gradients were compared first:"
+        f"({machine['vector']}), medians of {result['rounds']} interleaved rounds. The limit is the time that the "
+        "necessary matrix products take at the rate measured in the same rounds. The gradients of all variants were "
+        "checked against each other first:"
     )
     header = ["", "f32 ms", "x limit", "f64 ms", "x limit", "peak MB"]
     return [about, markdown(header, rows)]
@@ -131,9 +132,9 @@ def _accuracy(curves: Mapping[str, Any]) -> str:
     texts = []
     for name, curve in curves.items():
         time, last = reached(curve, LEVEL), curve[-1]
-        ended = f"not within {last['seconds']:.0f} s (it ended at {last['error']:.1e})"
+        ended = f"not reached within {last['seconds']:.0f} s (final error {last['error']:.1e})"
         texts.append(f"{plain(FITS[name][0])}: {ended if time is None else f'{time:.0f} s'}")
-    about = f"Processor time until the learned right-hand side was within {LEVEL:g} of the truth. "
+    about = f"Processor time until the error of the learned right-hand side was at most {LEVEL:g}. "
     return about + "; ".join(texts) + "."
 
 

@@ -27,8 +27,8 @@ HEAD = """\
 # Bifurcations of fitted reactors
 
 `python -m benchmarks.studies.bifurcations RUNS -o docs/studies/bifurcations.md --figures docs/figures`, seed 1. Trained
-at B = 11, beta = 3 and Da from 0.2 to 0.5 alone. Cycles: the largest relative difference of period and of the largest
-temperature x2 from the truth's, over the parameter's values at which both have a stable cycle.
+only at B = 11, beta = 3 and Da from 0.2 to 0.5. Cycles: the largest relative errors of the period and of the largest
+temperature x2, over the parameter values at which both the learned model and the truth have a stable cycle.
 
 | model | over | Hopf point | learned | truth | off by | period | x2max |
 |---|---|---|---|---|---|---|---|

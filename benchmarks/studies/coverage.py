@@ -66,7 +66,7 @@ def table(rows: Sequence[Row], design: Design) -> str:
     """The summary in Markdown: by constant the sets, those with an interval, those that contain the truth."""
     lines = [
         f"`{design.model}`, {design.trajectories} trajectories a set, {100 * design.noise:g} % noise, defaults, one "
-        "member. The error's size beside the intervals': standard deviation of value - truth over the mean `sd`.",
+        'member. "error / sd": standard deviation of (value - truth) divided by the mean `sd`.',
         "",
         "| constant | sets | with interval | truth inside | share | mean error | error / sd | CPU s a set |",
         "|---|---|---|---|---|---|---|---|",

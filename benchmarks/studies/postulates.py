@@ -68,7 +68,7 @@ def main() -> None:
     chosen = parser.parse_args()
     lines = [
         f"`python -m benchmarks.studies.postulates --trajectories {chosen.trajectories} --noise {chosen.noise:g} "
-        f"--effort {chosen.effort}`: `urp_gb2`, `phi` postulated with exp(0.8 x2) for exp(x2), one member.",
+        f"--effort {chosen.effort}`: `urp_gb2`, `phi` postulated with exp(0.8 x2) instead of exp(x2), one member.",
         "",
         "| network | phi | right-hand side | solution | constants | CPU s |",
         "|---|---|---|---|---|---|",

@@ -38,8 +38,8 @@ COMMANDS = {
 
 HELP = """A compiler for gray-box dynamical models.
 
-A `.gb` file says which balances are known and which functions are not. gbspec checks it, makes a Python module of it,
-learns what is unknown from data, and shows what was learned.
+A `.gb` file states which balances are known and which functions are unknown. gbspec checks it, compiles it to a
+Python module, learns the unknown functions and constants from data, and shows the results.
 
 Start with `gbspec demo`, or with `gbspec new my_model`.
 """
@@ -79,16 +79,16 @@ def _version(wanted: bool) -> None:
 
 
 def needed(arguments: Sequence[str]) -> tuple[str, ...]:
-    """The commands to import for these arguments: the one they name, all where they name none (help, a slip)."""
+    """The commands to import for these arguments: the one they name, or all if they name none (help, a mistake)."""
     first = next((argument for argument in arguments if not argument.startswith("-")), None)
     return (first,) if first in COMMANDS else tuple(COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> Any:
-    """The entry point of the `gbspec` command; leaves by `SystemExit` with the status of `gbspec.cli.frame`."""
+    """The entry point of the `gbspec` command; exits by `SystemExit` with a status of `gbspec.cli.frame`."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Imports make hundreds of thousands of objects that stay: the collector looks at them less often, and not at all
-    # when the process ends, which saves a fifth of the time of `gbspec check` (benchmarks/check_time.py).
+    # Imports create hundreds of thousands of permanent objects. Collecting garbage less often, and not at all when the
+    # process ends, saves a fifth of the time of `gbspec check` (benchmarks/check_time.py).
     gc.set_threshold(50_000, 20, 20)
     atexit.register(gc.freeze)
     try:

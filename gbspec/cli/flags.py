@@ -1,8 +1,8 @@
 """Flags made from frozen option dataclasses, so that each option is declared once: name, type, default, help.
 
-A field becomes `--name-with-dashes`. Its metadata may say more: `help`, `flag` (another spelling), `metavar`, and
-`cli: False` for a field that has no flag. A field whose type has no simple text form (a mapping of boxes, say) gives
-`metadata["parse"]`: a function from the texts given to the value; the flag may then be repeated.
+A field becomes `--name-with-dashes`. Its metadata may contain `help`, `flag` (another spelling), `metavar`, and
+`cli: False` for a field that has no flag. A field whose type has no simple text form (such as a mapping of ranges) has
+`metadata["parse"]`: a function from the given texts to the value; the flag may then be repeated.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Collect = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def expand(parameters: Sequence[inspect.Parameter]) -> tuple[list[inspect.Parameter], Collect]:
-    """The parameters with option dataclasses replaced by their flags, and what puts the values together again."""
+    """The parameters with option dataclasses replaced by their flags, and a function that reassembles the values."""
     shown: list[inspect.Parameter] = []
     groups: dict[str, type[Any]] = {}
     for parameter in parameters:

@@ -29,7 +29,7 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON document on standar
 
 
 class ExitWith(Exception):  # noqa: N818 - it is a way out, not an error
-    """Leaves a command with a status, everything already said."""
+    """Leaves a command with a status, after all messages have been written."""
 
     def __init__(self, status: int) -> None:
         self.status = status
@@ -52,7 +52,7 @@ class Command:
 
 
 def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:
-    """Makes a command of a function whose first parameter is its `Output`.
+    """Makes a command from a function whose first parameter is its `Output`.
 
     Parameters annotated with an option dataclass are expanded into one flag a field (`gbspec.cli.flags`).
     """
@@ -80,7 +80,7 @@ def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Comman
 
 
 def guarded(work: Callable[[], None], output: Output) -> int:
-    """Runs the work and returns its exit status; says what went wrong, never with a traceback."""
+    """Runs the work and returns its exit status; reports what went wrong, never with a traceback."""
     try:
         work()
     except ExitWith as leave:
@@ -109,7 +109,7 @@ def guarded(work: Callable[[], None], output: Output) -> int:
 
 
 USAGE_CODES = frozenset({"GB750", "GB754", "GB810", "GB814", "GB850"})
-"""Findings on what an option was given: wrong whatever the files hold."""
+"""Codes of diagnostics about the value of an option, which is wrong whatever the files contain."""
 
 
 def _wrong_input(diagnostics: tuple[Diagnostic, ...], output: Output) -> int:
@@ -144,7 +144,7 @@ def _defect(error: BaseException, output: Output) -> int:
 
 
 def _log(details: str) -> Path | str:
-    """Writes the details to a file of their own and returns its path."""
+    """Writes the details to a new file and returns its path."""
     try:
         handle, name = tempfile.mkstemp(prefix="gbspec-defect-", suffix=".log")
         with os.fdopen(handle, "w", encoding="utf-8") as file:
@@ -155,7 +155,7 @@ def _log(details: str) -> Path | str:
 
 
 def file_trouble(error: OSError) -> Diagnostic | None:
-    """The diagnostic for a file that cannot be used, None where the error is of another kind."""
+    """The diagnostic for a file that cannot be used, or None if the error is of another kind."""
     name = error.filename if isinstance(error.filename, str | Path) else None
     shown = f"`{name}`" if name else "a file"
     match error.errno:

@@ -1,4 +1,4 @@
-"""What a command says, and where: results on standard output, everything else on standard error."""
+"""The output of commands: results go to standard output, everything else to standard error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def jsonable(value: Any) -> Any:
-    """The value in JSON's own types; arrays become lists, and what is not finite becomes null (JSON has no NaN)."""
+    """The value in JSON types; arrays become lists, and non-finite numbers become null (JSON has no NaN)."""
     if value is None or isinstance(value, bool | str | int):
         return value
     if isinstance(value, float):
@@ -53,29 +53,29 @@ class Output:
         return Console(stderr=True, quiet=self.quiet, highlight=False)
 
     def say(self, text: str = "") -> None:
-        """A remark for a person: standard error, left out with `--quiet`."""
+        """A message for the user, on standard error; omitted with `--quiet`."""
         if not self.quiet:
             print(text, file=sys.stderr, flush=True)
 
     def result(self, text: str) -> None:
-        """What was asked for, as text: standard output, left out with `--json`."""
+        """The result as text, on standard output; omitted with `--json`."""
         if not self.json:
             print(text, flush=True)
 
     def summary(self, text: str) -> None:
-        """A result that `--quiet` leaves out (the exit status says as much)."""
+        """A result that is omitted with `--quiet` (the exit status tells as much)."""
         if not self.quiet:
             self.result(text)
 
     def document(self, value: Any) -> None:
-        """What was asked for, as the one JSON document on standard output; nothing without `--json`."""
+        """The result as a single JSON document on standard output; nothing without `--json`."""
         if self.json and not self.answered:
             self.answered = True
             print(json.dumps(jsonable(value), indent=2, ensure_ascii=False, allow_nan=False), flush=True)
 
     @contextmanager
     def bar(self, word: str) -> Iterator[Callable[[int, int], None]]:
-        """A progress bar on standard error (a terminal's only); gives a function of how many of how many are done."""
+        """A progress bar on standard error if that is a terminal; yields a function of the counts done and in total."""
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -85,7 +85,7 @@ class Output:
             yield lambda done, total: progress.update(task, completed=done, total=total)
 
     def findings(self, diagnostics: Iterable[Diagnostic], *, errors_only: bool = False) -> None:
-        """Diagnostics with excerpts on standard error; with `errors_only` (or `--quiet`) the errors alone."""
+        """Diagnostics with excerpts on standard error; with `errors_only` (or `--quiet`) only the errors."""
         from gbspec.diagnostics import Severity
         from gbspec.diagnostics.render import render_text
 

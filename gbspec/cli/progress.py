@@ -1,4 +1,4 @@
-"""Training as it goes, on standard error: stage, loss, time left, and the constants as they move."""
+"""The progress of training on standard error: stage, loss, time left, and the current values of the constants."""
 
 from __future__ import annotations
 

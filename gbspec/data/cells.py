@@ -86,7 +86,7 @@ def _meant(text: str) -> str:
     if re.match(r"[<>≤≥]", text):
         return "a value below or above a limit was not measured: leave the cell empty"
     if match := re.match(r"[-+]?[\d.]+([eE][-+]?\d+)?", text):
-        return f"keep the number alone, `{match.group()}`, and put its unit into the model"
+        return f"keep only the number, `{match.group()}`, and put its unit into the model"
     return "leave the cell empty where nothing was measured"
 
 

@@ -214,6 +214,6 @@ def _point_out(table: Records, groups: list[int], code: str, findings: Findings)
         message = f"{some} {names}: nothing was measured; left out"
         advice = "remove the rows, or fill in what was measured"
     else:
-        message = f"{some} {names}: measured at one time alone, which says nothing on how it goes on"
+        message = f"{some} {names}: measured at only one time, which contains no information about the dynamics"
         advice = "a trajectory needs two times, or a known start (`time t from 0`)"
     findings.warning(code, message, Cell(table.path, row, None), help=advice)

@@ -140,7 +140,7 @@ def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findin
         meant = similar(name, optional)
         findings.warning(
             "GB711",
-            f"column `{name}` is not used: the model knows nothing of that name",
+            f"column `{name}` is not used: the model declares nothing of that name",
             Cell(sheet.path, 1, name),
             help=f"is `{meant}` meant?" if meant else "",
             subject=name,

@@ -111,7 +111,7 @@ def _increasing(
             twice = code == "GB716"
             findings.error(
                 code,
-                f"time {here:g} stands twice {where}: in row {row[i]} and in row {row[i + 1]}"
+                f"time {here:g} occurs twice {where}: in row {row[i]} and in row {row[i + 1]}"
                 if twice
                 else f"time goes back {where}: from {before:g} in row {row[i]} to {here:g} in row {row[i + 1]}",
                 Cell(path, int(row[i + 1]), column),
@@ -167,7 +167,7 @@ def _unknown_name(sheet: Sheet, name: str, row: int, known: dict[str, Quantity],
     meant = similar(name, known)
     findings.warning(
         "GB711",
-        f"rows named `{name}` are not used: the model knows nothing of that name",
+        f"rows named `{name}` are not used: the model declares nothing of that name",
         Cell(sheet.path, row, "name"),
         help=f"is `{meant}` meant?" if meant else "",
         subject=name,

@@ -84,26 +84,26 @@ def _option(default: Any, help: str, **more: Any) -> Any:
 
 @dataclass(frozen=True)
 class SimulateOptions:
-    """What `gbspec simulate` makes, one field a flag. Times are in the model's unit.
+    """The options of `gbspec simulate`, one field for each flag. Times are in the model's unit.
 
-    `initial` and `condition` are boxes by name, from which starts and conditions are drawn evenly; where they are
-    silent, the declared ranges (for a state without one, its guess) hold. `reject` are conditions such as `x2 > 4`:
-    a trajectory that meets one at any time is drawn again.
+    `initial` and `condition` are ranges by name, from which initial values and conditions are drawn uniformly; for
+    other names the declared ranges are used (for a state without a range, its guess). `reject` are conditions such as
+    `x2 > 4`: a trajectory that satisfies one at any time is drawn again.
     """
 
-    trajectories: int = _option(100, "How many trajectories.")
-    span: float = _option(10.0, "How long each lasts.")
+    trajectories: int = _option(100, "Number of trajectories.")
+    span: float = _option(10.0, "Duration of each trajectory.")
     dt: float = _option(0.5, "Mean interval between measurements.")
     sampling: Literal["regular", "gamma"] = _option("regular", "Equal intervals, or gamma-distributed ones (shape 4).")
     channels: str = _option(
-        "all", "all: every channel at every time; own-clock: each on its own times; 0.67: each with that probability."
+        "all", "all: every channel at every time; own-clock: each at its own times; 0.67: each with that probability."
     )
-    keep_start: bool = _option(False, "Keep the row at the start.")
-    noise: float = _option(0.0, "Standard deviation of the noise, relative to each channel's own.")
+    keep_start: bool = _option(False, "Keep the row at the start, with all channels measured.")
+    noise: float = _option(0.0, "Standard deviation of the noise, relative to that of each channel.")
     seed: int = _option(0, "Seed of the random numbers.")
     initial: Mapping[str, Box] = _option(
         {},
-        "Range of a state's start, as x1=0.2:0.95 (repeatable).",
+        "Range of a state's initial value, as x1=0.2:0.95 (repeatable).",
         metavar="NAME=LOW:HIGH",
         parse=boxes("--initial"),
     )
@@ -121,16 +121,16 @@ class SimulateOptions:
     )
     clock: Mapping[str, float] = _option(
         {},
-        "A channel's own mean interval, with --channels own-clock (repeatable).",
+        "Mean interval of a channel, with --channels own-clock (repeatable).",
         metavar="NAME=INTERVAL",
         parse=clocks,
     )
     reject: tuple[str, ...] = _option(
-        (), 'Draw again what enters a region, as "x2 > 4" (repeatable).', metavar="CONDITION"
+        (), 'Draw trajectories again that enter a region, as "x2 > 4" (repeatable).', metavar="CONDITION"
     )
 
     def check(self, findings: Findings) -> None:
-        """Reports options that cannot be (GB754)."""
+        """Reports invalid options (GB754)."""
         rules = (
             (self.trajectories >= 1, "trajectories", "at least 1"),
             (self.span > 0 and math.isfinite(self.span), "span", "a number above zero"),

@@ -168,7 +168,7 @@ def _refuted(model: Model, decision: Decision, findings: Findings) -> None:
         label=f"{shown} remains",
         labels=places[:4],
         notes=[f"its rate of change is {rate}, not {than}"],
-        help="mend a balance, or claim what holds"
+        help="correct a balance, or claim what holds"
         + (f": `conserve {claim.name} = … rate {rate.strip('`')}`" if len(rate) < 60 and "…" not in rate else ""),
         subject=claim.name,
     )

@@ -284,7 +284,7 @@ class Units:
         if factor is None and any(name in _OFFSET for name, _ in ratio.names):
             return "scales of temperature with different zeros do not convert by a factor; use one of them throughout"
         if factor is None:
-            return f"a factor with the unit `{ratio}` is missing, or one too many stands there"
+            return f"a factor with the unit `{ratio}` is missing, or there is one too many"
         return f"multiply `{text}` by a constant that converts: `const per : {ratio} = {factor:.12g}`"
 
     def _origins(self, *units: Unit) -> list[Label]:

@@ -25,7 +25,7 @@ def _enforce(site: Site, table: Table, graph: Graph, findings: Findings) -> None
         if Kind.PROCESS not in rule.allowed:
             site.references.complete = False
             findings.error(
-                rule.code, f"`net({state})` cannot stand in {rule.place}", span, help=f"use only {rule.meant} there"
+                rule.code, f"`net({state})` is not allowed in {rule.place}", span, help=f"use only {rule.meant} there"
             )
             return
     for name, span in site.references.names.items():

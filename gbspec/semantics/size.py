@@ -60,7 +60,7 @@ def _refuse(site: Site, findings: Findings) -> None:
     site.references.complete = False
     findings.error(
         "GB236",
-        "this expression becomes too large when its functions are written out",
+        "this expression becomes too large when its function calls are expanded",
         site.expression.span,
         help=f"at most {LARGEST} operations, {DEEPEST} deep; name parts that occur again with `let`",
     )

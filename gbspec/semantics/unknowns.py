@@ -113,7 +113,7 @@ def _option(option: ast.Option, seen: set[str], findings: Findings) -> None:
             "GB228",
             f"`mlp` has no option `{name}`",
             option.name.span,
-            help="its only option is `activation`; how it is trained is said on the command line",
+            help="its only option is `activation`; options of training are given on the command line",
         )
     elif name in seen:
         findings.error("GB228", "the activation is given twice", option.span, help="delete one of them")

@@ -1,7 +1,7 @@
-"""Cross-validation: a fit without each fold of the data, judged by what it predicts of that fold.
+"""Cross-validation: for each fold, a fit without its data, and the errors of predicting them.
 
-A directory of a cross-validation holds a run directory for each fold (`folds/K`), what the fold's fit predicted
-(`folds/K.json`, written last, so a fold that has one is finished), and the tables over all of them.
+The directory of a cross-validation contains a run directory for each fold (`folds/K`), the predictions of its fit
+(`folds/K.json`, written last, so that a fold with this file is finished), and the tables over all folds.
 """
 
 from __future__ import annotations
@@ -38,24 +38,25 @@ class CrossOptions:
     folds: int | None = field(
         default=None,
         metadata={
-            "help": "Number of folds; up to 20 trajectories each is left out once, else 5.",
+            "help": "Number of folds; default: one per trajectory for up to 20 trajectories, else 5.",
             "metavar": "K",
         },
     )
     over: Over | None = field(
         default=None,
-        metadata={"help": "Leave out whole trajectories, or stretches of time; time where there is one trajectory."},
+        metadata={"help": "Leave out trajectories, or blocks of successive rows (always for a single trajectory)."},
     )
     window: int | None = field(
         default=None,
         metadata={
-            "help": "Measured rows that tell the start of a trajectory left out; a third of them, at least three.",
+            "help": "Number of measured rows from which the initial state of a left-out trajectory is estimated; "
+            "default: a third of them, at least three.",
             "metavar": "ROWS",
         },
     )
 
     def check(self) -> None:
-        """Raises `UserError` (GB814) where a value makes no sense."""
+        """Raises `UserError` (GB814) if a value is invalid."""
         for name, value, least in (("folds", self.folds, 2), ("window", self.window, 1)):
             if value is not None and value < least:
                 message = f"`--{name} {value}` must be at least {least}"
@@ -202,12 +203,12 @@ def _write(directory: Path, made: CrossValidation, found: Mapping[int, Sequence[
 
 
 def markdown(made: CrossValidation) -> str:
-    """The table for people."""
-    words = {"trajectories": "whole trajectories", "time": "stretches of time"}
+    """The table in Markdown."""
+    words = {"trajectories": "trajectories", "time": "successive rows"}
     lines = [
         f"# Cross-validation of {made.model}",
         "",
-        f"{made.count} folds of {words[made.over]}; errors on what was left out.",
+        f"{made.count} folds of {words[made.over]}; errors on the left-out measurements.",
         "",
         "| fold | channel | n | rmse | nrmse | mae | rmse of logarithms | in the 90 % interval |",
         "|---|---|---|---|---|---|---|---|",

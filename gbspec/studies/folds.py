@@ -64,7 +64,7 @@ def _by_time(data: Trajectories, count: int | None) -> Iterator[Fold]:
     count = count or FOLDS
     least = min(len(item.times) for item in data.items)
     if count < 2 or least < 2 * count:
-        raise _cannot(f"a trajectory of {least} rows cannot be divided into {count} stretches", "use fewer `--folds`")
+        raise _cannot(f"a trajectory of {least} rows cannot be divided into {count} blocks", "use fewer `--folds`")
     for number in range(count):
         held = tuple(_stretch(len(item.times), number, count) for item in data.items)
         kept = tuple(_without(item, rows) for item, rows in zip(data.items, held, strict=True))

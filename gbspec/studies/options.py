@@ -10,21 +10,21 @@ from gbspec.training.options import Effort
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """What `gbspec study` does with the cases; where an option is None the case says."""
+    """How `gbspec study` fits the cases; an option that is None is taken from the case."""
 
     case: tuple[str, ...] = field(
-        default=(), metadata={"help": "A case of those named (repeatable); all of them.", "metavar": "CASE"}
+        default=(), metadata={"help": "A case to fit (repeatable); default: all of CASES.", "metavar": "CASE"}
     )
     members: int | None = field(
         default=None,
-        metadata={"help": "Fits of each case, every one of data and weights of its own; as the case says, else 10."},
+        metadata={"help": "Fits of each case, each with its own data and weights; default: as in the case, else 10."},
     )
     seed: int = field(default=0, metadata={"help": "Seed of the first member; member K uses SEED + K."})
-    effort: Effort | None = field(default=None, metadata={"help": "Effort of every case; as the case says."})
+    effort: Effort | None = field(default=None, metadata={"help": "Effort of every case; default: as in the case."})
     noise: float | None = field(
-        default=None, metadata={"help": "Noise of simulated data, relative to each channel; as the case says."}
+        default=None, metadata={"help": "Noise of simulated data, relative to each channel; default: as in the case."}
     )
-    workers: int = field(default=1, metadata={"help": "Number of processes that fit members side by side."})
+    workers: int = field(default=1, metadata={"help": "Number of processes that fit members in parallel."})
     threads: int = field(default=1, metadata={"help": "Threads of each worker."})
     keep_runs: bool = field(default=False, metadata={"help": "Keep each member's run directory and table."})
     table_only: bool = field(
@@ -32,14 +32,14 @@ class StudyOptions:
     )
 
     def flags(self) -> list[str]:
-        """What the results depend on, as given on the command line."""
+        """The options on which the results depend, as given on the command line."""
         given: list[tuple[str, object]] = [("--case", case) for case in self.case]
         given += [(f"--{name}", getattr(self, name)) for name in ("members", "effort", "noise")]
         given.append(("--seed", self.seed or None))
         return [str(part) for flag in given if flag[1] is not None for part in flag]
 
     def check(self) -> None:
-        """Raises `UserError` (GB814) with every value that makes no sense."""
+        """Raises `UserError` (GB814) with every invalid value."""
         wrong = [
             ("members", self.members, self.members is None or self.members >= 1, "at least 1"),
             ("seed", self.seed, self.seed >= 0, "zero or more"),

@@ -135,8 +135,8 @@ def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Cal
     if lost:
         raise ComputationError(
             f"the process of {', '.join(lost)} ended without a result",
-            remedy="where it was killed, perhaps for lack of memory, use fewer `--workers`; the same command continues "
-            "the study",
+            remedy="if it was killed, possibly because memory was exhausted, use fewer `--workers`; the same command "
+            "continues the study",
         )
 
 

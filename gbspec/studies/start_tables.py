@@ -1,4 +1,4 @@
-"""The tables on starts: eigenvalues there beside the paper's kind of table, and how far learned starts are off."""
+"""The tables on initial states: eigenvalues there, as in the paper, and the errors of learned initial states."""
 
 from __future__ import annotations
 
@@ -59,8 +59,9 @@ def _eigenvalues(case: str, found: Mapping[str, Any]) -> list[str]:
         "",
         f"## {case}: eigenvalues at the start",
         "",
-        f"Of the first member, at the start of trajectory {found['trajectory']}; beside them the distance to the true "
-        f"ones in the complex plane, as the median over trajectories, and that over {found['members']} members.",
+        f"Eigenvalues of the first member at the start of trajectory {found['trajectory']}, and their distances to the "
+        "true ones in the complex plane (median over trajectories, then over "
+        f"{found['members']} members). Each column names the Jacobian and the initial state at which it is taken.",
         "",
         "| | true, true start | learned, true start | learned, learned start "
         "| distance, true start | distance, learned start |",
@@ -83,8 +84,9 @@ def _initial_states(case: str, found: Mapping[str, Mapping[str, Any]]) -> list[s
         "",
         f"## {case}: learned initial states",
         "",
-        "Distance to the true start in deviations of the true starts, where the state was not measured at the start; "
-        "along the fast directions (which die out before the next measurement) and the slow ones.",
+        "Distance between learned and true initial values, in standard deviations of the true ones, where the state "
+        "was not measured at the start; also along the fast directions (which decay before the next measurement) and "
+        "the slow ones.",
         "",
         "| | n | median | worst |",
         "|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""The tables of a study: `table.md` beside the paper's numbers, `results.csv` with a row a member, `study.json`."""
+"""The tables of a study: `table.md` with the paper's numbers, `results.csv` with one row per member, `study.json`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SINGLE = ("constants", "data")
 
 @dataclass(frozen=True)
 class Spread:
-    """Numbers of several members: a failed one counts as infinite, so it moves median and worst, and voids the mean."""
+    """Numbers of several members: a failed one counts as infinite in median and worst; there is then no mean."""
 
     mean: float
     sd: float
@@ -155,16 +155,16 @@ _COLUMNS = [(metric, norm) for metric in METRICS for norm in NORMS if metric not
 
 # ---------------------------------------------------------------------------------------------------------- table.md
 def markdown(summary: Mapping[str, Any]) -> str:
-    """The table for people: errors beside the published ones, then what the fits took and warned of."""
+    """The table in Markdown: errors and published errors, then the costs and warnings of the fits."""
     versions = ", ".join(f"{name} {'/'.join(several)}" for name, several in summary["versions"].items())
     lines = [
         "# Study",
         "",
         f"`{summary['command']}`",
         "",
-        f"Each member has data and initial weights of its own seed, from {summary['seed']} on. Errors are the L2 norms "
-        "of the paper's appendix, of constants the mean relative error; L1 and Linf are in `results.csv`. "
-        "A factor is the published error over this one: above 1 is better than published.",
+        f"Each member has its own seed for data and initial weights, counted from {summary['seed']}. Errors are the L2 "
+        "norms of the paper's appendix, for constants the mean relative error; L1 and Linf are in `results.csv`. "
+        "A factor is the published error divided by this one: above 1 is better than published.",
         "",
         "| case | error | published | mean ± sd | median | worst | factor (median) | factor (worst) |",
         "|---|---|---|---|---|---|---|---|",
@@ -174,7 +174,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
             lines.append(_row(name, metric, entry))
     lines += [
         "",
-        "| case | what | members | failed | step warned | CPU s a member: median (most) |",
+        "| case | description | members | failed | step warnings | CPU s per member: median (maximum) |",
         "|---|---|---|---|---|---|",
     ]
     for name, case in summary["cases"].items():

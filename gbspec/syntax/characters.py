@@ -151,17 +151,17 @@ def _unusual(chunk: Chunk, character: str, places: list[int]) -> Diagnostic:
         return Diagnostic("GB005", message, spans[0], labels=again, help=f"write `{plain}`")
     if unicodedata.category(character) in ("Cc", "Cf", "Zl", "Zp", "Co", "Cn", "Cs"):
         name = unicodedata.name(character, "a control character").lower()
-        message = f"an invisible character (U+{ord(character):04X}, {name}) stands here"
+        message = f"there is an invisible character (U+{ord(character):04X}, {name}) here"
         return Diagnostic("GB004", message, spans[0], labels=again, help="delete it; it often comes with pasted text")
     if unicodedata.decomposition(character).startswith("<super>"):
         message = f"`{character}` (a superscript) is not read as a power"
         power = _run(spans[0], "<super>")
         return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `^{power}`")
     if unicodedata.decomposition(character).startswith("<sub>"):
-        message = f"`{character}` (a subscript) cannot stand in a name"
+        message = f"`{character}` (a subscript) is not allowed in a name"
         index = _run(spans[0], "<sub>")
         return Diagnostic("GB006", message, spans[0], labels=again, help=f"write `{index}` or `_{index}`")
-    message = f"`{character}` ({_described(character)}) means nothing here"
+    message = f"`{character}` ({_described(character)}) has no meaning here"
     hint = _HINTS.get(character, "names are letters of any script, digits and `_`; everything else is plain ASCII")
     return Diagnostic("GB007", message, spans[0], labels=again, help=hint)
 

@@ -371,7 +371,7 @@ def _wrong_bracket(slip: Slip) -> Diagnostic | None:
             slip.span(opened[-1], opened[-1] + 1),
             "opened here",
             (Label(slip.span(slip.start, slip.start), f"the statement ends without `{_BRACKETS[opener]}`"),),
-            help=f"write the `{_BRACKETS[opener]}`; a line that continues the statement is indented",
+            help=f"write the `{_BRACKETS[opener]}`; indent a line that continues the statement",
         )
     return None
 
@@ -387,7 +387,7 @@ def _expected(slip: Slip) -> Diagnostic:
     if slip.at_end:
         message = f"this {'expression' if slip.lone else 'statement'} ends too early"
         return Diagnostic("GB101", message, slip.span(slip.start, slip.start), label=f"expected {wanted}")
-    message = f"`{slip.token}` cannot stand here"
+    message = f"`{slip.token}` is not allowed here"
     labels: tuple[Label, ...] = ()
     if slip.opener is not None:
         labels = (Label(slip.span(slip.opener, slip.opener + 1), "inside this bracket"),)

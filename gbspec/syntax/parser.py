@@ -73,7 +73,7 @@ def parse_expression(source: Source, findings: Findings) -> ast.Expression | Non
     end = len(source.text.rstrip())
     start = len(source.text) - len(source.text.lstrip())
     if start >= end:
-        findings.error("GB101", "an expression is missing", Span(source, 0, 0), label="nothing stands here")
+        findings.error("GB101", "an expression is missing", Span(source, 0, 0), label="an expression is expected here")
         return None
     parsed = _Reader(source, {}).read(Chunk(source, start, end, (start,), ()), "expression")
     findings.extend(parsed.problems)

@@ -34,21 +34,22 @@ STAGES = (
     "lbfgs",
     "bred initial states",
 )
-"""The stages that `auto` chooses from, after the warm start; which of them a model and its data have, the plan says."""
+"""The stages after the warm start from which `auto` chooses; the plan decides which of them run."""
 
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How `gbspec train` estimates. Each field's metadata holds its help; defaults suit most data."""
+    """The options of `gbspec train`. Each field's metadata contains its help; the defaults suit most data."""
 
     members: int = field(
-        default=1, metadata={"help": "Number of fits from different seeds; their spread shows what the data left open."}
+        default=1,
+        metadata={"help": "Number of fits from different seeds; their standard deviation shows the uncertainty."},
     )
     seed: int = field(default=0, metadata={"help": "Seed of the first member; member K uses SEED + K."})
     max_step: float | None = field(
         default=None,
         metadata={
-            "help": "Largest step of the solver, in the unit of time; from the data where not given.",
+            "help": "Largest step of the solver, in the unit of time; default: chosen from the data.",
             "metavar": "H",
         },
     )
@@ -59,27 +60,27 @@ class TrainOptions:
     method: Method = field(
         default="auto",
         metadata={
-            "help": "`auto` runs all stages; `gradient-matching` the warm start alone; "
-            "`adam`, `lbfgs` and `lm` one optimiser after the warm start."
+            "help": "`auto` runs all stages; `gradient-matching` only the warm start; "
+            "`adam`, `lbfgs` and `lm` run one optimiser after the warm start."
         },
     )
     stages: str | None = field(
         default=None,
         metadata={
-            "help": "Of the stages of `auto` these alone (separated by semicolons), whether or not the data "
-            "ask for them.",
+            "help": "Run only these of the stages of `auto` (separated by semicolons), whether or not the data "
+            "call for them.",
             "metavar": "NAMES",
         },
     )
-    effort: Effort = field(default="normal", metadata={"help": "How long to go on improving the fit."})
+    effort: Effort = field(default="normal", metadata={"help": "How many iterations each stage may take."})
     epochs: int | None = field(
         default=None,
-        metadata={"help": "Passes over the data of `adam`; iterations of `lbfgs`, `lm`.", "metavar": "N"},
+        metadata={"help": "Passes over the data for `adam`; iterations for `lbfgs` and `lm`.", "metavar": "N"},
     )
     holdout: float = field(
         default=0.0,
         metadata={
-            "help": "Fraction of the trajectories (of the last rows, if there is one trajectory) kept out of the fit; "
+            "help": "Fraction of the trajectories (of a single one: of its last rows) that is excluded from the fit; "
             "the weights that predict them best are kept.",
             "metavar": "FRACTION",
         },
@@ -87,25 +88,25 @@ class TrainOptions:
     workers: int | None = field(
         default=None,
         metadata={
-            "help": "Number of processes that fit members side by side; one a core if not given.",
+            "help": "Number of processes that fit members in parallel; default: one per core.",
             "metavar": "N",
         },
     )
     device: Device = field(
         default="cpu",
-        metadata={"help": "Where the solver works: `cuda` is a GPU, `auto` one if there is one."},
+        metadata={"help": "Device of the solver: `cuda` is a GPU, `auto` uses a GPU if there is one."},
     )
     backend: Backend = field(
         default="auto",
         metadata={
-            "help": "What solves the model: `native` is a kernel made for it by the C compiler, `torch` the graph of "
-            "torch; `auto` the kernel where there is a compiler and the data are large enough to wait for it."
+            "help": "How the model is solved: `native` uses a C kernel compiled for the model, `torch` the torch "
+            "graph; `auto` uses the kernel if there is a compiler and the data are large enough to justify compilation."
         },
     )
     scheduler: str | None = field(
         default=None,
         metadata={
-            "help": "Address of a dask scheduler, on whose workers members are fitted: tcp://HOST:PORT.",
+            "help": "Address of a dask scheduler whose workers fit the members: tcp://HOST:PORT.",
             "metavar": "ADDRESS",
         },
     )
@@ -113,48 +114,49 @@ class TrainOptions:
     forcing: str = field(
         default="teacher",
         metadata={
-            "help": "`teacher`: measured states are put in at each row; `autoregressive`: never; "
-            "a number between 0 and 1: a blend (1 is teacher).",
+            "help": "`teacher`: states are reset to their measured values at each row; `autoregressive`: never; "
+            "a number between 0 and 1: in part (1 is teacher).",
             "metavar": "teacher|autoregressive|BLEND",
         },
     )
     initial: Initial = field(
         default="learned",
         metadata={
-            "help": "Initial states that are neither measured nor expressed: `learned`; `bred` at the end, that is "
-            "brought onto the slow manifold by the dynamics themselves; or learned, with a `recognition` network that "
-            "gives those of new trajectories from their first measurements.",
+            "help": "Initial states that are neither measured nor given by the model: `learned`; `bred`, that is, "
+            "finally brought onto the slow manifold by the dynamics; or learned, with a `recognition` network that "
+            "estimates those of new trajectories from their first measurements.",
         },
     )
     random_substeps: bool = field(
-        default=False, metadata={"help": "Draw the solver's steps at random, so that no step's error is learned."}
+        default=False,
+        metadata={"help": "Draw the solver's steps at random, so that the error of a fixed step is not learned."},
     )
     batch_size: int = field(default=32, metadata={"help": "Trajectories in a minibatch of `adam`."})
     learning_rate: float = field(default=3e-3, metadata={"help": "Peak learning rate of `adam` (one-cycle schedule)."})
     warm_start: bool = field(
-        default=True, metadata={"help": "Start from gradient matching on splines; without it from random weights."}
+        default=True, metadata={"help": "Start from gradient matching on splines; otherwise from random weights."}
     )
     output_scale: float = field(
         default=1.0,
         metadata={
-            "help": "Factor on the scale of the networks' outputs, which is that of the data's slopes; with a large "
-            "one a fit can come to depend on its step.",
+            "help": "Factor on the scale of the networks' outputs, which is derived from the slopes of the data; "
+            "with a large factor the fit can become dependent on the step.",
             "metavar": "FACTOR",
         },
     )
-    half_step: bool = field(default=True, metadata={"help": "Finish at half the step (`auto`)."})
+    half_step: bool = field(default=True, metadata={"help": "Continue at half the step at the end (`auto`)."})
     ridge: float | None = field(
         default=None,
         metadata={
             "help": "Standard deviation of the weights' prior, relative to their initial size; "
-            "from the noise where not given, 0 for none.",
+            "default: chosen from the data; 0 for no prior.",
             "metavar": "SD",
         },
     )
     threads: int | None = field(
         default=None,
         metadata={
-            "help": "Threads of each worker; the number of cores over that of workers if not given (on a cluster 1).",
+            "help": "Threads of each worker; default: number of cores divided by number of workers (1 on a cluster).",
             "metavar": "N",
         },
     )
@@ -166,14 +168,14 @@ class TrainOptions:
 
     @property
     def named_stages(self) -> tuple[str, ...]:
-        """The stages that were asked for by name; hyphens may stand for blanks, and commas be left out."""
+        """The stages given by name; hyphens may replace blanks, and commas may be left out."""
         known = {stage.replace(",", ""): stage for stage in STAGES}
         parts = re.sub("[-_,]", " ", self.stages or "").lower().split(";")
         names = [" ".join(part.split()) for part in parts]
         return tuple(known.get(name, name) for name in names if name)
 
     def check(self, findings: Findings) -> None:
-        """Reports every option whose value makes no sense (GB850)."""
+        """Reports every option with an invalid value (GB850)."""
 
         def report(flag: str, value: object, expected: str) -> None:
             findings.error("GB850", f"`--{flag} {value}` must be {expected}", None, subject=flag)
@@ -199,7 +201,7 @@ class TrainOptions:
         if not 0 <= self.holdout < 1:
             report("holdout", self.holdout, "at least 0 and below 1")
         if self.ridge is not None and not 0 <= self.ridge < float("inf"):
-            report("ridge", self.ridge, "a number that is not negative")
+            report("ridge", self.ridge, "a non-negative number")
         for name in self.named_stages or ([self.stages] if self.stages is not None else []):
             if name not in STAGES:
                 report("stages", name, "one of " + ", ".join(f"`{stage}`" for stage in STAGES))
@@ -216,7 +218,7 @@ class TrainOptions:
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
 
     def to_json(self) -> dict[str, Any]:
-        """All options by name, as `fit.json` keeps them, but for those that belong to a call and not to a run."""
+        """All options by name, as stored in `fit.json`, except those that belong to a call and not to a run."""
         named = {"stages": "; ".join(self.named_stages) or None}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")} | named
 

@@ -73,7 +73,7 @@ def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> No
     data = tables.read_data(str(tmp_path / "blow.csv"), model, found)
     run = fitting.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
     assert run.fit["step_checks"][0]["unsolved"] == 2
-    assert any("2 of 2 trajectories" in w and "alone, not by an adaptive solver" in w for w in run.fit["warnings"])
+    assert any("2 of 2 trajectories" in w and "but not by an adaptive solver" in w for w in run.fit["warnings"])
 
 
 def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:

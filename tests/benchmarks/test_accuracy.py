@@ -105,7 +105,7 @@ def test_the_readme_is_filled_between_its_marks(tmp_path: Path) -> None:
         plot.fill("a text", "here")
     (tmp_path / "accuracy.json").write_text(json.dumps({"curves": {"gbspec": CURVE, "diffrax": CURVE[:1]}}))
     text = plot.summary(tmp_path, "made.png")
-    assert "gbspec train: 4 s" in text and "not within 1 s (it ended at 2.0e-02)" in text
+    assert "gbspec train: 4 s" in text and "not reached within 1 s (final error 2.0e-02)" in text
     assert text.endswith("(made.png)")
 
 

@@ -28,8 +28,8 @@ def test_the_words_for_not_measured_are_named() -> None:
 
 
 def test_the_numbers_named_are_the_ones_used() -> None:
-    assert f"looked at in {simulate.DENSE} points" in TEXT
-    assert f"after {simulate.ATTEMPTS} times in vain" in TEXT
+    assert f"checked at {simulate.DENSE} points" in TEXT
+    assert f"after {simulate.ATTEMPTS} unsuccessful draws" in TEXT
     assert f"shape {design.SHAPE:g}" in TEXT
     assert "a fifth of the" in TEXT and design.PIECES == 5
     assert "At most five" in TEXT and SHOWN == 5

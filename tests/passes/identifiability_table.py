@@ -1,6 +1,6 @@
 """The table of known answers as a page: what `gbspec check` says of each case of `test_identifiability`.
 
-python -m tests.passes.identifiability_table        writes docs/identifiability.md anew
+python -m tests.passes.identifiability_table        rewrites docs/identifiability.md
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from tests.texts import model_of
 
 PAGE = Path(__file__).parents[2] / "docs" / "identifiability.md"
 
-HEAD = """# What no data can separate: a table of known answers
+HEAD = """# Structural identifiability: examples with known answers
 
-Made by `python -m tests.passes.identifiability_table` from cases of the tests; each row is what `gbspec check` says.
-Functions declared `unknown` are free functions of their arguments. Lines count from `model m`, the first.
+`gbspec check` reports constants and functions that no data can distinguish, however many and exact the values are. This
+table shows its answers for cases of the test suite (written by `python -m tests.passes.identifiability_table`).
+Functions declared `unknown` are arbitrary functions of their arguments. Line numbers count from `model m`, the first.
 
-| case | model | not to be told apart | transformation, or why | lines | what would resolve it |
+| case | model | not distinguishable | transformation, or reason | lines | remedies |
 |---|---|---|---|---|---|
 """
 
@@ -34,7 +35,7 @@ def cases() -> dict[str, tuple[str, Model]]:
         hidden = " and ".join(f"`{state}`" for state in unseen)
         title = f"`{name}`" + (f" without {hidden}" if unseen else "")
         found[title] = (
-            f"shipped as `{name}`" + (f", {hidden} not observed" if unseen else ""),
+            f"bundled as `{name}`" + (f", {hidden} not observed" if unseen else ""),
             model_of("model m\n" + paper(name, unseen)),
         )
     return found

@@ -26,16 +26,16 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
     "product of constants": ("state x\nlearn a = 1\nlearn b = 1\nx' = -a*b*x\nobserve x\n", 1, {"a", "b"}, set()),
     "sum of constants": ("state x\nlearn a = 1\nlearn b = 2\nx' = -(a + b)*x\nobserve x\n", 1, {"a", "b"}, set()),
     "factor of an unknown": (TWO + "learn k = 1\nunknown mu(y)\nx' = k*mu(y)*x\n" + PAIR, 1, {"k"}, {"mu"}),
-    "constant beside an unknown": ("state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k\nobserve x\n", 1, {"k"}, {"f"}),
-    "line beside an unknown": ("state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k*x\nobserve x\n", 1, {"k"}, {"f"}),
-    "exponential beside an unknown": (
+    "constant added to an unknown": ("state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k\nobserve x\n", 1, {"k"}, {"f"}),
+    "line added to an unknown": ("state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k*x\nobserve x\n", 1, {"k"}, {"f"}),
+    "exponential added to an unknown": (
         "state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + k*exp(x)\nobserve x\n", 1, {"k"}, {"f"}
     ),
-    "rate inside beside an unknown": (
+    "exponential with rate added to an unknown": (
         "state x\nlearn k = 1\nunknown f(x)\nx' = f(x) + exp(k*x)\nobserve x\n", 1, {"k"}, {"f"}
     ),
     "another variable separates": (TWO + "learn k = 1\nunknown f(x)\nx' = f(x) + k*x*y\n" + PAIR, 0, set(), set()),
-    "unless the unknown has it": (TWO + "learn k = 1\nunknown f(x, y)\nx' = f + k*x*y\n" + PAIR, 1, {"k"}, {"f"}),
+    "variable shared by the unknown": (TWO + "learn k = 1\nunknown f(x, y)\nx' = f + k*x*y\n" + PAIR, 1, {"k"}, {"f"}),
     "a second balance separates": (
         "state x\nstate y\nlearn k = 1\nunknown f(x, y)\nx' = f\ny' = k*f\n" + PAIR, 0, set(), set()
     ),
@@ -44,8 +44,8 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
     ),
     "scaled argument": ("state x\nlearn k = 1\nunknown f(u)\nx' = f(k*x)\nobserve x\n", 1, {"k"}, {"f"}),
     "shifted argument": ("state x\nlearn k = 1\nunknown f(u)\nx' = f(x + k)\nobserve x\n", 1, {"k"}, {"f"}),
-    "argument and more": (TWO + "learn k = 1\nunknown f(u)\nx' = f(k*x) + k*y\n" + PAIR, 0, set(), set()),
-    "argument that mixes": (TWO + "learn k = 1\nunknown f(u)\nx' = f(x + k*y)\n" + PAIR, 0, set(), set()),
+    "scaled argument, another term": (TWO + "learn k = 1\nunknown f(u)\nx' = f(k*x) + k*y\n" + PAIR, 0, set(), set()),
+    "argument with another variable": (TWO + "learn k = 1\nunknown f(u)\nx' = f(x + k*y)\n" + PAIR, 0, set(), set()),
     "one function at two places, scaled": (
         TANKS + "h1' = F - k*q(h1)\nh2' = k*q(h1) - k*q(h2)\n", 1, {"k"}, {"q"}
     ),
@@ -57,30 +57,30 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
     "slope in an additive postulate": (
         "state x\nlearn a = 1\nunknown f(x) = a*x + nn\nx' = f\nobserve x\n", 1, {"a"}, {"f"}
     ),
-    "a prior is knowledge": (
+    "a prior separates": (
         "state x\nlearn k = 1 prior normal(1, 0.1)\nunknown f(x)\nx' = k*f\nobserve x\n", 0, set(), set()
     ),
-    "each trajectory its own": (
+    "a constant for each trajectory": (
         "state x\nlearn k = 1\nlearn a = 1 per trajectory\nx' = -k*a*x\nobserve x\n", 1, {"k"}, {"a"}
     ),
-    "a condition varies": ("state x\ncondition D\nlearn k = 1\nx' = -k*D*x\nobserve x\n", 0, set(), set()),
-    "a condition that the unknown has": (
+    "a condition separates": ("state x\ncondition D\nlearn k = 1\nx' = -k*D*x\nobserve x\n", 0, set(), set()),
+    "condition as an argument": (
         "state x\ncondition D\nlearn k = 1\nunknown f(x, D)\nx' = f + k*D\nobserve x\n", 1, {"k"}, {"f"}
     ),
-    "an input varies": (
+    "an input separates": (
         "state x\ninput F linear\nlearn k = 1\nunknown f(x)\nx' = f + k*F\nobserve x\n", 0, set(), set()
     ),
-    "time varies": ("state x\nlearn k = 1\nunknown f(x)\nx' = f + k*t\nobserve x\n", 0, set(), set()),
-    "scaled through time": ("state x\nlearn k = 1\nunknown f(x)\nx' = f*k*t\nobserve x\n", 1, {"k"}, {"f"}),
+    "time separates": ("state x\nlearn k = 1\nunknown f(x)\nx' = f + k*t\nobserve x\n", 0, set(), set()),
+    "product with time": ("state x\nlearn k = 1\nunknown f(x)\nx' = f*k*t\nobserve x\n", 1, {"k"}, {"f"}),
     "scale of a channel": ("state x\nlearn k = 1\nlearn s = 2\nx' = -k*x\nobserve y = s*x\n", 1, {"s"}, set()),
-    "scale of a channel, start known": (
+    "scaled channel, initial value known": (
         "state x\nlearn k = 1\nlearn s = 2\nx' = -k*x\ninitial x = 1\nobserve y = s*x\n", 0, set(), set()
     ),
-    "start learned for all": (
+    "shared initial value learned": (
         "state x\nlearn k = 1\nlearn s = 2\nlearn x0 = 1\nx' = -k*x\ninitial x = x0\nobserve y = s*x\n",
         1, {"s", "x0"}, set(),
     ),
-    "Michaelis and Menten through a scale": (
+    "Michaelis-Menten kinetics with a scaled channel": (
         "state S\nlearn V = 1\nlearn K = 0.5\nlearn s = 2\nS' = -V*S/(K + S)\nobserve y = s*S\n",
         1, {"V", "K", "s"}, set(),
     ),
@@ -90,15 +90,15 @@ CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
     "no effect": ("state x\nstate z\nlearn k = 1\nx' = -x\nz' = k*x - z\nobserve x\n", 1, {"k"}, set()),
     "two compartments": (COMPARTMENTS, 1, {"k10", "k12", "k21"}, set()),
     "two compartments after a dose": (COMPARTMENTS + "initial a = D\ninitial b = 0\n", 0, set(), set()),
-    "epidemic of which a part is seen": (
+    "epidemic with an unknown reported fraction": (
         "state S\nstate I\nconst N = 2\nlearn beta = 1\nlearn gamma = 0.4\nlearn part = 0.5\n"
         "S' = -beta*S*I/N\nI' = beta*S*I/N - gamma*I\nobserve y = part*I\n",
         1, {"beta", "part"}, set(),
     ),
-    "a zero settles what is added": (
+    "a zero determines an added constant": (
         "state x\nlearn k = 1\nunknown f(x) zero at x = 0\nx' = f + k\nobserve x\n", 0, set(), set()
     ),
-    "a zero does not settle a slope": (
+    "a zero does not determine a slope": (
         "state x\nlearn k = 1\nunknown f(x) zero at x = 0\nx' = f + k*x\nobserve x\n", 1, {"k"}, {"f"}
     ),
     "a zero in one of two arguments": (

@@ -37,7 +37,7 @@ def test_they_are_those_of_least_squares(tmp_path: Path, doses: tuple[float, ...
     found = run.fit["correlations"]
     assert found["a"]["b"] == pytest.approx(wanted, abs=0.01) == found["b"]["a"]
     assert found["a"]["a"] == pytest.approx(1)
-    assert any("`a` and `b` move together" in warning for warning in run.fit["warnings"]) is warned
+    assert any("`a` and `b` are strongly correlated" in warning for warning in run.fit["warnings"]) is warned
 
 
 def table(*rows: tuple[float, ...]) -> dict[str, dict[str, float]]:

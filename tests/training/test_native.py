@@ -60,7 +60,7 @@ def test_what_the_kernel_does_not_cover_is_left_to_the_graph_and_a_line_says_so(
     why = "the native kernel does not cover this model: the network `phi` has too many layers or arguments"
     model, heard = model_of(URP.replace("mlp(12, 12)", f"mlp({', '.join(['4'] * 15)})")), Heard()
     data = urp_data(3, 1.0, 1)
-    with pytest.raises(UserError, match=f"GB863.*cannot be had: {why}"):
+    with pytest.raises(UserError, match=f"GB863.*is not available: {why}"):
         train(model, data, TrainOptions(backend="native", **QUICK), tmp_path / "native")
     monkeypatch.setattr("gbspec.training.engines.choice.LEAST_SUBSTEPS", 1)
     train(model, data, TrainOptions(**QUICK), tmp_path / "auto", heard)

@@ -47,6 +47,6 @@ def test_what_a_worker_finds_wrong_comes_back_as_it_is(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options, resume=True), tmp_path / "run")  # type: ignore[arg-type]
     (finding,) = caught.value.diagnostics
-    assert finding.code == "GB852" and finding.help is not None and "fit the member anew" in finding.help
+    assert finding.code == "GB852" and finding.help is not None and "fit the member again" in finding.help
     fit = json.loads((tmp_path / "run" / "fit.json").read_text())
     assert len(fit["members"]) == 1, "the other member was kept"

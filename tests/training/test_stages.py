@@ -64,8 +64,8 @@ def test_named_stages_run_in_the_order_of_the_recipe_and_resume(tmp_path: Path) 
         ({"stages": "teacher forcing; teasing"}, "`--stages teasing` must be one of `adam`"),
         ({"stages": " ; "}, "`--stages  ; ` must be one of `adam`"),
         ({"stages": "blend", "method": "lm"}, "`--method lm` must be `auto` where stages are named"),
-        ({"stages": "search"}, "there is no `search` for this model and data with these options, but `adam`, `imputed"),
-        ({"stages": "half step", "effort": "low"}, "there is no `half step`"),
+        ({"stages": "search"}, "with this model, data and options there is no stage `search`, only `adam`, `imputed"),
+        ({"stages": "half step", "effort": "low"}, "there is no stage `half step`"),
     ],
 )
 def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, tmp_path: Path) -> None:
@@ -77,7 +77,7 @@ def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, t
 
 def test_a_named_stage_that_had_nothing_to_do_is_told(tmp_path: Path) -> None:
     run = train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(stages="choice", workers=1), tmp_path / "run")
-    assert "member 0: the stage `choice` was asked for and had nothing to do" in run.fit["warnings"]
+    assert "member 0: the stage `choice` was requested, but had nothing to do" in run.fit["warnings"]
 
 
 def test_names_are_kept_as_the_recipe_has_them() -> None:

@@ -75,7 +75,7 @@ def test_a_sweep_is_its_runs_and_goes_on_where_it_was_stopped(tmp_path: Path) ->
     alone = train(model, data, grid[2].options, tmp_path / "alone")
     swept = open_run(tmp_path / "sweep" / "max_step=0.2,seed=3")
     assert swept.fit["options"]["max_step"] == 0.2
-    assert all("move together" in warning for warning in swept.fit["warnings"])
+    assert all("strongly correlated" in warning for warning in swept.fit["warnings"])
     for name, value in alone.member().weights.items():
         assert np.array_equal(swept.member().weights[name], value), name
     written = table(tmp_path)
@@ -95,6 +95,6 @@ def test_a_sweep_that_is_refused_has_begun_nothing(tmp_path: Path) -> None:
     findings = Findings()
     base = TrainOptions(effort="low", workers=1)
     wrong = points(["stages=teacher-forcing,half-step"], base, findings)
-    with pytest.raises(UserError, match="there is no `half step`"):
+    with pytest.raises(UserError, match="there is no stage `half step`"):
         sweep(model_of(URP), urp_data(4, 2.0, 6), wrong, base, tmp_path / "sweep")
     assert not (tmp_path / "sweep").exists()

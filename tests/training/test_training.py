@@ -182,7 +182,7 @@ def test_refuses_what_makes_no_sense(tmp_path: Path) -> None:
 
 def test_refuses_to_resume_with_other_data_or_options(fitted: Path) -> None:
     model = model_of(URP)
-    with pytest.raises(UserError, match="already holds a run"):
+    with pytest.raises(UserError, match="already contains a run"):
         train(model, urp_data(16, 5.0, 2), TrainOptions(effort="low"), fitted)
     with pytest.raises(UserError, match="other data"):
         train(model, urp_data(16, 5.0, 3), TrainOptions(effort="low", resume=True), fitted)

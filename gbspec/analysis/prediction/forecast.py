@@ -150,9 +150,9 @@ class Forecast:
 
 ORIGINS = {
     "learned": "seen in training, starts from its learned initial state",
-    "known": "starts where its first row and the model say",
-    "estimated": "the start was estimated from the first rows, with everything that is shared frozen",
-    "failed": "no start was found from which it could be solved",
+    "known": "the initial state is given by the first row and the model",
+    "estimated": "the initial state was estimated from the first rows, with all shared parameters held fixed",
+    "failed": "no initial state was found from which it could be solved",
 }
 
 
@@ -203,8 +203,8 @@ def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
     if members == 1:
         found.append(
-            "the run has one member, so the intervals hold the noise and the start's uncertainty, not that of what was "
-            "learned: they are too narrow (`gbspec train --members 5`)"
+            "the run has one member, so that the intervals contain the noise and the uncertainty of the initial state, "
+            "but not that of the learned model: they are too narrow (`gbspec train --members 5`)"
         )
     beyond = [item.label for item in items if any(item.outside)]
     if beyond:

@@ -61,12 +61,12 @@ class StepCheck:
 
     @property
     def warning(self) -> str | None:
-        """What to say where the right-hand side depends on its step."""
+        """The warning if the right-hand side depends on the step; otherwise None."""
         if self.unsolved:
             return (
                 f"the learned right-hand side depends on its training step of {self.step:.6g}: {self.unsolved} of "
-                f"{self.unsolved + self.trajectories} trajectories that were looked at can be followed with that step "
-                "alone, not by an adaptive solver. Train with a smaller `--max-step`"
+                f"{self.unsolved + self.trajectories} trajectories that were checked can be solved with that step, "
+                "but not by an adaptive solver. Train with a smaller `--max-step`"
             )
         if self.half_step is None or self.adaptive is None or self.half_step <= CONVERGED:
             return None
@@ -75,13 +75,13 @@ class StepCheck:
             return None
         if not math.isfinite(worst):
             return (
-                f"with the training's step of {self.step:.6g} some trajectories blow up that the adaptive solver can "
-                "follow: train with a smaller `--max-step`"
+                f"with the training step of {self.step:.6g} some trajectories blow up that the adaptive solver can "
+                "solve. Train with a smaller `--max-step`"
             )
         return (
             f"the learned right-hand side depends on its training step of {self.step:.6g}: solutions with half the "
             f"step or an adaptive solver differ by up to {100 * worst:.2g} % of the states' ranges. Train with a "
-            "smaller `--max-step` before reading eigenvalues or bifurcations off it"
+            "smaller `--max-step` before computing eigenvalues or bifurcations"
         )
 
 

@@ -195,9 +195,7 @@ def _against_truth(
     lacking = without_truth(model)
     if lacking:
         names = ", ".join(f"`{name}`" for name in lacking)
-        warnings.append(
-            f"{names} has no `truth`, so the truth that the model is compared with stands at its start there"
-        )
+        warnings.append(f"{names} has no `truth`; its starting value is used in the reference instead")
     case = bundled_case(model)
     if sampling is None:
         sampling = case.sampling if case is not None else Sampling()

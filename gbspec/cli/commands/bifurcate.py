@@ -29,24 +29,28 @@ def run(
     output: Output,
     source: Annotated[str, typer.Argument(help="A model with a truth, or a run.", metavar="MODEL|RUN")],
     over: Annotated[str, typer.Option("--over", help="A condition, input or constant to vary.", metavar="NAME")],
-    ends: Annotated[Ends, typer.Option("--range", help="From where to where.", metavar="LO HI")],
+    ends: Annotated[Ends, typer.Option("--range", help="The range of values.", metavar="LO HI")],
     second: Annotated[
         str | None,
-        typer.Option("--and", help="Vary this too: Hopf and fold curves in the plane of both.", metavar="NAME"),
+        typer.Option(
+            "--and", help="A second quantity to vary: Hopf and fold curves in the plane of both.", metavar="NAME"
+        ),
     ] = None,
     second_ends: Annotated[Ends | None, typer.Option("--and-range", help="Its range.", metavar="LO HI")] = None,
     set_values: Settings = None,
     cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
     doublings: Annotated[
         int,
-        typer.Option("--doublings", help="With --cycles: how often a cycle's period may double.", min=0, metavar="N"),
+        typer.Option(
+            "--doublings", help="With --cycles: how many successive period doublings to follow.", min=0, metavar="N"
+        ),
     ] = 1,
     members: Annotated[
-        str, typer.Option("--members", help="A member of the run (else the best), or `all`.", metavar="K|all")
+        str, typer.Option("--members", help="A member of the run, or `all`; default: the best member.", metavar="K|all")
     ] = "best",
     to: Annotated[str | None, typer.Option("--output", "-o", help="A figure to write.", metavar="FIGURE")] = None,
 ) -> None:
-    """Follow steady states over a parameter: branches, stability, folds, Hopf points, and the cycles they lead to."""
+    """Follow steady states over a parameter: branches, stability, folds, Hopf points, and limit cycles."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import models
     from gbspec.report.style import form_of
@@ -75,7 +79,7 @@ def run(
 
 @dataclass(frozen=True)
 class _Found:
-    """What the command says."""
+    """The output of the command."""
 
     document: dict[str, object]
     text: str
@@ -84,7 +88,7 @@ class _Found:
 def _branches(
     subjects: Sequence[Subject], over: str, ends: Ends, to: str | None, *, cycles: bool, doublings: int
 ) -> _Found:
-    """Diagrams over one parameter, one a member, drawn beside the truth's."""
+    """Diagrams over one parameter, one for each member, drawn together with that of the truth."""
     from gbspec.operations import analysing, reporting
     from gbspec.report.style import save
 
@@ -97,7 +101,7 @@ def _branches(
 
 
 def _plane(subjects: Sequence[Subject], names: tuple[str, str], boxes: tuple[Ends, Ends], to: str | None) -> _Found:
-    """Curves in the plane of two parameters, one set a member, drawn beside the truth's."""
+    """Curves in the plane of two parameters, one set for each member, drawn together with those of the truth."""
     from gbspec.operations import analysing, reporting
     from gbspec.report.style import save
 
@@ -109,9 +113,9 @@ def _plane(subjects: Sequence[Subject], names: tuple[str, str], boxes: tuple[End
 
 
 def _require_plane(second: str | None, ends: Ends | None, *, cycles: bool) -> None:
-    """Raises `UserError` (GB814) where the options of a plane do not go together."""
+    """Raises `UserError` (GB814) if the options of a plane are inconsistent."""
     if (second is None) != (ends is None):
-        message, help = "`--and` and `--and-range` belong together", "write both: `--and B --and-range 8 14`"
+        message, help = "`--and` and `--and-range` must be given together", "give both: `--and B --and-range 8 14`"
     elif second is not None and cycles:
         message = "`--cycles` has no meaning in a plane of two parameters"
         help = "leave `--cycles` out, or draw cycles over one parameter without `--and`"
@@ -123,7 +127,7 @@ def _require_plane(second: str | None, ends: Ends | None, *, cycles: bool) -> No
 def chosen(members: str, numbers: tuple[int, ...], best: int) -> tuple[int, ...]:
     """The members meant by `--members`. Raises `UserError` (GB814)."""
     if members == "all":
-        # The best comes first: its points are the ones that get intervals.
+        # The best member comes first: intervals are given for its points.
         return (best, *(number for number in numbers if number != best))
     if members == "best":
         return (best,)

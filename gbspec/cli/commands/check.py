@@ -1,4 +1,4 @@
-"""`gbspec check MODEL...`: everything that can be known before anything runs."""
+"""`gbspec check MODEL...`: all checks of a model that need no data."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gbspec.report.text import model_summary, start
 @command("check", "gbspec check my_model.gb", "gbspec check --strict --json models/*.gb")
 def run(
     output: Output,
-    models: Annotated[list[str], typer.Argument(help="Model files, or shipped models by name.", metavar="MODEL")],
+    models: Annotated[list[str], typer.Argument(help="Model files, or names of bundled models.", metavar="MODEL")],
     strict: Annotated[bool, typer.Option("--strict", help="Count warnings as errors.")] = False,
 ) -> None:
-    """Check models: names, balances, cycles, and how each state starts; all findings at once."""
+    """Check models: names, units, balances, identifiability, and initial values; report all findings at once."""
     from gbspec import frontend
 
     everything, documents = Findings(), []
@@ -50,7 +50,7 @@ def run(
 def describe(
     path: str, model: Model | None, findings: Findings, examination: Examination | None = None
 ) -> dict[str, Any]:
-    """One entry of `files` of `check --json`; of a model that cannot be read the parts are empty."""
+    """One entry of `files` of `check --json`; its lists are empty if the model cannot be read."""
     from gbspec.diagnostics.render import to_json
 
     parts = model or Model("")
@@ -80,7 +80,7 @@ def describe(
 
 
 def identifiability(examination: Examination) -> dict[str, Any]:
-    """What no data could separate, as JSON has it."""
+    """Structurally non-identifiable groups of constants and functions, for JSON."""
     answer = examination.identifiability
     sets = [
         {
@@ -95,10 +95,10 @@ def identifiability(examination: Examination) -> dict[str, Any]:
 
 
 def examination_summary(examination: Examination) -> str:
-    """Conservation laws, and whether it was found out what data can tell."""
+    """Conservation laws, and whether identifiability could be decided."""
     lines = [f"conserved {law}\n" for law in examination.laws]
     if not examination.identifiability.decided:
-        lines.append("undecided whether data can tell all learned constants\n")
+        lines.append("identifiability of the learned constants could not be decided\n")
     return "".join(lines)
 
 

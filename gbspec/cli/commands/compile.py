@@ -1,4 +1,4 @@
-"""`gbspec compile MODEL|RUN -o FILE`: the model in another form."""
+"""`gbspec compile MODEL|RUN -o FILE`: writes the model in another form."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def run(
         ),
     ] = None,
 ) -> None:
-    """Compile a model to a standalone Python module (torch to run it, casadi to analyse it, gbspec for neither)."""
+    """Compile a model to a standalone Python module (torch runs it, casadi analyses it, gbspec is not needed)."""
     from gbspec.diagnostics import Findings
     from gbspec.files import write_bytes
     from gbspec.operations.models import compile_file

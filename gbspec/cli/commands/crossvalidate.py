@@ -1,4 +1,4 @@
-"""`gbspec crossvalidate MODEL DATA -o DIR`: how well a model predicts data that its fit did not see."""
+"""`gbspec crossvalidate MODEL DATA -o DIR`: how well a model predicts data that were left out of the fit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gbspec.training.options import TrainOptions
 @command(
     "crossvalidate",
     "gbspec crossvalidate theophylline theophylline.csv -o left_out",
-    "gbspec crossvalidate hare_lynx hare_lynx.csv -o stretches --over time --folds 5 --members 3",
+    "gbspec crossvalidate hare_lynx hare_lynx.csv -o blocks --over time --folds 5 --members 3",
     "gbspec crossvalidate my_model.gb data.csv -o folds --folds 5 --window 4",
 )
 def run(
@@ -31,11 +31,11 @@ def run(
     options: TrainOptions,
     set_values: Settings = None,
 ) -> None:
-    """Fit a model several times, each time without a part of the data, and give the errors of predicting that part.
+    """Fit a model several times, each time without a part of the data, and report the errors of predicting that part.
 
-    Parts are whole trajectories (their starts, and constants that each trajectory has for itself, are estimated from
-    their first rows, which are then not judged), or stretches of time (solved from the start that the rest of the
-    trajectory tells). The same command continues where it was stopped.
+    The parts are trajectories (their initial states and `per trajectory` constants are estimated from their first
+    rows, which are excluded from the errors), or blocks of successive rows (predicted from the initial state that is
+    learned from the other rows). The same command continues an interrupted cross-validation.
     """
     from gbspec import frontend
     from gbspec.cli.progress import shown
@@ -54,7 +54,7 @@ def run(
     with ExitStack() as stack:
 
         def progress(fold: Fold) -> Progress:
-            stack.close()  # the display of the fold before
+            stack.close()  # ends the display of the previous fold
             output.say(f"fold {fold.number}: {len(fold.kept)} trajectories, {fold.kept.measurements} values to fit")
             return stack.enter_context(shown(output))
 
@@ -65,13 +65,13 @@ def run(
 
 
 def target(to: str) -> Path:
-    """The directory; raises `UserError` (GB802, GB806) where it is something else than an earlier cross-validation."""
+    """The directory; raises `UserError` (GB802, GB806) unless it is new, empty or an earlier cross-validation."""
     directory = Path(to)
     if directory.exists() and not directory.is_dir():
-        message = f"`{to}` is a file; a cross-validation is a directory"
+        message = f"`{to}` is a file; a cross-validation needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
     begun = (directory / "folds" / "settings.json").is_file() or (directory / SUMMARY).is_file()
     if directory.is_dir() and any(directory.iterdir()) and not begun:
-        message = f"`{to}` exists already and is no cross-validation"
+        message = f"`{to}` already exists and is not a cross-validation"
         raise UserError([Diagnostic("GB806", message, None, help="choose another name")])
     return directory

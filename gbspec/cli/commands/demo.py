@@ -1,4 +1,4 @@
-"""`gbspec demo`: the main job from end to end, on a model whose truth is known."""
+"""`gbspec demo`: simulation, training and validation on a model with a known truth."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ROWS = (
     ("functions", "kinetic function"),
     ("constants", "constants"),
 )
-"""Metrics of the validation and what they are called in the table."""
+"""Metrics of the validation and their names in the table."""
 
 
 @command("demo", "gbspec demo", "gbspec demo -o /tmp/demo --seed 3")
@@ -33,7 +33,7 @@ def run(
     to: Annotated[str, typer.Option("--output", "-o", help="The folder to write into.", metavar="DIR")] = "demo",
     seed: Annotated[int, typer.Option("--seed", help="Seed of data and training.", min=0)] = 0,
 ) -> None:
-    """Simulate a reactor, learn its unknown kinetics and constants from the data, and show what came out."""
+    """Simulate a reactor, learn its unknown kinetics and constants from the data, and show the results."""
     from gbspec.operations import reporting, tables
     from gbspec.report.style import save
 
@@ -69,14 +69,14 @@ def _findings() -> Any:
 
 
 def _prepare(folder: Path, directory: Path) -> None:
-    """Makes the folder and clears an earlier demo's run; anything else in the way is an error (GB802, GB806)."""
+    """Creates the folder and removes the run of an earlier demo; other files there are an error (GB802, GB806)."""
     if folder.exists() and not folder.is_dir():
-        message = f"`{folder}` is a file; the demo writes a folder"
+        message = f"`{folder}` is a file; the demo needs a folder"
         raise UserError([Diagnostic("GB802", message, None, help="choose another with `-o`")])
     folder.mkdir(parents=True, exist_ok=True)
     if directory.exists():
         if not (directory / "model.gb").is_file():
-            message = f"`{directory}` exists and is not an earlier demo's run"
+            message = f"`{directory}` exists and is not the run of an earlier demo"
             raise UserError([Diagnostic("GB806", message, None, help="choose another folder with `-o`")])
         shutil.rmtree(directory)
 
@@ -119,7 +119,7 @@ def _learn(output: Output, data: Path, directory: Path, options: Any) -> tuple[A
 
 
 def _errors(found: Validation) -> dict[str, float | None]:
-    """The L2 errors by metric, for constants the mean relative one."""
+    """The L2 error of each metric; for constants the mean relative error."""
     truth: dict[str, Any] = found.to_json().get("truth", {})  # type: ignore[assignment]  # its keys are the contract's
     functions = truth.get("functions", {})
     over_all: dict[str, Any] = functions.get("all") or next(iter(functions.values()), {})
@@ -135,9 +135,9 @@ def _comparison(errors: dict[str, float | None], published: dict[str, float]) ->
     rows = []
     for key, word in ROWS:
         mine, theirs = errors.get(key), published.get(key)
-        times = f"{theirs / mine:.0f} times less" if mine and theirs and mine < theirs else "-"
+        times = f"{theirs / mine:.0f}" if mine and theirs and mine < theirs else "-"
         rows.append((word, number(mine, 3), number(theirs, 3), times))
-    return table(("error against the truth", "this run", "published", ""), rows)
+    return table(("error against the truth", "this run", "published", "smaller by a factor of"), rows)
 
 
 def _next(directory: Path, data: Path) -> str:

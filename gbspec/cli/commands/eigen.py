@@ -34,18 +34,20 @@ def run(
         str | None, typer.Option("--along", help="Rows of a table with every state measured.", metavar="DATA")
     ] = None,
     steady: Annotated[
-        bool, typer.Option("--steady", help="Search for steady states (at the conditions that --at gives).")
+        bool, typer.Option("--steady", help="Search for steady states (at the conditions given by --at).")
     ] = False,
     initial_states: Annotated[
         bool,
-        typer.Option("--initial-states", help="Of a run: learned, bred and true initial states along the modes."),
+        typer.Option(
+            "--initial-states", help="For a run: compare learned, bred and true initial states along the modes."
+        ),
     ] = False,
     set_values: Settings = None,
     member: Annotated[
-        int | None, typer.Option("--member", help="Which member of a run; the best.", metavar="K")
+        int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
     ] = None,
 ) -> None:
-    """Give the eigenvalues of the Jacobian at points, at steady states or along data; of a run beside the truth's."""
+    """Compute eigenvalues of the Jacobian at points, steady states or along data; for a run also those of the truth."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import analysing, models, tables
 
@@ -66,7 +68,7 @@ def run(
 
 
 def _trained(subject: Subject, along: str | None, findings: Findings) -> Trajectories:
-    """The table whose initial states were learned. Raises `UserError` (GB814, GB859) where there is none."""
+    """The table whose initial states were learned. Raises `UserError` (GB814, GB859) if there is none."""
     from gbspec.operations import tables
 
     if subject.run is None:

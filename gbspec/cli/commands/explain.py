@@ -1,4 +1,4 @@
-"""`gbspec explain CODE`: what a code of the catalogue means."""
+"""`gbspec explain CODE`: explains a diagnostic code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gbspec.cli.output import Output
 
 @command("explain", "gbspec explain GB201")
 def run(output: Output, code: Annotated[str, typer.Argument(help="A code, such as GB201.", metavar="CODE")]) -> None:
-    """Explain a diagnostic: what it means, the smallest example that gets it, and the example mended."""
+    """Explain a diagnostic: its meaning, a minimal example that causes it, and the corrected example."""
     from gbspec.diagnostics.catalogue import explain
 
     entry = explain(code.strip().upper())

@@ -16,10 +16,14 @@ from gbspec.cli.output import Output
 def run(
     output: Output,
     files: Annotated[list[str], typer.Argument(help="Model files.", metavar="FILE")],
-    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit 1 if a file is not in form.")] = False,
-    diff: Annotated[bool, typer.Option("--diff", help="Write nothing; show what would change, exit 1 if any.")] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Write nothing; exit 1 if a file is not in the standard form.")
+    ] = False,
+    diff: Annotated[
+        bool, typer.Option("--diff", help="Write nothing; show the changes, exit 1 if there are any.")
+    ] = False,
 ) -> None:
-    """Write model files in the standard form: clauses in order, spacing and line breaks; comments are kept."""
+    """Format model files: order of clauses, spacing and line breaks; comments are kept."""
     from gbspec.diagnostics import Diagnostic, UserError
     from gbspec.files import write_text
     from gbspec.syntax.formatter import format_text
@@ -31,17 +35,17 @@ def run(
         try:
             source = read_source(name)
             formatted = format_text(source)
-        except UserError as error:  # the other files are formatted all the same
+        except UserError as error:  # the other files are still formatted
             found.extend(error.diagnostics)
             continue
-        # the bytes as they are: a BOM or CRLF counts as out of form
+        # compares bytes: a BOM or CRLF is not in the standard form
         if formatted.encode() == Path(source.path).read_bytes():
             continue
         changed.append(source.path)
         if diff:
             output.result(_difference(source.text, formatted, source.path))
         elif check:
-            output.result(f"{source.path} is not in form")
+            output.result(f"{source.path} is not in the standard form")
         else:
             write_text(source.path, formatted)
             output.say(f"wrote {source.path}")
@@ -53,5 +57,5 @@ def run(
 
 
 def _difference(before: str, after: str, name: str) -> str:
-    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, f"{name} (in form)", lineterm="")
+    lines = difflib.unified_diff(before.splitlines(), after.splitlines(), name, f"{name} (formatted)", lineterm="")
     return "\n".join(lines)

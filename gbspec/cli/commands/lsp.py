@@ -15,10 +15,13 @@ from gbspec.cli.output import Output
 def run(
     output: Output,
     stdio: Annotated[
-        bool, typer.Option("--stdio", help="Talk over standard input and output: the only way, so it changes nothing.")
+        bool,
+        typer.Option(
+            "--stdio", help="Use standard input and output; this is the only mode, and the flag has no effect."
+        ),
     ] = True,
 ) -> None:
-    """Serve an editor: findings as you type, hover, completion, definitions, renaming, formatting, outline."""
+    """Run the language server for an editor: diagnostics, hover, completion, definitions, renaming, formatting."""
     try:
         import pygls  # noqa: F401 - whether the extra is installed
     except ImportError:

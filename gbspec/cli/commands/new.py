@@ -13,19 +13,19 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.files import write_text
 
 STARTER = """\
-model {name} "A batch culture: growth is not known, the yield is learned"
+model {name} "A batch culture: growth rate unknown, yield learned"
 
-# What is measured or follows from it: states, with a plausible range and a description.
+# States, each with a plausible range and a description.
 state X in [0, 20] "biomass, g/L"
 state S in [0, 50] "substrate, g/L"
 
-# A constant that is not known: its start and the bounds it is kept in.
+# An unknown constant, with its starting value and its bounds.
 learn Y = 0.4 in [0.05, 1] "yield, g biomass per g substrate"
 
-# What is not known at all: a function of the substrate, learned as a small neural network.
+# An unknown function of the substrate, learned as a small neural network.
 unknown mu(S) by mlp(16, 16) "specific growth rate, 1/h"
 
-# What is known: a process that turns substrate into biomass, and the balances that follow from it.
+# What is known: a process that converts substrate to biomass, and the balances that follow from it.
 process growth: 1/Y*S -> X rate mu*X
 X' = net(X)
 S' = net(S)
@@ -34,7 +34,7 @@ S' = net(S)
 observe X
 observe S
 
-# A truth to try things with (`gbspec simulate` makes data from it; training never sees it). Delete it for real data.
+# A truth for experiments (`gbspec simulate` uses it to simulate data; training does not). Delete it for real data.
 truth Y = 0.5
 truth mu(S) = 0.6*S/(2 + S)
 initial X = 0.2
@@ -54,7 +54,7 @@ def run(
         raise UserError([Diagnostic("GB807", f"`{path.stem}` cannot be the name of a model", None, help=help)])
     if path.exists():
         raise UserError(
-            [Diagnostic("GB806", f"`{path}` exists already", None, help="choose another name or remove it")]
+            [Diagnostic("GB806", f"`{path}` already exists", None, help="choose another name or remove it")]
         )
     write_text(path, STARTER.format(name=path.stem))
     output.document({"model": path.stem, "path": str(path)})

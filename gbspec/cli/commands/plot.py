@@ -1,4 +1,4 @@
-"""`gbspec plot RUN KIND -o FILE`: single figures."""
+"""`gbspec plot RUN KIND -o FILE`: draws a single figure."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def run(
     kind: Annotated[Kind, typer.Argument(help=HELP, metavar="KIND")],
     to: Annotated[str, typer.Option("--output", "-o", help="The figure: .png, .svg or .pdf.", metavar="FILE")],
     data: Annotated[
-        str | None, typer.Option("--data", help="A table; without it the one trained on.", metavar="DATA")
+        str | None, typer.Option("--data", help="A table; default: the training data.", metavar="DATA")
     ] = None,
     show: Annotated[
         list[str] | None, typer.Option("--show", help="A trajectory to show; may be repeated.", metavar="LABEL")
     ] = None,
     set_values: Settings = None,
 ) -> None:
-    """Draw a figure of a run: its fit, functions, constants, residuals, and others, or all in one (summary)."""
+    """Draw a figure of a run: its fit, functions, constants, residuals and others, or a summary."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import models, reporting, tables
     from gbspec.report.style import form_of, save

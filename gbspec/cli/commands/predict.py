@@ -1,4 +1,4 @@
-"""`gbspec predict RUN DATA -o PREDICTIONS`: what becomes of trajectories that training did not see."""
+"""`gbspec predict RUN DATA -o PREDICTIONS`: predicts trajectories that were not used in training."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ from gbspec.diagnostics import Diagnostic, UserError
 def run(
     output: Output,
     directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
-    data: Annotated[str, typer.Argument(help="A table; rows may be without measurements.", metavar="DATA")],
+    data: Annotated[str, typer.Argument(help="A table; rows may have no measurements.", metavar="DATA")],
     to: Annotated[
         str, typer.Option("--output", "-o", help="The table: .csv, .tsv or .parquet.", metavar="PREDICTIONS")
     ],
     from_start: Annotated[
-        bool, typer.Option("--from-start", help="Use nothing but the first measured row of each trajectory.")
+        bool, typer.Option("--from-start", help="Use only the first measured row of each trajectory.")
     ] = False,
     window: Annotated[
         int | None,
         typer.Option(
             "--window",
-            help="Measured rows that a new trajectory's start is estimated from; a third of them, at least three.",
+            help="Number of measured rows from which the initial state of a new trajectory is estimated; "
+            "default: a third of them, at least three.",
             metavar="ROWS",
         ),
     ] = None,
     set_values: Settings = None,
 ) -> None:
-    """Predict trajectories from their first rows: mean, 90 % interval, and what each row was used for."""
+    """Predict trajectories from their first rows: mean, 90 % interval, and how each row was used."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import analysing, models, tables
     from gbspec.report.predictions import target

@@ -1,4 +1,4 @@
-"""`gbspec profile RUN NAME`: what the data say of one constant, everything else fitted to it."""
+"""`gbspec profile RUN NAME`: the profile likelihood of a learned constant."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ def run(
     name: Annotated[str, typer.Argument(help="A learned constant that all trajectories share.", metavar="NAME")],
     to: Annotated[str | None, typer.Option("--output", "-o", help="A figure to write.", metavar="FIGURE")] = None,
     data: Annotated[
-        str | None, typer.Option("--data", help="The table, if it was moved since training.", metavar="DATA")
+        str | None, typer.Option("--data", help="The training data, if the table was moved.", metavar="DATA")
     ] = None,
-    points: Annotated[int, typer.Option("--points", help="Most values to either side.", min=1)] = 6,
-    iterations: Annotated[int, typer.Option("--iterations", help="Most steps of each fit.", min=1)] = 60,
+    points: Annotated[int, typer.Option("--points", help="Maximum number of values on each side.", min=1)] = 6,
+    iterations: Annotated[
+        int, typer.Option("--iterations", help="Maximum number of iterations of each fit.", min=1)
+    ] = 60,
     member: Annotated[
-        int | None, typer.Option("--member", help="Which member of the run; the best.", metavar="K")
+        int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
     ] = None,
 ) -> None:
-    """Hold a constant at values around its estimate, fit the rest anew, and give its 90 % interval."""
+    """Fix a constant at values around its estimate, refit everything else, and give its 90 % interval."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import fitting, models, reporting, tables
     from gbspec.report.style import form_of, save

@@ -1,4 +1,4 @@
-"""`gbspec report RUN`: everything about a run on one page."""
+"""`gbspec report RUN`: writes an HTML page about a run."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ def run(
     output: Output,
     directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
     to: Annotated[
-        str | None, typer.Option("--output", "-o", help="The page; RUN/report.html.", metavar="FILE.html")
+        str | None,
+        typer.Option("--output", "-o", help="The file to write; default: RUN/report.html.", metavar="FILE.html"),
     ] = None,
     data: Annotated[
-        str | None, typer.Option("--data", help="A table; without it the one trained on.", metavar="DATA")
+        str | None, typer.Option("--data", help="A table; default: the training data.", metavar="DATA")
     ] = None,
     over: Annotated[
-        str | None, typer.Option("--over", help="Draw a bifurcation diagram over this.", metavar="NAME")
+        str | None, typer.Option("--over", help="Draw a bifurcation diagram over this quantity.", metavar="NAME")
     ] = None,
     ends: Annotated[tuple[float, float] | None, typer.Option("--range", help="Its range.", metavar="LO HI")] = None,
     cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
     set_values: Settings = None,
 ) -> None:
-    """Write one self-contained page: the model, its fit, what was learned, how good it is, how to reproduce it."""
+    """Write one self-contained page: model, fit, learned functions and constants, errors, how to reproduce the run."""
     from gbspec.diagnostics import Findings
     from gbspec.files import writable
     from gbspec.operations import models, reporting, tables
 
     if (over is None) != (ends is None):
-        message = "`--over` and `--range` belong together"
-        raise UserError([Diagnostic("GB814", message, None, help="write both: `--over Da --range 0.2 0.5`")])
+        message = "`--over` and `--range` must be given together"
+        raise UserError([Diagnostic("GB814", message, None, help="give both: `--over Da --range 0.2 0.5`")])
     findings = Findings()
     opened = models.open_run(directory, settings(set_values))
     path = writable(to if to is not None else Path(directory) / "report.html")

@@ -1,4 +1,4 @@
-"""`gbspec simulate MODEL|RUN -o DATA`: measurements from a model's truth or from what a run learned."""
+"""`gbspec simulate MODEL|RUN -o DATA`: simulates measurements with a model's truth or with a trained model."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def run(
     ] = None,
     set_values: Settings = None,
     member: Annotated[
-        int | None, typer.Option("--member", help="Which member of a run; the best.", metavar="K")
+        int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
     ] = None,
 ) -> None:
-    """Simulate a table of measurements, solved by an adaptive integrator to 1e-10."""
+    """Simulate a table of measurements with an adaptive integrator (relative tolerance 1e-10)."""
     from gbspec.data.table import write
     from gbspec.diagnostics import Findings
     from gbspec.files import writable

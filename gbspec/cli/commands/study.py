@@ -1,4 +1,4 @@
-"""`gbspec study CASES -o DIR`: fits the cases of a `cases.toml` many times and sets the errors beside the published."""
+"""`gbspec study CASES -o DIR`: fits the cases of a `cases.toml` repeatedly and compares errors with published ones."""
 
 from __future__ import annotations
 
@@ -26,15 +26,17 @@ def run(
     output: Output,
     cases: Annotated[
         list[str],
-        typer.Argument(help="A cases.toml, or a folder of shipped models; `urp:A,B` takes some.", metavar="CASES..."),
+        typer.Argument(
+            help="A cases.toml, or a folder of bundled models; `urp:A,B` selects cases.", metavar="CASES..."
+        ),
     ],
     to: Annotated[str, typer.Option("--output", "-o", help="The directory of the study.", metavar="DIR")],
     options: StudyOptions,
 ) -> None:
-    """Fit the cases of a `cases.toml` several times and write their errors beside the published ones.
+    """Fit the cases of a `cases.toml` several times and compare their errors with the published ones.
 
-    The directory gets `table.md`, `results.csv` (a row a member) and `study.json`, anew after each member. The same
-    command continues a study that was stopped; members that are finished are not fitted again.
+    The directory contains `table.md`, `results.csv` (one row for each member) and `study.json`, updated after each
+    member. The same command continues an interrupted study; finished members are not fitted again.
     """
     from gbspec.studies.runner import run_study
     from gbspec.studies.tasks import Task, study_of
@@ -53,19 +55,19 @@ def run(
 
 
 def directory(to: str) -> Path:
-    """The study's directory; raises `UserError` (GB802, GB806) where it is something else."""
+    """The study's directory; raises `UserError` (GB802, GB806) if it is something else."""
     root = Path(to)
     if root.exists() and not root.is_dir():
-        message = f"`{to}` is a file; a study is a directory"
+        message = f"`{to}` is a file; a study needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
     if root.is_dir() and any(root.iterdir()) and not (root / "study.json").is_file():
-        message = f"`{to}` exists already and is no study"
+        message = f"`{to}` already exists and is not a study"
         raise UserError([Diagnostic("GB806", message, None, help="choose another name")])
     return root
 
 
 def line(record: dict[str, Any]) -> str:
-    """What a member reached, in a line."""
+    """The result of a member in one line."""
     if record.get("failure"):
         return f"failed: {record['failure']}"
     errors = [f"{name} {number(entry['L2'], 3)}" for name, entry in record["errors"].items()]

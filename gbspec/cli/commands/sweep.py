@@ -32,15 +32,19 @@ def run(
     ],
     vary: Annotated[
         list[str],
-        typer.Option("--vary", help="An option of training and its values; repeat it to cross.", metavar="NAME=V,V…"),
+        typer.Option(
+            "--vary",
+            help="An option of training and its values; repeat for all combinations of several options.",
+            metavar="NAME=V,V…",
+        ),
     ],
     options: TrainOptions,
     set_values: Settings = None,
 ) -> None:
-    """Train a model with every combination of some options, one run directory each, and set the results side by side.
+    """Train a model with every combination of some options, one run directory each, and compare the results.
 
-    The options of `gbspec train` that are given hold for all runs. `sweep.csv` has a row for each run. `--resume`
-    continues a sweep that was interrupted: finished members are not fitted again, and new values may be added.
+    Other options of `gbspec train` apply to all runs. `sweep.csv` has a row for each run. `--resume` continues an
+    interrupted sweep: finished members are not fitted again, and new values may be added.
     """
     from gbspec import frontend
     from gbspec.cli.progress import shown

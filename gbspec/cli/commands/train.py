@@ -1,4 +1,4 @@
-"""`gbspec train MODEL DATA -o RUN`: learns what the model leaves open."""
+"""`gbspec train MODEL DATA -o RUN`: learns the unknown functions and constants of a model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def run(
     output: Output,
     model: Annotated[str, typer.Argument(help="A model file (.gb).", metavar="MODEL")],
     data: Annotated[str, typer.Argument(help="A table of measurements.", metavar="DATA")],
-    to: Annotated[str, typer.Option("--output", "-o", help="The run directory to make.", metavar="RUN")],
+    to: Annotated[str, typer.Option("--output", "-o", help="The run directory to create.", metavar="RUN")],
     options: TrainOptions,
     set_values: Settings = None,
 ) -> None:
@@ -49,13 +49,13 @@ def run(
 
 
 def target(to: str, *, resume: bool) -> Path:
-    """The directory, if a run may be written there; raises `UserError` (GB802, GB806) otherwise."""
+    """The directory if a run may be written there; otherwise raises `UserError` (GB802, GB806)."""
     directory = Path(to)
     if directory.exists() and not directory.is_dir():
-        message = f"`{to}` is a file; a run is a directory"
+        message = f"`{to}` is a file; a run needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
     if directory.is_dir() and any(directory.iterdir()) and not resume:
-        message = f"`{to}` exists already and is not empty"
+        message = f"`{to}` already exists and is not empty"
         help = "choose another name, remove it, or continue an interrupted run with `--resume`"
         raise UserError([Diagnostic("GB806", message, None, help=help)])
     return directory

@@ -1,4 +1,4 @@
-"""`gbspec validate RUN [DATA]`: how good is what was learned."""
+"""`gbspec validate RUN [DATA]`: computes the errors of a trained model."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from gbspec.diagnostics import Diagnostic, UserError
 def run(
     output: Output,
     directory: Annotated[str, typer.Argument(help="A run directory.", metavar="RUN")],
-    data: Annotated[
-        str | None, typer.Argument(help="A table; without it the one trained on.", metavar="[DATA]")
-    ] = None,
+    data: Annotated[str | None, typer.Argument(help="A table; default: the training data.", metavar="[DATA]")] = None,
     member: Annotated[str, typer.Option("--member", help="A member, or the mean of all.", metavar="K|mean")] = "mean",
     set_values: Settings = None,
 ) -> None:
-    """Give the errors of a run: on data, at half the step, by an adaptive solver, and against the truth."""
+    """Report the errors of a run: on data, at half the step, with an adaptive solver, and against the truth."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import analysing, models, tables
 
@@ -32,7 +30,7 @@ def run(
     measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
     output.findings(findings)
     if data is None and measured is not None:
-        output.say(f"on the table that it was trained on, {measured.path}")
+        output.say(f"on the training data, {measured.path}")
     found = analysing.validate(made, measured, chosen)
     output.document(found.to_json())
     output.result(str(found))

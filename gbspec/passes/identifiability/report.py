@@ -156,10 +156,10 @@ def _note(found: Inseparable) -> str:
     if not found.constants:
         return "what one of them gains the other can lose"
     if found.unknowns:
-        return f"{_list(found.unknowns)} can take up every change of {_list(found.constants)}"
+        return f"{_list(found.unknowns)} can compensate any change of {_list(found.constants)}"
     if len(found.constants) == 1:
         return "nothing that is observed depends on it"
-    return "they can change together so that everything that is observed stays as it is"
+    return "they can change together without any effect on what is observed"
 
 
 def _help(model: Model, question: Question, found: Inseparable, code: str) -> str:

@@ -180,7 +180,7 @@ def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
         (str(len(run.numbers)), "members" if len(run.numbers) > 1 else "member"),
     ]
     if errors:
-        cards.append((number(max(errors), 3), "largest error of a channel, in its standard deviation"))
+        cards.append((number(max(errors), 3), "largest error of a channel, in its standard deviations"))
     truth = found.validation.truth
     if truth is not None:
         cards.append((number(truth.rhs.L2, 3), "L2 error of the right-hand side"))

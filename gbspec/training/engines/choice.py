@@ -58,9 +58,9 @@ def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int
     if isinstance(found, Kernel):
         return Choice(found)
     if wanted:
-        help_text = "leave `--backend` out: the torch graph is then used"
+        help_text = "leave out `--backend`: the torch graph is then used"
         raise UserError(
-            [Diagnostic("GB863", f"`--backend native` cannot be had: {found.reason}", None, help=help_text)]
+            [Diagnostic("GB863", f"`--backend native` is not available: {found.reason}", None, help=help_text)]
         )
     return Choice(None, device, options.batch_size, found)
 

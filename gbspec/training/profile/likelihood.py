@@ -371,7 +371,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     slow = sum(not point.converged for point in points)
     if slow:
         low = high = None
-        notes.append(f"{slow} of {len(points)} fits had not come to rest, so their deviances are too large and no "
+        notes.append(f"{slow} of {len(points)} fits have not converged, so that their deviances are too large and no "
                      "interval can be given: allow more `--iterations`")  # fmt: skip
     else:
         open_sides = [side for side, end in (("below", low), ("above", high)) if end is None]

@@ -96,7 +96,7 @@ class Breeding:
         known = expressed(self.context)
         if known:
             names = ", ".join(f"`{name}`" for name in known)
-            note = f"initial states were not bred, since the model says how {names} starts"
+            note = f"initial states were not bred, since the model gives the initial value of {names}"
         else:
             theta = bred_starts(self.context, self.parameters, theta, self.blend)
         return Outcome({"theta": theta}, mean_loss(residual_vector(engine, theta)), True, note)

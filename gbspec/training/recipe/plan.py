@@ -108,7 +108,7 @@ def plan(context: Context, parameters: Parameters, marks: Mapping[str, Array]) -
     missing = [name for name in named if name not in [stage.name for stage in stages]]
     if missing:
         there = ", ".join(f"`{stage.name}`" for stage in stages)
-        message = f"`--stages`: there is no `{missing[0]}` for this model and data with these options, but {there}"
+        message = f"`--stages`: with this model, data and options there is no stage `{missing[0]}`, only {there}"
         raise UserError([Diagnostic("GB850", message, None)])
     return [replace(stage, wanted=lambda theta: True) for stage in stages if stage.name in named] if named else stages
 

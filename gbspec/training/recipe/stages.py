@@ -92,7 +92,7 @@ class Choice:
 
 WHOLE_WORSE = (
     "solutions from the initial states follow the data less well than predictions from one row to the next: the system "
-    "may be disturbed, or the model may lack something"
+    "may be disturbed between rows, or the model may be incomplete"
 )
 
 

@@ -1,4 +1,4 @@
-"""Training as a whole: the directory, the members, and what `fit.json` says of them."""
+"""Training as a whole: the run directory, the members, and the content of `fit.json`."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.version import __version__
 
 TOGETHER = 0.95
-"""Correlations beyond this are warned of."""
+"""A warning is given for correlations beyond this."""
 NEGLIGIBLE = 0.3
-"""A direction is not said to consist of constants with smaller parts in it."""
+"""Constants with smaller components are left out of the description of a direction."""
 FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
 
 
@@ -63,7 +63,7 @@ def train(
 
 
 class Fitting:
-    """A run directory that is being filled: its jobs, and what became of them.
+    """A run directory during training: its jobs and their results.
 
     Raises UserError where the options, the data or the directory do not allow it.
     """
@@ -102,7 +102,7 @@ class Fitting:
         ]
 
     def take(self, job: Job, outcome: MemberResult | ComputationError) -> None:
-        """Files what became of a member."""
+        """Records the result of a member."""
         if isinstance(outcome, ComputationError):
             self.failures[job.member] = outcome
             self.progress.message(f"member {job.member} failed: {outcome.what}")
@@ -123,14 +123,14 @@ class Fitting:
 
 def _check_data(trajectories: Trajectories, findings: Findings) -> None:
     if trajectories.measurements == 0:
-        findings.error("GB856", "the data hold no measured value, so there is nothing to learn from", None)
+        findings.error("GB856", "the data contain no measured value, so that nothing can be learned", None)
     elif not any(np.any(item.times > item.start) for item in trajectories.items):
-        message = "no trajectory has a measurement after its start, so nothing can be learned of its dynamics"
-        findings.error("GB856", message, None, help="add later rows, or say when trajectories start: `time t from 0`")
+        message = "no trajectory has a measurement after its start, so that the dynamics cannot be learned"
+        findings.error("GB856", message, None, help="add later rows, or state when trajectories start: `time t from 0`")
 
 
 def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> dict[str, Any]:
-    """What is known before training: the first part of `fit.json`."""
+    """The first part of `fit.json`, known before training."""
     packages = ("torch", "numpy", "scipy", "sympy", "casadi")
     return {
         "gbspec": __version__,
@@ -161,7 +161,7 @@ def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOpt
     existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
     strangers = [name for name in existing if name not in FOREIGN]
     if strangers:
-        message = f"`{path}` holds files that are not of a run, such as `{strangers[0]}`"
+        message = f"`{path}` contains files that do not belong to a run, such as `{strangers[0]}`"
         raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
     if options.resume and (path / files.FIT).is_file():
         _check_resumable(path, model, record)
@@ -170,7 +170,7 @@ def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOpt
         advice = "check the path, or train without `--resume`"
         raise UserError([Diagnostic("GB855", message, None, help=advice)])
     elif files.FIT in existing:
-        message = f"`{path}` already holds a run"
+        message = f"`{path}` already contains a run"
         help_text = "name another directory with `-o`, delete this one, or continue it with `--resume`"
         raise UserError([Diagnostic("GB855", message, None, help=help_text)])
     path.mkdir(parents=True, exist_ok=True)
@@ -204,7 +204,7 @@ def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
     findings.raise_if_failed()
 
 
-_OTHER = "continue it as it began, or name another directory with `-o`"
+_OTHER = "continue it with the original settings, or name another directory with `-o`"
 
 
 # -------------------------------------------------------------------------------------------------- results
@@ -223,7 +223,7 @@ def _write_results(
     ]
     record["correlations"] = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     record["warnings"] = [*warnings_of(results, options), *moving_together(record["correlations"])] + [
-        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond are plausible"
+        f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
         for member, name, bound in ended
     ]
     files.write_json(path / files.FIT, record)
@@ -262,17 +262,17 @@ def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, 
 
 
 def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Warnings of constants that the data tell apart badly: pairs, then groups none of whose pairs says it.
+    """Warnings about strongly correlated constants: pairs, then groups that contain no such pair.
 
-    A group is what an eigenvector of the correlations consists of whose eigenvalue is below 1 - TOGETHER, that of a
-    pair at the limit: along it the data determine the constants worst.
+    A group consists of the constants in an eigenvector of the correlation matrix whose eigenvalue is below
+    1 - TOGETHER, the value of a pair at the limit: along this direction the data determine the constants worst.
     """
     names = list(correlations)
     table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
     pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(table[i, j]) > TOGETHER]
     warnings = [
-        f"`{names[i]}` and `{names[j]}` move together (correlation {table[i, j]:.3f}): "
-        "the data tell a combination of them better than each"
+        f"`{names[i]}` and `{names[j]}` are strongly correlated (correlation {table[i, j]:.3f}): "
+        "the data determine a combination of them better than either"
         for i, j in pairs
     ]
     values, vectors = np.linalg.eigh(table)
@@ -287,9 +287,9 @@ def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str
 
 
 def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Learnable constants that a bound stopped, and the bound: nearer to it than 1e-5 of the range's width.
+    """Learnable constants that ended at a bound, and the bound: closer to it than 1e-5 of the range's width.
 
-    Where there is one bound alone, the distance of the start from it stands for the width.
+    With a single bound, the distance of the starting value from it is used as the width.
     """
     out = []
     for learnable in model.learnables:
@@ -305,7 +305,7 @@ def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, f
 
 
 def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:
-    """Plain words on what a user must know before trusting the fit."""
+    """What a user must know before trusting the fit."""
     out = []
     for member, result in sorted(results.items()):
         if result.failed:

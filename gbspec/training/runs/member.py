@@ -1,4 +1,4 @@
-"""One member of a run: runs the stages, keeps checkpoints and history, ends with usable weights whatever happens."""
+"""One member of a run: runs the stages, writes checkpoints and history, and always ends with usable weights."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ class _Runner:
         if position.iteration == 0:
             if not planned.due(position.theta):
                 if self.context.options.named_stages:
-                    position.notes.append(f"the stage `{planned.name}` was asked for and had nothing to do")
+                    position.notes.append(f"the stage `{planned.name}` was requested, but had nothing to do")
                 return
             position.entry = position.theta
         stage = planned.make(position.entry)
@@ -318,7 +318,7 @@ def _checkpoint(directory: Path) -> tuple[dict[str, Array], dict[str, Any]] | No
     try:
         return files.read_tensors(path)
     except ValueError as error:
-        help_text = f"delete `{directory}` to fit the member anew"
+        help_text = f"delete `{directory}` to fit the member again"
         raise UserError([Diagnostic("GB852", str(error), None, help=help_text)]) from None
 
 

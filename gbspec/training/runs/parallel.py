@@ -252,7 +252,7 @@ class _Processes:
         try:
             result: MemberResult | None = pending.result()
         except BrokenProcessPool:
-            what = f"the process that fitted {job.name} was killed (perhaps for lack of memory)"
+            what = f"the process that fitted {job.name} was killed (possibly because memory was exhausted)"
             raise ComputationError(what, remedy="use fewer `--workers`; `--resume` continues the run") from None
         return result
 

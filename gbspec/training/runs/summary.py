@@ -1,4 +1,4 @@
-"""What is said of a fitted member: errors by channel, noise, initial states, and the constants' standard deviations."""
+"""The summary of a fitted member: errors by channel, noise, initial states, standard deviations of the constants."""
 
 from __future__ import annotations
 
@@ -87,11 +87,12 @@ def summarise(
 
 @dataclass(frozen=True)
 class _Noise:
-    """Residuals [R, C], in units of the channels' scales, from which the noise is told.
+    """Residuals [R, C], in units of the channels' scales, from which the noise is estimated.
 
-    Where the data say that they are noisy, or constants alone are learned, the fit was to whole solutions: their mean
-    squares (each residual cut at `threshold`, four deviations), divided by the `share` of the degrees of freedom that
-    the fit left, are what a prediction errs by. Else values were predicted from the ones before: the median tells.
+    If the data are noisy, or only constants are learned, whole solutions were fitted: the noise variance is then the
+    mean squared residual (residuals are limited to `threshold`, four standard deviations), divided by the `share` of
+    the degrees of freedom that the fit has not used. Otherwise each value was predicted from the previous one, and
+    the noise is estimated from the median.
     """
 
     residuals: Array
@@ -124,6 +125,6 @@ class _Noise:
 
 
 def _robust_deviation(residuals: Array) -> float:
-    """1.4826 times the median absolute residual: the standard deviation, untroubled by a few bad values."""
+    """1.4826 times the median absolute residual: the standard deviation, robust against outliers."""
     finite = residuals[np.isfinite(residuals)]
     return 1.4826 * float(np.median(np.abs(finite))) if len(finite) else float("nan")

@@ -34,7 +34,7 @@ def points(texts: Sequence[str], base: TrainOptions, findings: Findings) -> list
     for text in texts:
         name, values = _variation(text, findings)
         if name in varied:
-            findings.error("GB862", f"`--vary` gives `{name}` twice", None, help="write all its values in one")
+            findings.error("GB862", f"`--vary` gives `{name}` twice", None, help="give all its values at once")
         varied[name] = values
     if not texts:
         help_text = "name at least one option and its values: --vary effort=low,normal"
@@ -68,8 +68,8 @@ def _variation(text: str, findings: Findings) -> tuple[str, list[Any]]:
         try:
             value = _read(part, _types()[name])
         except ValueError:
-            message = f"`--vary {text}`: `{part}` is no value of `{name}`"
-            findings.error("GB862", message, None, help=f"write values with commas between: --vary {name}=…,…")
+            message = f"`--vary {text}`: `{part}` is not a valid value of `{name}`"
+            findings.error("GB862", message, None, help=f"separate values by commas: --vary {name}=…,…")
             continue
         if value in values:
             findings.error("GB862", f"`--vary {text}` gives `{part}` twice", None, help="give it once")
