@@ -20,7 +20,7 @@ class ConserveStatement(Named, Formula):
 
     entry = Entry(
         word="conserve",
-        meaning="a claim that this quantity's rate vanishes (or is the given one), proved or refuted at compile time",
+        meaning="a claim that the rate of this quantity is zero (or as given), proved or refuted at compile time",
         example='conserve total = X + S/Yxs rate r "mass"',
         title="claims",
         kind=Kind.CLAIM,

@@ -20,7 +20,7 @@ class DoseStatement(About):
 
     entry = Entry(
         word="dose",
-        meaning="the data add to this state at given times (column `dose_NAME`)",
+        meaning="amounts from the data are added to this state at given times (column `dose_NAME`)",
         example='dose S times F lag tlag "oral"',
         title="doses",
         symbol="Event",

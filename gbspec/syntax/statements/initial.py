@@ -20,7 +20,7 @@ class InitialStatement(About, Formula):
 
     entry = Entry(
         word="initial",
-        meaning="the start of a state: an expression, or `learn` for one learned in each trajectory",
+        meaning="the initial value of a state: an expression, or `learn` to learn it for each trajectory",
         example="initial X = X0",
         title="starts",
         about=frozenset({Kind.STATE}),

@@ -19,7 +19,7 @@ class InputStatement(Named):
 
     entry = Entry(
         word="input",
-        meaning="a known signal of time, a column of the data, `held` or `linear` between its rows",
+        meaning="a known function of time, a column of the data, `held` or `linear` between its rows",
         example='input F : L/h in [0, 1] = 0 held as "feed"',
         title="inputs",
         kind=Kind.INPUT,

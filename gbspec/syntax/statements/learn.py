@@ -19,7 +19,7 @@ class LearnStatement(Named):
 
     entry = Entry(
         word="learn",
-        meaning="a constant to be learned, with a start, bounds, a prior, or a value of its own for each trajectory",
+        meaning="a constant to be learned, with a starting value, bounds, a prior, one value for each trajectory",
         example='learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory "cooling"',
         title="learnable constants",
         symbol="Constant",

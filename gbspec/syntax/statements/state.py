@@ -19,7 +19,7 @@ class StateStatement(Declaration):
 
     entry = Entry(
         word="state",
-        meaning="an unknown over time; unit, plausible range and a guess of its start are optional",
+        meaning="a variable with a balance; unit, plausible range and a guess of its initial value are optional",
         example='state X : gX/L in [0, 50] = 0.1 "biomass"',
         title="states",
         kind=Kind.STATE,

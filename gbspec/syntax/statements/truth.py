@@ -20,7 +20,7 @@ class TruthStatement(About, Formula):
 
     entry = Entry(
         word="truth",
-        meaning="the reference for a learnable or an unknown: simulation and validation use it, training never sees it",
+        meaning="the reference for a learnable or an unknown: simulation and validation use it, training does not",
         example="truth mu(u, g) = u/(1 + u)",
         title="truths",
         about=frozenset({Kind.LEARN, Kind.UNKNOWN}),

@@ -17,7 +17,7 @@ class UnitStatement(Remark):
 
     entry = Entry(
         word="unit",
-        meaning="a base unit of its own, so that grams of different things do not add up by accident",
+        meaning="a new base unit, so that masses of different substances cannot be added by mistake",
         example='unit gX "gram of biomass"',
         title="units",
         symbol="EnumMember",

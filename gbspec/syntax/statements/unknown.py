@@ -32,7 +32,7 @@ class UnknownStatement(Declaration):
 
     entry = Entry(
         word="unknown",
-        meaning="a function to be learned, with contracts, a postulate, and the network that stands for it",
+        meaning="a function to be learned, with contracts, a postulate, and the network that represents it",
         example='unknown mu(u, g in [0, 5]) : 1/h >= 0, zero at u = 0 = u*nn by mlp(32, 32) "growth"',
         title="unknown functions",
         symbol="Function",
