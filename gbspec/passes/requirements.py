@@ -308,7 +308,7 @@ class _Translation:
             )
         for zero in self.value.zeros:
             at = base.xreplace({self.symbols[zero.argument]: zero.value})
-            kept = self.prover.zero(at) and inside_lower and inside_upper and (two_sided or product)
+            kept = product and self.prover.zero(at) and inside_lower and inside_upper
             at_end = any(end is not None and self.prover.zero(end) for end in (lower, upper))
             if not (kept and at_end):
                 raise Refused(

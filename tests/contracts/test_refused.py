@@ -36,6 +36,7 @@ REFUSED = {
     "unknown f(u, v) zero at u = v, increasing in u, increasing in v": ("GB607", "moves with `v`"),
     "unknown f(u, v) zero at u = 0, zero at v = 0, increasing in u, increasing in v": ("GB607", "several arguments"),
     "unknown f(u in [0, 9]) >= 0, zero at u = 0 = u + nn": ("GB607", "together with this bound"),
+    "unknown f(u) in [0, 2], zero at u = 0 = u^2/(K^2 + u^2)*(nn + 1)": ("GB607", "together with this bound"),
     "unknown f(u, v, w) increasing in u by mlp(1)": ("GB608", "too narrow"),
 }
 
