@@ -47,7 +47,9 @@ def statements(draw: st.DrawFn) -> str:
 @given(statements(), st.integers(0, 2**16))
 @example("unknown f(u, v in [0, 3]) <= 0, >= -1 = 2*exp(-tanh(u))*nn by mlp(7, 9, activation=silu)", 0)
 @example("unknown f(u, v in [0, 3]) in [0, k] = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0)
-@example("unknown f(u, v in [0, 3]) in [0, 2], zero at u = 0 = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0)
+@example(
+    "unknown f(u, v in [0, 3]) in [0, 2], zero at u = 0 = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0
+)
 def test_contracts_hold_or_are_refused(text: str, seed: int) -> None:
     try:
         model = model_of(text)

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -40,19 +40,23 @@ def scheduler() -> Iterator[Any]:
         yield cluster
 
 
-def hold(mark: str) -> None:
-    """On a worker: the first member 0 to tell of an iteration of its last stage goes no further."""
-    from gbspec.training.runs.parallel import Sender
+def holding(mark: Path) -> Callable[[], None]:
+    """A function for workers: the first member 0 that tells of an iteration of its last stage goes no further."""
 
-    tell = Sender.update
+    def hold() -> None:  # it travels as it is, for a worker does not find this file
+        from gbspec.training.runs.parallel import Sender
 
-    def update(self: Sender, update: Update) -> None:
-        tell(self, update)
-        if (update.member, update.stage) == (0, "lm") and not os.path.exists(mark):
-            with open(mark, "x"):
+        tell = Sender.update
+
+        def update(self: Sender, update: Update) -> None:
+            tell(self, update)
+            if (update.member, update.stage) == (0, "lm") and not mark.exists():
+                mark.touch()
                 Event().wait()
 
-    Sender.update = update  # type: ignore[method-assign]  # in the worker's process, which is killed
+        Sender.update = update  # type: ignore[method-assign]  # in the worker's process alone
+
+    return hold
 
 
 class Killer:
@@ -60,7 +64,7 @@ class Killer:
 
     def __init__(self, cluster: Any, mark: Path) -> None:
         self.client = distributed.Client(cluster.scheduler_address, set_as_default=False)
-        self.client.run(hold, str(mark))
+        self.client.run(holding(mark))
         self.killed: int | None = None
         self.starts: Counter[int] = Counter()
         self.told: set[tuple[int, str, int]] = set()
