@@ -246,10 +246,27 @@ class _Translation:
             base = factor
         two_sided = self.value.lower is not None and self.value.upper is not None
         self._check_link(base, factor, product, two_sided, bounds)
+        if product and two_sided:
+            self._check_reach(base, bounds)
         sign = 1 if product else self.prover.sign(factor) or 1
         directions = {i: sign * direction for i, direction in self.value.directions.items()}
         note = "bounds are kept by a link that starts at the postulate"
         return Requirements(Wanted(directions=directions), Link(base, product, factor), (note,))
+
+    def _check_reach(self, base: Expr, bounds: Sequence[Contract]) -> None:
+        """Between two bounds a factor scales the odds of the postulate's place: beyond one it moves nothing."""
+        for bound, side, where in (
+            (self.value.upper, 1, "never less than the upper bound"),
+            (self.value.lower, -1, "never more than the lower bound"),
+        ):
+            if bound is not None and self.prover.nonnegative(side * (base - bound)):
+                raise Refused(
+                    "GB605",
+                    f"the bounds cannot be kept: `{shown(base)}` is {where} `{shown(bound)}`, so no factor `nn` moves"
+                    " the value between them",
+                    bounds,
+                    "choose a postulate that lies between the bounds, or correct them",
+                )
 
     def _check_link(self, base: Expr, factor: Expr, product: bool, two_sided: bool, bounds: Sequence[Contract]) -> None:
         lower, upper = self.value.lower, self.value.upper
@@ -291,7 +308,7 @@ class _Translation:
             )
         for zero in self.value.zeros:
             at = base.xreplace({self.symbols[zero.argument]: zero.value})
-            kept = self.prover.zero(at) and inside_lower and inside_upper and (two_sided or product)
+            kept = product and self.prover.zero(at) and inside_lower and inside_upper
             at_end = any(end is not None and self.prover.zero(end) for end in (lower, upper))
             if not (kept and at_end):
                 raise Refused(

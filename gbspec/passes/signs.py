@@ -22,7 +22,8 @@ BUDGET = 2000
 """Enclosures that a prover computes at most, all its questions together; then everything is `not proved`."""
 
 SECONDS = 5.0
-"""The same in seconds: a guard against single steps that take long, never reached by expressions of a usual size."""
+"""The same in seconds of this thread's processor time, in which other programs do not count: a guard against single
+steps that take long, never reached by expressions of a usual size."""
 
 LARGEST = 300
 """Expressions with more operations than this are given to intervals alone."""
@@ -36,7 +37,7 @@ class _Budget:
 
     def __init__(self) -> None:
         self._steps = 0
-        self._until = time.monotonic() + SECONDS
+        self._until = time.thread_time() + SECONDS
 
     def step(self) -> None:
         """Counts one enclosure."""
@@ -45,7 +46,7 @@ class _Budget:
     @property
     def spent(self) -> bool:
         """Whether to stop."""
-        return self._steps > BUDGET or time.monotonic() > self._until
+        return self._steps > BUDGET or time.thread_time() > self._until
 
 
 class Prover:
@@ -180,7 +181,7 @@ class Prover:
             return False
         # Generators count as independent, each in its interval: that allows more than there is, so a proof stays one.
         stand_ins = [sympy.Dummy(f"g{i}", real=True) for i in range(len(polynomial.gens))]
-        numerator = polynomial.as_expr(*stand_ins)
+        numerator = _rational(polynomial.as_expr(*stand_ins))
         fresh, left = [], []
         for i, (generator, stand_in) in enumerate(zip(polynomial.gens, stand_ins, strict=True)):
             interval = enclosure(generator, self.box)
@@ -259,6 +260,11 @@ def _shifted(interval: Interval, free: sympy.Symbol) -> tuple[Expr, Expr] | None
     if math.isfinite(interval.high):
         return high - free, sympy.S.One
     return None
+
+
+def _rational(polynomial: Expr) -> Expr:
+    """The polynomial with its decimal coefficients as exact fractions: a division of decimals leaves a remainder."""
+    return polynomial.xreplace({number: _exact(float(number)) for number in polynomial.atoms(sympy.Float)})
 
 
 def _exact(value: float) -> Expr:

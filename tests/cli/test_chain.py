@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -161,12 +160,11 @@ def test_an_interrupted_training_exits_130_and_can_be_resumed(place: Path, here:
     slow = [*train, "--method", "adam", "--epochs", "100000"]
     process = subprocess.Popen(slow, cwd=here, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
-    deadline = time.monotonic() + 60
     seen = ""
-    while "adam" not in seen.lower() and time.monotonic() < deadline:
-        seen += process.stderr.readline()
+    while "adam" not in seen.lower() and (line := process.stderr.readline()):  # until it ends, if it never says so
+        seen += line
     process.send_signal(signal.SIGINT)
-    _, rest = process.communicate(timeout=60)
+    _, rest = process.communicate(timeout=300)
     assert process.returncode == 130, seen + rest
     assert "Traceback" not in seen + rest
     assert call("validate", here / "run", place / "decay.csv").exit_code == 0

@@ -182,7 +182,7 @@ def test_a_browser_draws_it_without_a_script_error(place: Path, tmp_path: Path, 
     flags = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--enable-logging=stderr")
     run = (f"--user-data-dir={tmp_path}", f"--window-size={size}", "--virtual-time-budget=30000", "--dump-dom")
     command = [browser, *flags, *run, (place / "run" / "report.html").as_uri()]
-    made = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+    made = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert made.returncode == 0, made.stderr[-2000:]
     assert "Uncaught" not in made.stderr
     assert "CONSOLE" not in made.stderr, made.stderr[-2000:]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from gbspec.backends.module import load_module
@@ -45,6 +45,11 @@ def statements(draw: st.DrawFn) -> str:
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(statements(), st.integers(0, 2**16))
+@example("unknown f(u, v in [0, 3]) <= 0, >= -1 = 2*exp(-tanh(u))*nn by mlp(7, 9, activation=silu)", 0)
+@example("unknown f(u, v in [0, 3]) in [0, k] = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0)
+@example(
+    "unknown f(u, v in [0, 3]) in [0, 2], zero at u = 0 = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0
+)
 def test_contracts_hold_or_are_refused(text: str, seed: int) -> None:
     try:
         model = model_of(text)

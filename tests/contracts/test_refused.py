@@ -29,11 +29,14 @@ REFUSED = {
     "unknown f(u in [0, 9]) zero at u = 0 = (1 + u)*exp(nn)": ("GB605", "does not make 0"),
     "unknown f(u in [0, 9]) >= 0 = sin(nn) + u": ("GB605", "neither a term nor a factor"),
     "unknown f(u in [0, 9]) increasing in u = if(u > 1, 2*u, u)*nn": ("GB605", "jumps"),
+    "unknown f(u, v) <= 0, >= -1 = 2*exp(-tanh(u))*nn": ("GB605", "never less than the upper bound `0`"),
+    "unknown f(u) in [2, 9] = -u^2*nn": ("GB605", "never more than the lower bound `2`"),
     "unknown f(u) in [-k, K - 5]": ("GB607", "not proved to lie above"),
     "unknown f(u, v) >= v, increasing in u, decreasing in v": ("GB607", "its bound `v` is not proved"),
     "unknown f(u, v) zero at u = v, increasing in u, increasing in v": ("GB607", "moves with `v`"),
     "unknown f(u, v) zero at u = 0, zero at v = 0, increasing in u, increasing in v": ("GB607", "several arguments"),
     "unknown f(u in [0, 9]) >= 0, zero at u = 0 = u + nn": ("GB607", "together with this bound"),
+    "unknown f(u) in [0, 2], zero at u = 0 = u^2/(K^2 + u^2)*(nn + 1)": ("GB607", "together with this bound"),
     "unknown f(u, v, w) increasing in u by mlp(1)": ("GB608", "too narrow"),
 }
 

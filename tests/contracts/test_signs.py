@@ -62,6 +62,12 @@ def test_false_signs_are_not_proved(expression: sympy.Expr, strict: bool) -> Non
     assert not (prover.positive(expression) if strict else prover.nonnegative(expression))
 
 
+def test_decimal_coefficients_are_divided_without_a_remainder() -> None:
+    prover = Prover({K: Interval(0.1, 10.0), g: POSITIVE})
+    assert not prover.nonnegative(g - 2.0 * u**2 / (K**2 + u**2))
+    assert prover.nonnegative(2.1 - 2.0 * u**2 / (K**2 + u**2))
+
+
 def made(build: Any, *arguments: sympy.Expr) -> sympy.Expr:
     """The expression, or 1 where it is no real number."""
     try:
@@ -72,7 +78,7 @@ def made(build: Any, *arguments: sympy.Expr) -> sympy.Expr:
 
 
 def expressions() -> st.SearchStrategy[sympy.Expr]:
-    leaves = st.sampled_from([u, g, K, *map(sympy.Integer, range(-3, 4)), sympy.Rational(1, 2)])
+    leaves = st.sampled_from([u, g, K, *map(sympy.Integer, range(-3, 4)), sympy.Rational(1, 2), sympy.Float(0.3)])
     unary = [
         sympy.exp,
         sympy.tanh,

@@ -12,7 +12,7 @@ from lsprotocol import types
 from pygls.lsp.client import LanguageClient
 
 T = TypeVar("T")
-PATIENCE = 60
+PATIENCE = 300
 """Seconds after which an answer counts as lost; nothing waits this long unless something is wrong."""
 
 

@@ -159,4 +159,4 @@ def test_shipped_models_are_answered_in_time(path: Path) -> None:
     begin = time.process_time()
     for all_states in (True, False):
         find(pose(model, all_states=all_states), time.process_time() + 3)
-    assert time.process_time() - begin < 3
+    assert time.process_time() - begin < 10  # two questions of 3 seconds at most, and what it takes to pose them

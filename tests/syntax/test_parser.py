@@ -11,6 +11,7 @@ from gbspec.syntax import ast
 from gbspec.syntax.formatter import format_text
 from gbspec.syntax.parser import parse, parse_expression
 from gbspec.syntax.walk import walk
+from tests.effort import calls
 
 
 def read(text: str) -> tuple[ast.Statement, ...]:
@@ -232,17 +233,12 @@ def test_a_condition_of_many_parts_is_read() -> None:
 
 
 def test_many_statements_are_read_in_linear_time() -> None:
-    import time
+    def text(states: int) -> str:
+        return "".join(f"state x{i} : g/L in [0, 10] = 0.5\nx{i}' = -k*x{i} + x{i + 1}/h^2\n" for i in range(states))
 
-    def seconds(states: int) -> float:
-        text = "".join(f"state x{i} : g/L in [0, 10] = 0.5\nx{i}' = -k*x{i} + x{i + 1}/h^2\n" for i in range(states))
-        begin = time.process_time()
-        read(text)
-        return time.process_time() - begin
-
-    seconds(10)
-    small, large = min(seconds(100) for _ in range(3)), min(seconds(1000) for _ in range(2))
-    assert large < 50 * small  # ten times the text; a quadratic parser would need a hundred times as long
+    read(text(10))  # what is made once, such as the parser
+    small, large = (calls(lambda n=n: read(text(n))) for n in (100, 1000))
+    assert large < 1.5 * 10 * small  # ten times the text; a quadratic parser would make a hundred times the calls
 
 
 # ------------------------------------------------------------------------------------------------------- expressions

@@ -6,8 +6,9 @@ import os
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -33,15 +34,37 @@ def scheduler() -> Iterator[Any]:
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
         ) as cluster,
+        pytest.MonkeyPatch.context() as patch,
     ):
+        patch.setattr("gbspec.training.runs.cluster.PATIENCE", 120)
         yield cluster
 
 
-class Killer:
-    """Progress that kills the worker of the first job when this has told of an iteration of its last stage."""
+def holding(mark: Path) -> Callable[[], None]:
+    """A function for workers: the first member 0 that tells of an iteration of its last stage goes no further."""
 
-    def __init__(self, cluster: Any) -> None:
+    def hold() -> None:  # it travels as it is, for a worker does not find this file
+        from gbspec.training.runs.parallel import Sender
+
+        tell = Sender.update
+
+        def update(self: Sender, update: Update) -> None:
+            tell(self, update)
+            if (update.member, update.stage) == (0, "lm") and not mark.exists():
+                mark.touch()
+                Event().wait()
+
+        Sender.update = update  # type: ignore[method-assign]  # in the worker's process alone
+
+    return hold
+
+
+class Killer:
+    """Progress that kills the worker of member 0 when this has told of an iteration of its last stage."""
+
+    def __init__(self, cluster: Any, mark: Path) -> None:
         self.client = distributed.Client(cluster.scheduler_address, set_as_default=False)
+        self.client.run(holding(mark))
         self.killed: int | None = None
         self.starts: Counter[int] = Counter()
         self.told: set[tuple[int, str, int]] = set()
@@ -49,11 +72,11 @@ class Killer:
     def update(self, update: Update) -> None:
         self.starts[update.member] += update.stage == "start"
         self.told.add((update.member, update.stage, update.iteration))
-        if self.killed is None and update.stage == "lm":
+        if self.killed is None and (update.member, update.stage) == (0, "lm"):
             pids = self.client.run(os.getpid)
             for address, keys in self.client.processing().items():
-                if any(str(key).endswith(f"-{update.member}") for key in keys):
-                    self.killed = update.member
+                if any(str(key).endswith("-0") for key in keys):
+                    self.killed = 0
                     os.kill(pids[address], signal.SIGKILL)
 
     def message(self, text: str) -> None:
@@ -76,11 +99,11 @@ def assert_equal(run: Run, alone: Run) -> None:
 
 def test_a_killed_worker_changes_nothing(scheduler: Any, alone: Run, tmp_path: Path) -> None:
     model, data = model_of(URP), urp_data(4, 2.0, 6)
-    killer = Killer(scheduler)
+    killer = Killer(scheduler, tmp_path / "held")
     options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
     train(model, data, options, tmp_path / "cluster", killer)
     killer.client.close()
-    assert killer.killed is not None
+    assert killer.killed == 0
     assert killer.starts == {0: 1, 1: 1, 2: 1}, "the lost member goes on from its checkpoint"
     assert {(member, "lm", 3) for member in range(3)} <= killer.told
     assert_equal(open_run(tmp_path / "cluster"), alone)

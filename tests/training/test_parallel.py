@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
+from contextlib import nullcontext
 from multiprocessing.spawn import get_preparation_data
 from pathlib import Path
-from types import ModuleType
+from queue import Queue
+from threading import Event
+from types import ModuleType, SimpleNamespace
+from typing import Any, cast
 
 import pytest
+from safetensors.numpy import load_file
 
-from gbspec.diagnostics import UserError
+from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training import TrainOptions, train
-from gbspec.training.runs.parallel import _without_main, cores
-from tests.training.conftest import URP, Recorder, model_of, urp_data
+from gbspec.training.progress import Silent
+from gbspec.training.runs.parallel import Job, _without_main, cores, fit_jobs
+from gbspec.training.runs.summary import MemberResult
+from tests.training.conftest import URP, model_of, urp_data
 
 
 def test_the_users_script_is_not_run_again_in_a_worker(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -39,14 +45,43 @@ def test_cores_are_those_that_may_be_used() -> None:
 
 
 def test_what_a_worker_finds_wrong_comes_back_as_it_is(tmp_path: Path) -> None:
-    options = {"members": 2, "workers": 2, "method": "lm", "epochs": 2}
-    with pytest.raises(KeyboardInterrupt):
-        train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options), tmp_path / "run", Recorder(2))  # type: ignore[arg-type]
-    damaged = tmp_path / "run" / "members" / "0" / "checkpoint.safetensors"
+    options: dict[str, Any] = {"members": 2, "warm_start": False, "method": "lm", "epochs": 2}
+    model, data, path = model_of(URP), urp_data(4, 2.0, 6), tmp_path / "run"
+    train(model, data, TrainOptions(**options, workers=1), path)
+    damaged, other = (path / "members" / name / "checkpoint.safetensors" for name in "01")
     damaged.write_bytes(damaged.read_bytes()[:-9])
     with pytest.raises(UserError) as caught:
-        train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**options, resume=True), tmp_path / "run")  # type: ignore[arg-type]
+        train(model, data, TrainOptions(**options, workers=2, resume=True), path)
     (finding,) = caught.value.diagnostics
     assert finding.code == "GB852" and finding.help is not None and "fit the member again" in finding.help
-    fit = json.loads((tmp_path / "run" / "fit.json").read_text())
-    assert len(fit["members"]) == 1, "the other member was kept"
+    assert load_file(other), "the other member is kept"
+
+
+class OneIsWrong:
+    """An engine whose first job is wrong; the second goes on until it is told to stop, and gives what it reached."""
+
+    def __init__(self, reached: MemberResult) -> None:
+        self.messages: Queue[Any] = Queue()
+        self.stopped, self.reached = Event(), reached
+
+    def submit(self, job: Job) -> Any:
+        return SimpleNamespace(done=(lambda: True) if job.member == 0 else self.stopped.is_set)
+
+    def outcome(self, pending: Any, job: Job) -> MemberResult | None:
+        if job.member == 0:
+            raise UserError([Diagnostic("GB852", "the checkpoint is damaged", None)])
+        return self.reached
+
+    def stop(self) -> None:
+        self.stopped.set()
+
+
+def test_what_the_others_reached_is_kept_where_a_worker_finds_something_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    reached = cast(MemberResult, object())
+    taken: list[tuple[int, object]] = []
+    engine = nullcontext(OneIsWrong(reached))
+    monkeypatch.setattr("gbspec.training.runs.parallel._processes", lambda workers, threads: engine)
+    jobs = cast(list[Job], [SimpleNamespace(member=0), SimpleNamespace(member=1)])
+    with pytest.raises(UserError, match="damaged"):
+        fit_jobs(jobs, TrainOptions(members=2, workers=2), Silent(), lambda job, what: taken.append((job.member, what)))
+    assert taken == [(1, reached)]

@@ -21,7 +21,7 @@ KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 -
 @pytest.mark.parametrize("stage", ["imputed forcing", "half step", "blend", "autoregressive"])
 def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_path: Path) -> None:
     recorder = Recorder()
-    options = TrainOptions(stages=stage.replace(" ", "-"), max_step=0.1, workers=1)
+    options = TrainOptions(stages=stage.replace(" ", "-"), epochs=5, max_step=0.1, workers=1)
     run = train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "run", recorder)
     losses = [update.loss for update in recorder.updates if update.stage == stage]
     assert {update.stage for update in recorder.updates} == {"warm start", stage}
@@ -30,7 +30,7 @@ def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_pat
 
 
 def test_a_run_that_was_stopped_has_the_step_that_it_was_fitting_with(tmp_path: Path) -> None:
-    options = TrainOptions(stages="half step; autoregressive", max_step=0.1, workers=1)
+    options = TrainOptions(stages="half step; autoregressive", epochs=5, max_step=0.1, workers=1)
     with pytest.raises(KeyboardInterrupt):
         train(model_of(URP), urp_data(4, 2.0, 6), options, tmp_path / "half", Recorder(interrupt_after=3))
     assert open_run(tmp_path / "half").member().info["max_step"] == 0.05

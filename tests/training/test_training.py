@@ -137,17 +137,19 @@ def test_members_differ_and_repeat(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_workers_give_the_same_members(tmp_path: Path) -> None:
+def test_workers_give_the_same_members_also_where_they_were_interrupted(tmp_path: Path) -> None:
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     # Without a warm start, which is cut short in this process but not in the workers.
     more = {"members": 2, "warm_start": False, "method": "lm", "epochs": 2, "threads": 1}
     one = train(model, data, TrainOptions(**more, workers=1), tmp_path / "one")  # type: ignore[arg-type]
-    recorder = Recorder()
-    two = train(model, data, TrainOptions(**more, workers=2), tmp_path / "two", recorder)  # type: ignore[arg-type]
+    first, second = Recorder(interrupt_after=1), Recorder()
+    with pytest.raises(KeyboardInterrupt):
+        train(model, data, TrainOptions(**more, workers=2), tmp_path / "two", first)  # type: ignore[arg-type]
+    two = train(model, data, TrainOptions(**more, workers=2, resume=True), tmp_path / "two", second)  # type: ignore[arg-type]
     for k in range(2):
         for name, value in one.member(k).weights.items():
             assert np.allclose(two.member(k).weights[name], value, rtol=1e-9, atol=1e-12), name
-    assert {u.member for u in recorder.updates} == {0, 1}
+    assert {u.member for u in [*first.updates, *second.updates]} == {0, 1}
 
 
 def test_a_blow_up_says_where_and_what_to_do(tmp_path: Path) -> None:
