@@ -9,32 +9,15 @@ from typing import Any, Literal
 
 from gbspec.diagnostics import Findings
 from gbspec.ir.methods import METHODS, RK4, listed, unknown_method
+from gbspec.training.stages import BY_METHOD, Effort, StageName
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
-Effort = Literal["low", "normal", "high"]
 Initial = Literal["learned", "bred", "recognition"]
 Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
 
-STAGES = (
-    "adam",
-    "imputed forcing",
-    "initial states",
-    "teacher forcing",
-    "initial states again",
-    "half step",
-    "blend",
-    "initial states of whole solutions",
-    "autoregressive",
-    "choice",
-    "forcing as asked",
-    "search",
-    "least squares",
-    "least squares, starts too",
-    "lbfgs",
-    "bred initial states",
-)
-"""The stages after the warm start from which `auto` chooses; the plan decides which of them run."""
+STAGES = tuple(str(name) for name in StageName if name not in BY_METHOD)
+"""The stages that `--stages` can name; the plan says which of them a model and its data have."""
 
 
 @dataclass(frozen=True)

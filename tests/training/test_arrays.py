@@ -129,7 +129,7 @@ def test_many_states_are_fitted_without_a_jacobian(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr("gbspec.training.recipe.plan.PASSES", 10)
     monkeypatch.setattr("gbspec.training.starts.warm_start.ELIMINATION_WORK", 3e4)
     monkeypatch.setattr("gbspec.training.starts.warm_start.EVALUATIONS", 100)
-    monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 15)  # type: ignore[arg-type]
+    monkeypatch.setitem(plan.ALONE, "low", 15)  # type: ignore[arg-type]
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
     stages = run.fit["members"][0]["stages"]

@@ -90,7 +90,7 @@ def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatc
     def names(text: str, **options: str) -> set[str]:
         model, data = model_of(text), urp_data(4, 2.0, 6)
         ready = prepare(model, load_module(model), data, TrainOptions(**options), 0)  # type: ignore[arg-type]
-        return {stage.name for stage in plan.plan(ready.context, ready.parameters, {})}
+        return {stage.name for stage in plan.plan(ready.context, ready.parameters)}
 
     found = names(URP, initial="bred") | names(URP, forcing="0.5") | names(KNOWN)
     monkeypatch.setattr(plan, "PASSES", 1)

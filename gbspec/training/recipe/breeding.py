@@ -24,6 +24,7 @@ from gbspec.training.problem.problem import Problem
 from gbspec.training.problem.residuals import mean_loss
 from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.recipe.context import Context
+from gbspec.training.stages import StageName
 from gbspec.training.starts.initial_states import refit_starts
 
 AGE = 9.0
@@ -80,7 +81,7 @@ def _begun_earlier(item: Trajectory) -> Trajectory:
 class Breeding:
     """Breeds all learned starts: one step."""
 
-    name = "bred initial states"
+    name: str = StageName.BREEDING
     total = 1
 
     def __init__(self, context: Context, parameters: Parameters, blend: float) -> None:

@@ -83,7 +83,7 @@ class Fitting:
         if options.named_stages:
             anywhere = replace(options, backend="torch", device="cpu")  # what a worker has is not asked for here
             context = build_context(model, module, trajectories, anywhere, options.seed)
-            plan(context, context.parameters({}), {})
+            plan(context, context.parameters({}))
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
         self.record = _record(model, trajectories, options)

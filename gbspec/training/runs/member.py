@@ -23,10 +23,11 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.plan import Planned, plan, step_fraction
+from gbspec.training.recipe.plan import Planned, Reached, plan, step_fraction
 from gbspec.training.recipe.preparation import prepare
 from gbspec.training.recipe.recognition import recognition
 from gbspec.training.runs.summary import MemberResult, summarise
+from gbspec.training.stages import StageName
 
 SAVE_EVERY = 5.0
 """Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
@@ -117,7 +118,7 @@ class _Runner:
         self.context, self.member = context, member
         self.directory, self.progress = directory, progress
         self.position = position
-        self.plan = plan(context, parameters, position.marks)
+        self.plan = plan(context, parameters)
         # Stages that keep measured starts leave their entries at zero, which stands for the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
         self._began = time.monotonic() - self.position.seconds
@@ -160,12 +161,12 @@ class _Runner:
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
         if position.iteration == 0:
-            if not planned.due(position.theta):
+            if not planned.due(Reached(position.theta, position.marks)):
                 if self.context.options.named_stages:
                     position.notes.append(f"the stage `{planned.name}` was requested, but had nothing to do")
                 return
             position.entry = position.theta
-        stage = planned.make(position.entry)
+        stage = planned.make(Reached(position.entry, position.marks))
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
             position.stages.append({"name": stage.name, "iterations": 0, "loss": None, "seconds": 0.0})
@@ -254,7 +255,7 @@ class _Runner:
         )
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
-            blend = 0.0 if "autoregressive" in position.marks else self.context.options.blend
+            blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             # The largest step that the weights were fitted with last.

@@ -14,6 +14,7 @@ from gbspec.training.optimise.normal_equations import huber
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.stage import Outcome, State
 from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.stages import StageName
 
 CANDIDATES, KEPT, IMPROVEMENTS = 64, 4, 12
 SPREAD = 1.0
@@ -23,7 +24,7 @@ SPREAD = 1.0
 class Search:
     """Chooses among the vector it is given, the declared starts and draws around both: one step."""
 
-    name = "search"
+    name: str = StageName.SEARCH
     total = 1
 
     def __init__(self, engine: Engine, seed: int) -> None:
