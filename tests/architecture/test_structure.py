@@ -21,10 +21,7 @@ PACKAGE = ROOT / "gbspec"
 MOST_LINES = 450
 MOST_LINES_OF_A_FUNCTION = 60
 
-CIRCLES: set[frozenset[str]] = {
-    # a fit in parallel may go to a cluster, whose workers do what a parallel worker does
-    frozenset({"gbspec.training.runs.cluster", "gbspec.training.runs.parallel"}),
-}
+CIRCLES: set[frozenset[str]] = set()
 """Circles of imports that are known, each as the set of its modules."""
 
 LONG_FILES: set[str] = set()

@@ -44,7 +44,7 @@ def holding(mark: Path) -> Callable[[], None]:
     """A function for workers: the first member 0 that tells of an iteration of its last stage goes no further."""
 
     def hold() -> None:  # it travels as it is, for a worker does not find this file
-        from gbspec.training.runs.parallel import Sender
+        from gbspec.training.runs.jobs import Sender
 
         tell = Sender.update
 

@@ -81,7 +81,7 @@ def _begun_earlier(item: Trajectory) -> Trajectory:
 class Breeding:
     """Breeds all learned starts: one step."""
 
-    name: str = StageName.BREEDING
+    name = StageName.BREEDING.value
     total = 1
 
     def __init__(self, context: Context, parameters: Parameters, blend: float) -> None:

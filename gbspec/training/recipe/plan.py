@@ -285,19 +285,19 @@ class _Planner:
         layout = parameters or self.parameters
 
         def make(reached: Reached) -> Stage:
-            return InitialStates(name, self.context.engine(layout, blend), self.context.seed)
+            return InitialStates(name.value, self.context.engine(layout, blend), self.context.seed)
 
         return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any()))
 
     def _adam(self, epochs: int, wanted: Decision = always) -> Planned:
         def make(reached: Reached) -> Stage:
-            return Adam(StageName.ADAM, epochs, self._at(self.blend), self.options, self.context.seed)
+            return Adam(StageName.ADAM.value, epochs, self._at(self.blend), self.options, self.context.seed)
 
         return Planned(StageName.ADAM, epochs, make, wanted)
 
     def _quasi_newton(self, epochs: int) -> Planned:
         def make(reached: Reached) -> Stage:
-            return LimitedMemory(StageName.LBFGS, epochs, self._at(self.blend))
+            return LimitedMemory(StageName.LBFGS.value, epochs, self._at(self.blend))
 
         return Planned(StageName.LBFGS, epochs, make)
 
@@ -313,6 +313,6 @@ class _Planner:
 
         def make(reached: Reached) -> Stage:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
-            return LevenbergMarquardt(name, most, engine_at, chosen)
+            return LevenbergMarquardt(name.value, most, engine_at, chosen)
 
         return Planned(name, most, make, wanted)

@@ -56,7 +56,7 @@ class ChoiceOfFit:
     neither error's size matters, only by what factor each fit is better. One step.
     """
 
-    name: str = StageName.CHOICE
+    name = StageName.CHOICE.value
     total = 1
 
     def __init__(self, teacher: Engine, free: Engine, earlier: Array, seed: int) -> None:

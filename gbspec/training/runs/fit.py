@@ -27,7 +27,8 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.plan import plan
-from gbspec.training.runs.parallel import Job, fit_jobs
+from gbspec.training.runs.jobs import Job
+from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.version import __version__
 

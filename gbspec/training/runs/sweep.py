@@ -17,7 +17,8 @@ from gbspec.runs import files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.runs.fit import Fitting
-from gbspec.training.runs.parallel import Job, fit_jobs
+from gbspec.training.runs.jobs import Job
+from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.variations import Point
 

@@ -24,7 +24,7 @@ SPREAD = 1.0
 class Search:
     """Chooses among the vector it is given, the declared starts and draws around both: one step."""
 
-    name: str = StageName.SEARCH
+    name = StageName.SEARCH.value
     total = 1
 
     def __init__(self, engine: Engine, seed: int) -> None:
