@@ -163,18 +163,18 @@ class Specification:
 
 @dataclass(frozen=True)
 class FittedRun:
-    """A run directory. `run` gives its model, members and `fit.json`."""
+    """A run directory. `run` gives its model, its members and `run.fit`, a `FitRecord`: what `fit.json` says."""
 
     run: Run
 
     def __str__(self) -> str:
-        constants = ", ".join(f"{name} = {entry['value']}" for name, entry in self.run.fit.get("constants", {}).items())
+        constants = ", ".join(f"{name} = {value}" for name, value in self.constants.items())
         return f"{self.run.model.name} in {self.run.path}: " + (constants or "no learned constants")
 
     @property
     def constants(self) -> dict[str, float]:
         """The learned constants, the mean over members."""
-        return {name: entry["value"] for name, entry in self.run.fit.get("constants", {}).items()}
+        return {name: entry.value for name, entry in self.run.fit.constants.items()}
 
     def member(self, number: int | None = None) -> Any:
         """The generated module with a member's weights (the best member's where none is named)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,9 +14,10 @@ from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
-from gbspec.ir.methods import METHODS, RK4, Method
+from gbspec.ir.methods import METHODS, Method
 from gbspec.ir.model import Model
 from gbspec.runs import files
+from gbspec.runs.record import DAMAGED, FitRecord, read_record
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Run:
 
     path: Path
     model: Model
-    fit: dict[str, Any]
+    fit: FitRecord
     numbers: tuple[int, ...]
     values: Mapping[str, float] = field(default_factory=dict)
 
@@ -41,11 +41,11 @@ class Run:
     @property
     def method(self) -> Method:
         """The method that it was trained with; older runs do not name theirs, the classical one."""
-        return METHODS[self.fit.get("solver", RK4.name)]
+        return METHODS[self.fit.solver]
 
     def stepped_by(self, method: Method) -> Run:
         """The same run with steps of another method."""
-        return replace(self, fit={**self.fit, "solver": method.name})
+        return replace(self, fit=replace(self.fit, solver=method.name))
 
     @cached_property
     def _loaded(self) -> dict[int, Any]:
@@ -81,10 +81,9 @@ class Run:
                 weights[f"per_trajectory.{name}"] = np.full_like(weights[f"per_trajectory.{name}"], self.values[name])
         return type(member)(weights, member.info)
 
-    def amended(self, **entries: Any) -> Run:
-        """The same run with other entries in `fit.json`, which is written."""
-        fit = {**self.fit, **entries}
-        files.write_json(self.path / files.FIT, fit)
+    def amended(self, fit: FitRecord) -> Run:
+        """The same run with another `fit.json`, which is written."""
+        fit.write(self.path)
         return replace(self, fit=fit)
 
     @property
@@ -95,7 +94,7 @@ class Run:
     @property
     def best(self) -> int:
         """The number of the member whose loss is least."""
-        losses = {n: _loss(entry) for n, entry in zip(self.numbers, self.fit.get("members", []), strict=False)}
+        losses = {n: m.loss for n, m in zip(self.numbers, self.fit.members, strict=False) if m.loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
 
     def mean(self, predict: Callable[[Any], Array]) -> Array:
@@ -123,11 +122,6 @@ class Run:
             return list(csv.DictReader(file))
 
 
-def _loss(entry: dict[str, Any]) -> float:
-    value = entry.get("loss")
-    return float(value) if value is not None else float("inf")
-
-
 def open_run(path: str | Path) -> Run:
     """Reads a run directory.
 
@@ -140,10 +134,11 @@ def open_run(path: str | Path) -> Run:
         help_text = "a run is what `gbspec train MODEL DATA -o RUN` writes: it holds `model.gb` and `fit.json`"
         raise UserError([Diagnostic("GB851", message, None, help=help_text)])
     findings = Findings()
-    fit = _read_fit(directory / files.FIT, findings)
+    fit = read_record(directory, findings)
     if not (directory / files.MODEL).is_file():
-        findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=_DAMAGED)
-    findings.raise_if_failed()
+        findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=DAMAGED)
+    if fit is None or findings.failed:
+        raise UserError(findings)
     model = load_model(directory / files.MODEL, Findings())
     numbers = member_numbers(directory)
     if not numbers:
@@ -151,31 +146,6 @@ def open_run(path: str | Path) -> Run:
         help_text = "its training stopped before the first iteration; train again (`--resume` continues)"
         raise UserError([Diagnostic("GB853", message, None, help=help_text)])
     return Run(directory, model, fit, numbers)
-
-
-_DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
-
-
-def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
-    if not path.is_file():
-        findings.error("GB852", f"`{path}` is missing", None, help=_DAMAGED)
-        return {}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        findings.error("GB852", f"`{path}` is damaged: {error}", None, help=_DAMAGED)
-        return {}
-    if not isinstance(content, dict) or "gbspec" not in content or "model" not in content:
-        findings.error("GB852", f"`{path}` does not describe a fit of gbspec", None, help=_DAMAGED)
-        return {}
-    solver = content.get("solver", RK4.name)
-    if not isinstance(solver, str) or solver not in METHODS:
-        message = f"`{path}` names a solver that this version does not have: `{solver}`"
-        findings.error(
-            "GB852", message, None, help=f"use the version that wrote it; here there are {', '.join(METHODS)}"
-        )
-        return {}
-    return content
 
 
 def member_numbers(directory: Path) -> tuple[int, ...]:

@@ -9,7 +9,6 @@ from running away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +32,7 @@ from gbspec.ir.residuals import logarithmic, residuals
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
+    from gbspec.runs.record import DataRecord
 
 
 PULL = 1e-3
@@ -67,14 +67,14 @@ def prior_of(member: Any, model: Model) -> Prior:
 
 
 def predictions(
-    evaluator: Any, model: Model, trajectories: Trajectories, data: Mapping[str, Any] | None = None
+    evaluator: Any, model: Model, trajectories: Trajectories, data: DataRecord | None = None
 ) -> list[Prediction]:
     """The predictions of one member for a table: from learned starts on training data, else known or estimated ones.
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
     estimator = Estimator(evaluator, model, deviations(model, trajectories))
-    positions = learned_positions(evaluator.instance, trajectories, data or {})
+    positions = learned_positions(evaluator.instance, trajectories, data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
         for item, position in zip(trajectories.items, positions, strict=True)

@@ -229,7 +229,7 @@ class _MemberPredictions:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
         self.estimator = Estimator(evaluator, run.model, deviations(run.model, trajectories), noise)
-        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
+        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
         self.scales = scales
 
     def view(self, index: int, rows: int) -> _View:

@@ -5,7 +5,7 @@ Nothing here uses the training's step: solutions come from the evaluator's CVODE
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +19,7 @@ from gbspec.diagnostics import ComputationError
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
+    from gbspec.runs.record import DataRecord
 
 Origin = Literal["learned", "known", "estimated", "failed"]
 """Where an initial state comes from: learned in training; known (expressed by the model, or measured at the first row);
@@ -79,7 +80,7 @@ def measured_start(model: Model, item: Trajectory, otherwise: Array) -> Array:
     return state
 
 
-def learned_positions(member: Any, trajectories: Trajectories, data: Mapping[str, Any]) -> list[int | None]:
+def learned_positions(member: Any, trajectories: Trajectories, data: DataRecord | None) -> list[int | None]:
     """Where each trajectory stands in the training data of a member, by content; None where it is new.
 
     The member's remarks hold the fingerprints of its trajectories; failing that, a table with the same SHA-256 as the
@@ -90,7 +91,8 @@ def learned_positions(member: Any, trajectories: Trajectories, data: Mapping[str
     if known:
         table = {content: position for position, content in enumerate(known)}
         return [table.get(fingerprint(item)) for item in trajectories.items]
-    same = bool(trajectories.sha256) and trajectories.sha256 == data.get("sha256") and count == len(trajectories)
+    recorded = "" if data is None else data.sha256
+    same = bool(recorded) and trajectories.sha256 == recorded and count == len(trajectories)
     return [i if same else None for i in range(len(trajectories))]
 
 

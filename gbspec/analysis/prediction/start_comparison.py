@@ -8,7 +8,7 @@ data say little of it, while one along a slow direction stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from gbspec.diagnostics import Findings
 if TYPE_CHECKING:
     from gbspec.data.trajectories import Trajectories
     from gbspec.ir.model import Model
+    from gbspec.runs.record import DataRecord
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def initial_states(
     evaluator: Any,
     model: Model,
     data: Trajectories,
-    trained_on: Mapping[str, Any],
+    trained_on: DataRecord | None,
     system: System,
     truth: Any | None = None,
     indices: Sequence[int] | None = None,

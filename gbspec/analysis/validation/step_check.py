@@ -17,6 +17,8 @@ from gbspec.analysis.validation.metrics import truth_scale
 from gbspec.arrays import Array
 from gbspec.data.statistics import evenly_spaced
 from gbspec.files import finite
+from gbspec.runs.record import StepRecord
+from gbspec.runs.typed_json import encode
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction.predict import Prediction
@@ -49,15 +51,14 @@ class StepCheck:
     trajectories: int = 0
     unsolved: int = 0
 
+    def record(self) -> StepRecord:
+        """What `fit.json` keeps of it."""
+        return StepRecord(finite(self.half_step), finite(self.adaptive), self.step, self.trajectories, self.unsolved)
+
     def to_json(self) -> dict[str, object]:
         """Keys half_step, adaptive, the step, how many trajectories they rest on, and unsolved."""
-        return {
-            "half_step": None if self.half_step is None else finite(self.half_step),
-            "adaptive": None if self.adaptive is None else finite(self.adaptive),
-            "step": self.step,
-            "trajectories": self.trajectories,
-            "unsolved": self.unsolved,
-        }
+        document: dict[str, object] = encode(self.record())
+        return document
 
     @property
     def warning(self) -> str | None:
@@ -93,7 +94,7 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     checks = []
     count = max(1, min(LOOKED_AT, STATES_LOOKED_AT // len(run.model.states)))
     for member in run.members:
-        positions = learned_positions(member, trajectories, run.fit.get("data", {}))
+        positions = learned_positions(member, trajectories, run.fit.data)
         fitted = [(i, position) for i, position in enumerate(positions) if position is not None]
         chosen = [fitted[k] for k in evenly_spaced(len(fitted), count)]
         evaluator = Evaluator(member)
