@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.prediction.forecast import Forecast
     from gbspec.analysis.prediction.start_comparison import InitialStates
     from gbspec.analysis.validation.validate import Validation
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
     from gbspec.studies.crossvalidation import CrossValidation
@@ -176,7 +177,7 @@ class FittedRun:
         """The learned constants, the mean over members."""
         return {name: entry.value for name, entry in self.run.fit.constants.items()}
 
-    def member(self, number: int | None = None) -> Any:
+    def member(self, number: int | None = None) -> GeneratedModule:
         """The generated module with a member's weights (the best member's where none is named)."""
         return self.run.member(self.run.best if number is None else number)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -243,7 +243,7 @@ class _Recorded:
 def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
     """The arguments [P, A] with which the model calls a network along its solutions at the measured rows."""
     evaluator = fitted.evaluators[0]
-    member: Any = evaluator.instance  # its class is generated from the model
+    member = evaluator.instance
     networks = list(member.numpy_networks())
     networks[network] = recorded = _Recorded(networks[network])
     for index, item in enumerate(fitted.data.items):
@@ -253,7 +253,7 @@ def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
         condition = np.broadcast_to(item.condition, (len(x), len(item.condition)))
         inputs = input_values(fitted.model, item, item.times)[rows]
         own = tuple(np.float64(value) for value in fitted.start(0, index).constants)
-        for method in (member._rhs, member._observe):
+        for method in (member.equations.rhs, member.equations.observe):
             method(member.arithmetic("numpy"), t, x, condition, inputs, own, tuple(networks))
     found = np.concatenate([np.zeros((0, len(fitted.model.networks[network].arguments))), *recorded.calls])
     return found[:: max(1, len(found) // limit)]

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.backends.module import load_module
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir.methods import METHODS, Method
@@ -34,7 +34,7 @@ class Run:
     values: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
-    def module(self) -> type[Any]:
+    def module(self) -> type[GeneratedModule]:
         """The class of the generated module, stepped by the method that the run was trained with."""
         return load_module(self.model, self.method)
 
@@ -48,10 +48,10 @@ class Run:
         return replace(self, fit=replace(self.fit, solver=method.name))
 
     @cached_property
-    def _loaded(self) -> dict[int, Any]:
+    def _loaded(self) -> dict[int, GeneratedModule]:
         return {}
 
-    def member(self, number: int = 0) -> Any:
+    def member(self, number: int = 0) -> GeneratedModule:
         """The generated module with the weights of one member.
 
         Raises `UserError` (GB854) where there is no such member, (GB853) where its weights are damaged or belong to
@@ -70,7 +70,7 @@ class Run:
                 raise UserError([Diagnostic("GB853", message, None, help=help_text)]) from None
         return self._loaded[number]
 
-    def _set(self, member: Any) -> Any:
+    def _set(self, member: GeneratedModule) -> GeneratedModule:
         """The member with `values` in its constants; those of which each trajectory has its own are all set."""
         if not self.values:
             return member
@@ -87,7 +87,7 @@ class Run:
         return replace(self, fit=fit)
 
     @property
-    def members(self) -> tuple[Any, ...]:
+    def members(self) -> tuple[GeneratedModule, ...]:
         """The generated module with the weights of each member."""
         return tuple(self.member(number) for number in self.numbers)
 
@@ -97,11 +97,11 @@ class Run:
         losses = {n: m.loss for n, m in zip(self.numbers, self.fit.members, strict=False) if m.loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
 
-    def mean(self, predict: Callable[[Any], Array]) -> Array:
+    def mean(self, predict: Callable[[GeneratedModule], Array]) -> Array:
         """The mean over members of what `predict` (module instance -> array) gives."""
         return np.asarray(np.mean([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
-    def spread(self, predict: Callable[[Any], Array]) -> Array:
+    def spread(self, predict: Callable[[GeneratedModule], Array]) -> Array:
         """The standard deviation over members of what `predict` gives (zero for a single member)."""
         return np.asarray(np.std([predict(member) for member in self.members], axis=0), dtype=np.float64)
 

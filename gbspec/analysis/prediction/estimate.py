@@ -10,7 +10,7 @@ from running away.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,6 +30,8 @@ from gbspec.data.window import recognised
 from gbspec.ir.residuals import logarithmic, residuals
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
     from gbspec.runs.record import DataRecord
@@ -51,7 +53,7 @@ class Prior:
     sd: Array
 
 
-def prior_of(member: Any, model: Model) -> Prior:
+def prior_of(member: GeneratedModule, model: Model) -> Prior:
     """From the learned starts of the training data; where there are none, from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
@@ -67,7 +69,7 @@ def prior_of(member: Any, model: Model) -> Prior:
 
 
 def predictions(
-    evaluator: Any, model: Model, trajectories: Trajectories, data: DataRecord | None = None
+    evaluator: Evaluator, model: Model, trajectories: Trajectories, data: DataRecord | None = None
 ) -> list[Prediction]:
     """The predictions of one member for a table: from learned starts on training data, else known or estimated ones.
 
@@ -86,7 +88,7 @@ class Estimator:
     """Least squares for the start of one trajectory. `scales` [C] are the residuals' (see `deviations`); `noise` [C],
     where it is known, is the standard deviation of measurements in the same units (of logarithms, if log-normal)."""
 
-    def __init__(self, evaluator: Any, model: Model, scales: Array, noise: Array | None = None) -> None:
+    def __init__(self, evaluator: Evaluator, model: Model, scales: Array, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.scales = evaluator, model, scales
         self.logarithmic = logarithmic(model)
         self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from gbspec.data.signals import evaluate
 from gbspec.diagnostics import ComputationError
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
     from gbspec.runs.record import DataRecord
@@ -80,7 +82,7 @@ def measured_start(model: Model, item: Trajectory, otherwise: Array) -> Array:
     return state
 
 
-def learned_positions(member: Any, trajectories: Trajectories, data: DataRecord | None) -> list[int | None]:
+def learned_positions(member: GeneratedModule, trajectories: Trajectories, data: DataRecord | None) -> list[int | None]:
     """Where each trajectory stands in the training data of a member, by content; None where it is new.
 
     The member's remarks hold the fingerprints of its trajectories; failing that, a table with the same SHA-256 as the
@@ -96,7 +98,7 @@ def learned_positions(member: Any, trajectories: Trajectories, data: DataRecord 
     return [i if same else None for i in range(len(trajectories))]
 
 
-def learned_start(evaluator: Any, position: int, item: Trajectory) -> Start:
+def learned_start(evaluator: Evaluator, position: int, item: Trajectory) -> Start:
     """The start that training found for the trajectory at this position of its data."""
     member = evaluator.instance
     constants = own_constants(evaluator, position)
@@ -104,7 +106,7 @@ def learned_start(evaluator: Any, position: int, item: Trajectory) -> Start:
     return Start(evaluator.initial(state, item.condition, constants), constants, "learned")
 
 
-def own_constants(evaluator: Any, position: int) -> Array:
+def own_constants(evaluator: Evaluator, position: int) -> Array:
     """The constants [K] of one training trajectory: the shared ones, and its own where each has one."""
     member = evaluator.instance
     constants = np.array(evaluator.constants, dtype=float)
@@ -116,7 +118,7 @@ def own_constants(evaluator: Any, position: int) -> Array:
 
 
 def predict(
-    evaluator: Any, model: Model, item: Trajectory, start: Start, rtol: float = RTOL, scales: Array | None = None
+    evaluator: Evaluator, model: Model, item: Trajectory, start: Start, rtol: float = RTOL, scales: Array | None = None
 ) -> Prediction:
     """The solution at the trajectory's rows from its start; a failure is reported, not raised."""
     rows = len(item.times)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gbspec.runs.typed_json import encode
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.runs.store import Run
 
@@ -106,7 +107,7 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
 
 
 def step_check(
-    evaluator: Any, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
+    evaluator: Evaluator, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
 ) -> StepCheck:
     """Solves up to 24 trajectories again with the training's step and with half of it, from the same starts."""
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
@@ -125,7 +126,7 @@ def step_check(
     return StepCheck(_largest(fine - coarse, scale), _largest(adaptive - coarse, scale), step, len(chosen), unsolved)
 
 
-def _fixed(evaluator: Any, step: float, item: Trajectory, one: Prediction) -> Array:
+def _fixed(evaluator: Evaluator, step: float, item: Trajectory, one: Prediction) -> Array:
     states: Array = evaluator.integrate_fixed(
         one.start.state,
         item.times,
