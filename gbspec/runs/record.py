@@ -10,13 +10,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gbspec.backends.module import INTERFACE
 from gbspec.diagnostics import Findings
 from gbspec.ir.methods import METHODS, RK4
 from gbspec.runs import files
 from gbspec.runs.typed_json import JsonError, decode, encode, read_object
+from gbspec.version import __version__
 
 Option = str | int | float | bool | None
 """The value of an option of training; whole numbers stay whole."""
+OLDEST = 1
+"""The first interface of the generated module whose runs are still read; a run that names none is of it."""
 DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
 
 
@@ -101,7 +105,7 @@ class FitRecord:
     correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     solver: str = RK4.name
     step_checks: tuple[StepRecord, ...] = ()
-    interface: int = 1
+    interface: int = OLDEST
     others: Mapping[str, object] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
@@ -115,7 +119,10 @@ class FitRecord:
 
 
 def read_record(directory: Path, findings: Findings) -> FitRecord | None:
-    """What the `fit.json` of a run directory says; None, and GB852 for each key that is wrong, where it is damaged."""
+    """What the `fit.json` of a run directory says.
+
+    None where it is damaged, with GB852 for each key that is wrong, or of another interface, with GB857.
+    """
     path = directory / files.FIT
     if not path.is_file():
         findings.error("GB852", f"`{path}` is missing", None, help=DAMAGED)
@@ -124,6 +131,8 @@ def read_record(directory: Path, findings: Findings) -> FitRecord | None:
         content = read_object(path)
         if "gbspec" not in content and "model" not in content:
             raise JsonError(["it does not describe a fit of gbspec"])
+        if _of_another_interface(directory, content, findings):
+            return None
         record = decode(FitRecord, content)
     except OSError as error:
         findings.error("GB852", f"`{path}` cannot be read: {error.strerror}", None, help=DAMAGED)
@@ -137,3 +146,22 @@ def read_record(directory: Path, findings: Findings) -> FitRecord | None:
         help_text = f"use the version that wrote it; here there are {', '.join(METHODS)}"
         findings.error("GB852", message, None, help=help_text)
     return None
+
+
+def _of_another_interface(directory: Path, content: Mapping[str, object], findings: Findings) -> bool:
+    """Whether the run's weights are for a generated module that this version does not make, which is then reported.
+
+    It is asked before anything else is read: the keys may be others, too.
+    """
+    interface, wrote = content.get("interface", OLDEST), content.get("gbspec")
+    if type(interface) is not int or OLDEST <= interface <= INTERFACE:
+        return False
+    message = (
+        f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; "
+        f"this is gbspec {__version__}, which reads {OLDEST} to {INTERFACE}"
+    )
+    help_text = (
+        f"use gbspec {wrote} for it, or train again with this one: `gbspec train {directory}/model.gb DATA -o RUN`"
+    )
+    findings.error("GB857", message, None, help=help_text)
+    return True

@@ -125,8 +125,8 @@ class Run:
 def open_run(path: str | Path) -> Run:
     """Reads a run directory.
 
-    Raises `UserError`: GB851 where it is no run, GB852 where a file of it is missing or damaged, GB853 where no member
-    has weights; and whatever is wrong with its `model.gb`.
+    Raises `UserError`: GB851 where it is no run, GB852 where a file of it is missing or damaged, GB857 where it is of
+    another version of the generated module, GB853 where no member has weights; and what is wrong with its `model.gb`.
     """
     directory = Path(path)
     if not (directory / files.FIT).is_file() and not (directory / files.MODEL).is_file():
