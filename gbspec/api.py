@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.prediction.forecast import Forecast
     from gbspec.analysis.prediction.start_comparison import InitialStates
     from gbspec.analysis.validation.validate import Validation
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
     from gbspec.studies.crossvalidation import CrossValidation
@@ -163,20 +164,20 @@ class Specification:
 
 @dataclass(frozen=True)
 class FittedRun:
-    """A run directory. `run` gives its model, members and `fit.json`."""
+    """A run directory. `run` gives its model, its members and `run.fit`, a `FitRecord`: what `fit.json` says."""
 
     run: Run
 
     def __str__(self) -> str:
-        constants = ", ".join(f"{name} = {entry['value']}" for name, entry in self.run.fit.get("constants", {}).items())
+        constants = ", ".join(f"{name} = {value}" for name, value in self.constants.items())
         return f"{self.run.model.name} in {self.run.path}: " + (constants or "no learned constants")
 
     @property
     def constants(self) -> dict[str, float]:
         """The learned constants, the mean over members."""
-        return {name: entry["value"] for name, entry in self.run.fit.get("constants", {}).items()}
+        return {name: entry.value for name, entry in self.run.fit.constants.items()}
 
-    def member(self, number: int | None = None) -> Any:
+    def member(self, number: int | None = None) -> GeneratedModule:
         """The generated module with a member's weights (the best member's where none is named)."""
         return self.run.member(self.run.best if number is None else number)
 

@@ -1,7 +1,7 @@
 """Backends: from one Model to other languages and to functions, each a folder.
 
 A folder whose `backend.py` has a `BACKEND` is a form of `gbspec compile --emit`; `registry` finds it there. `printing`
-is what backends share; they do not import each other.
+and `protocol` (what a generated module offers) are what backends share; they do not import each other.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ def eigen(
     if along is not None:
         from gbspec.analysis.prediction.estimate import predictions
 
-        data = {} if source.run is None else source.run.fit.get("data", {})
+        data = None if source.run is None else source.run.fit.data
         predicted = predictions(source.evaluator, source.model, along, data)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
 
@@ -50,7 +50,7 @@ def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] |
     from gbspec.analysis.prediction.start_comparison import initial_states as run
 
     true = truth_of(source)
-    known = {} if source.run is None else source.run.fit.get("data", {})
+    known = None if source.run is None else source.run.fit.data
     truth = None if true is None else true.evaluator
     return run(source.evaluator, source.model, data, known, system(source), truth, indices)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,9 +42,8 @@ def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run
         data, _ = split(data, options.holdout, options.seed)
     checks = check_fit(run, data)
     warnings = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
-    return run.amended(
-        step_checks=[check.to_json() for check in checks], warnings=[*run.fit.get("warnings", []), *warnings]
-    )
+    records = tuple(check.record() for check in checks)
+    return run.amended(replace(run.fit, step_checks=records, warnings=(*run.fit.warnings, *warnings)))
 
 
 def sweep(
@@ -66,7 +66,7 @@ def sweep(
         if member_numbers(directory / point.name):
             made = open_run(directory / point.name)
             checked = with_step_checks(made, data, point.options)
-            for warning in checked.fit["warnings"][len(made.fit["warnings"]) :]:
+            for warning in checked.fit.warnings[len(made.fit.warnings) :]:
                 if progress is not None:
                     progress.message(f"{point.name}: {warning}")
     return rows

@@ -38,7 +38,7 @@ def read_data(path: str | Path, model: Model, findings: Findings, *, require_cha
 
 def training_data(run: Run, findings: Findings) -> Trajectories | None:
     """The table that a run was trained on, None where it is no longer where it was."""
-    path = run.fit.get("data", {}).get("path")
+    path = run.fit.data.path
     return read_data(path, run.model, findings) if path and Path(path).is_file() else None
 
 
@@ -47,12 +47,11 @@ def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Traject
 
     Raises `UserError` (GB859) where they are not found, or are others.
     """
-    known = run.fit.get("data", {})
     data = training_data(run, findings) if path is None else read_data(path, run.model, findings)
     if data is None:
-        message = f"the table that the run was trained on, `{known.get('path')}`, is not where it was"
+        message = f"the table that the run was trained on, `{run.fit.data.path}`, is not where it was"
         raise UserError([Diagnostic("GB859", message, None, help="say where it is now: `--data TABLE`")])
-    if data.sha256 != known.get("sha256"):
+    if data.sha256 != run.fit.data.sha256:
         message = f"`{data.path}` is not the table that the run was trained on"
         help = "what continues the fit needs the same table, unchanged"
         raise UserError([Diagnostic("GB859", message, None, help=help)])

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from gbspec.diagnostics import ComputationError, Findings, UserError
 from gbspec.runs import files
+from gbspec.runs.typed_json import encode
 from gbspec.studies.tasks import Task
 
 if TYPE_CHECKING:
@@ -110,13 +111,13 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
         "cpu_seconds": fitted[0] - prepared[0],
         "wall_seconds": fitted[1] - prepared[1],
         "other_cpu_seconds": time.process_time() - fitted[0] + prepared[0] - began[0],
-        "loss": run.fit["members"][0]["loss"],
-        "stages": run.fit["members"][0]["stages"],
-        "constants": {name: entry["value"] for name, entry in run.fit["constants"].items()},
+        "loss": run.fit.members[0].loss,
+        "stages": [encode(stage) for stage in run.fit.members[0].stages],
+        "constants": {name: entry.value for name, entry in run.fit.constants.items()},
         "max_step": run.max_step,
         **found,
         **starts(run, data, task),
-        "versions": {"gbspec": run.fit["gbspec"], **run.fit["versions"]},
+        "versions": {"gbspec": run.fit.gbspec, **run.fit.versions},
     }
 
 
@@ -148,7 +149,7 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
         "unsolved": list(found.failed),
         "step_check": found.step_check.to_json(),
         "step_warning": found.step_check.warning,
-        "warnings": [*run.fit["warnings"], *found.warnings],
+        "warnings": [*run.fit.warnings, *found.warnings],
     }
 
 

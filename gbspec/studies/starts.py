@@ -21,6 +21,7 @@ from gbspec.analysis.validation.truth_errors import truth_evaluator, truth_model
 from gbspec.arrays import Array
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.sampling import SimulateOptions
     from gbspec.data.trajectories import Trajectories
     from gbspec.runs.store import Run
@@ -35,7 +36,7 @@ class Starts:
     run: Run
     data: Trajectories
     interval: float
-    truth: Any
+    truth: Evaluator
     learned: Any
     true: Array
     found: Array
@@ -68,10 +69,10 @@ class Starts:
             "error": np.median(np.abs(learned - true), axis=0).tolist(),
         }
 
-    def _spectra(self, evaluator: Any, states: Array) -> Spectra:
+    def _spectra(self, evaluator: Evaluator, states: Array) -> Spectra:
         return np.array([ordered_eigenvalues(self._jacobian(evaluator, i, state)) for i, state in enumerate(states)])
 
-    def _jacobian(self, evaluator: Any, index: int, state: Array) -> Array:
+    def _jacobian(self, evaluator: Evaluator, index: int, state: Array) -> Array:
         item = self.data.items[index]
         inputs = input_values(self.run.model, item, np.array([item.start]))[0]
         return np.asarray(evaluator.jacobian_at(item.start, state, item.condition, inputs), dtype=np.float64)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Literal
 
 from gbspec.diagnostics import Findings
 from gbspec.ir.methods import METHODS, RK4, listed, unknown_method
+from gbspec.runs import files
+from gbspec.runs.record import DAMAGED, Option
+from gbspec.runs.typed_json import JsonError, decode
 from gbspec.training.stages import BY_METHOD, Effort, StageName
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
@@ -212,6 +216,22 @@ class TrainOptions:
         """
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
+
+    @classmethod
+    def recorded(cls, options: Mapping[str, Option], run: Path) -> TrainOptions:
+        """The options of a run as its `fit.json` has them; those that it lacks are at their defaults.
+
+        Raises UserError (GB852) where one has a value that it cannot have.
+        """
+        findings = Findings()
+        try:
+            found = decode(cls, options, "options")
+            found.check(findings)
+        except JsonError as error:
+            for finding in error.findings:
+                findings.error("GB852", f"`{run / files.FIT}` is damaged: {finding}", None, help=DAMAGED)
+        findings.raise_if_failed()
+        return found
 
 
 def _number(text: str) -> float | None:

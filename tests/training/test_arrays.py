@@ -119,7 +119,7 @@ def spreading() -> tuple[Model, Trajectories]:
 def test_a_pointwise_rate_is_learned_from_an_array(tmp_path: Path) -> None:
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
-    assert run.fit["constants"]["D"]["value"] == pytest.approx(0.3, rel=0.02)
+    assert run.fit.constants["D"].value == pytest.approx(0.3, rel=0.02)
     u = torch.linspace(0.1, 0.9, 9, dtype=torch.float64)
     found = run.member().functions["g"](u).detach()
     assert float((found - 0.8 * u * (1 - u)).abs().max()) < 0.01
@@ -132,6 +132,7 @@ def test_many_states_are_fitted_without_a_jacobian(tmp_path: Path, monkeypatch: 
     monkeypatch.setitem(plan.ALONE, "low", 15)  # type: ignore[arg-type]
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
-    stages = run.fit["members"][0]["stages"]
-    assert [stage["name"] for stage in stages] == ["warm start", "lbfgs"]
-    assert stages[1]["loss"] < 0.5 * stages[0]["loss"]
+    stages = run.fit.members[0].stages
+    assert [stage.name for stage in stages] == ["warm start", "lbfgs"]
+    first, last = (stage.loss for stage in stages)
+    assert first is not None and last is not None and last < 0.5 * first

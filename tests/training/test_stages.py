@@ -77,7 +77,7 @@ def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, t
 
 def test_a_named_stage_that_had_nothing_to_do_is_told(tmp_path: Path) -> None:
     run = train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(stages="choice", workers=1), tmp_path / "run")
-    assert "member 0: the stage `choice` was requested, but had nothing to do" in run.fit["warnings"]
+    assert "member 0: the stage `choice` was requested, but had nothing to do" in run.fit.warnings
 
 
 def test_names_are_kept_as_the_recipe_has_them() -> None:

@@ -9,9 +9,8 @@ from running away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,8 +30,11 @@ from gbspec.data.window import recognised
 from gbspec.ir.residuals import logarithmic, residuals
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
+    from gbspec.runs.record import DataRecord
 
 
 PULL = 1e-3
@@ -51,7 +53,7 @@ class Prior:
     sd: Array
 
 
-def prior_of(member: Any, model: Model) -> Prior:
+def prior_of(member: GeneratedModule, model: Model) -> Prior:
     """From the learned starts of the training data; where there are none, from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
@@ -67,14 +69,14 @@ def prior_of(member: Any, model: Model) -> Prior:
 
 
 def predictions(
-    evaluator: Any, model: Model, trajectories: Trajectories, data: Mapping[str, Any] | None = None
+    evaluator: Evaluator, model: Model, trajectories: Trajectories, data: DataRecord | None = None
 ) -> list[Prediction]:
     """The predictions of one member for a table: from learned starts on training data, else known or estimated ones.
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
     estimator = Estimator(evaluator, model, deviations(model, trajectories))
-    positions = learned_positions(evaluator.instance, trajectories, data or {})
+    positions = learned_positions(evaluator.instance, trajectories, data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
         for item, position in zip(trajectories.items, positions, strict=True)
@@ -86,7 +88,7 @@ class Estimator:
     """Least squares for the start of one trajectory. `scales` [C] are the residuals' (see `deviations`); `noise` [C],
     where it is known, is the standard deviation of measurements in the same units (of logarithms, if log-normal)."""
 
-    def __init__(self, evaluator: Any, model: Model, scales: Array, noise: Array | None = None) -> None:
+    def __init__(self, evaluator: Evaluator, model: Model, scales: Array, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.scales = evaluator, model, scales
         self.logarithmic = logarithmic(model)
         self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))

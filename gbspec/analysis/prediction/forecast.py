@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from gbspec.files import finite
 from gbspec.ir.residuals import logarithmic
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.ir.model import Model
     from gbspec.runs.store import Run
@@ -225,11 +226,11 @@ class _View:
 class _MemberPredictions:
     """One member over a table."""
 
-    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, scales: Array) -> None:
+    def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Array) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
         self.estimator = Estimator(evaluator, run.model, deviations(run.model, trajectories), noise)
-        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
+        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
         self.scales = scales
 
     def view(self, index: int, rows: int) -> _View:

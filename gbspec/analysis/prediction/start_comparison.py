@@ -8,9 +8,9 @@ data say little of it, while one along a slow direction stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +23,10 @@ from gbspec.data.statistics import deviations
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.trajectories import Trajectories
     from gbspec.ir.model import Model
+    from gbspec.runs.record import DataRecord
 
 
 @dataclass(frozen=True)
@@ -111,12 +113,12 @@ def _median(values: Sequence[float]) -> float:
 
 
 def initial_states(
-    evaluator: Any,
+    evaluator: Evaluator,
     model: Model,
     data: Trajectories,
-    trained_on: Mapping[str, Any],
+    trained_on: DataRecord | None,
     system: System,
-    truth: Any | None = None,
+    truth: Evaluator | None = None,
     indices: Sequence[int] | None = None,
 ) -> InitialStates:
     """Compares the starts of the trajectories `indices` (all) of a table that a run was trained on.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError, Findings
 
 if TYPE_CHECKING:
+    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.data.cases import MetricsOptions
     from gbspec.data.sampling import SimulateOptions
     from gbspec.data.trajectories import Signal
@@ -64,7 +66,7 @@ class SolutionPoints:
 class Sampler:
     """Draws trajectories of the truth. Raises UserError (GB751 to GB755) where the sampling does not fit the model."""
 
-    def __init__(self, evaluator: Any, model: Model, sampling: SimulateOptions, options: MetricsOptions) -> None:
+    def __init__(self, evaluator: Evaluator, model: Model, sampling: SimulateOptions, options: MetricsOptions) -> None:
         self.evaluator, self.model = evaluator, model
         self.options = options.settled(sampling.span)
         low, high = self.options.window or (0.0, sampling.span)
@@ -180,7 +182,7 @@ class Sampler:
 
 
 def solve_ends(
-    evaluator: Any,
+    evaluator: Evaluator,
     times: Array,
     starts: Array,
     conditions: Array,
@@ -200,7 +202,7 @@ def solve_ends(
     return ends
 
 
-def sampling_for(model: Model, sampling: SimulateOptions, member: Any) -> SimulateOptions:
+def sampling_for(model: Model, sampling: SimulateOptions, member: GeneratedModule) -> SimulateOptions:
     """The sampling with boxes filled in, where neither it nor the model has any: from the trained starts and ranges."""
     learned = member.weights.get("initial")
     initial, condition = dict(sampling.initial), dict(sampling.condition)

@@ -69,10 +69,9 @@ class Validation:
         """The trajectories that could not be solved."""
         return tuple(item.trajectory for item in self.trajectories if item.failure)
 
-    def warnings_after(self, fit: Mapping[str, Any]) -> list[str]:
-        """The warnings of a fit (`fit.json`), then those of its validation that it does not say already."""
-        known = list(fit.get("warnings", []))
-        return known + [warning for warning in self.warnings if not any(warning in one for one in known)]
+    def warnings_after(self, known: Sequence[str]) -> list[str]:
+        """The warnings of a fit, then those of its validation that it does not say already."""
+        return [*known] + [warning for warning in self.warnings if not any(warning in one for one in known)]
 
     def to_json(self) -> dict[str, object]:
         """The document of `validate --json`."""
@@ -128,7 +127,7 @@ def validate(
     errors: tuple[TrajectoryError, ...] = ()
     check = StepCheck(None, None, run.max_step)
     if trajectories is not None:
-        each = [predictions(one, run.model, trajectories, run.fit.get("data", {})) for one in evaluators]
+        each = [predictions(one, run.model, trajectories, run.fit.data) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         channels, errors = _on_data(run.model, trajectories, predicted)
         # The step is a matter of each right-hand side, so a mean of several is checked by its first member.

@@ -54,7 +54,7 @@ def run(
             "seconds": seconds,
             "errors": errors,
             "published": dict(published),
-            "constants": made.fit.get("constants", {}),
+            "constants": made.fit.to_json()["constants"],
             "picture": picture,
             "run": directory,
             "data": data,

@@ -45,7 +45,7 @@ def run(
         made = fitting.train(specified, measured, directory, options, progress)
     output.say(f"wrote {to}")
     output.summary(run_summary(made))
-    output.document(made.fit)
+    output.document(made.fit.to_json())
 
 
 def target(to: str, *, resume: bool) -> Path:

@@ -143,7 +143,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "equations": _equations(model),
         "declared": tables.declared(model),
         "summary": _summary(run, found),
-        "warnings": found.validation.warnings_after(run.fit),
+        "warnings": found.validation.warnings_after(run.fit.warnings),
         "sections": _sections(source, store),
         "total": len(fitted.data) if fitted else 0,
         "constants": tables.constants(run),
@@ -172,11 +172,10 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     """A few numbers that are seen first."""
-    data = run.fit.get("data", {})
     errors = [one.nrmse for one in found.validation.channels.values()]
     cards = [
-        (str(data.get("trajectories", "-")), "trajectories"),
-        (str(data.get("values", "-")), "measured values"),
+        (str(run.fit.data.trajectories), "trajectories"),
+        (str(run.fit.data.values), "measured values"),
         (str(len(run.numbers)), "members" if len(run.numbers) > 1 else "member"),
     ]
     if errors:
@@ -205,18 +204,18 @@ def _reproduce(run: Run) -> dict[str, Any]:
     from gbspec.training.options import TrainOptions
 
     standard = TrainOptions().to_json()
-    data, options = run.fit.get("data", {}), run.fit.get("options", {})
+    data = run.fit.data
     flags = []
-    for name, value in options.items():
+    for name, value in run.fit.options.items():
         if name in standard and value != standard[name]:
             flag = name.replace("_", "-")
             flags.append(f"--{'' if value else 'no-'}{flag}" if isinstance(value, bool) else f"--{flag} {value}")
-    command = " ".join(["gbspec train model.gb", str(data.get("path", "DATA")), "-o RUN", *flags])
-    versions = {"gbspec": run.fit.get("gbspec", "-"), **run.fit.get("versions", {})}
+    command = " ".join(["gbspec train model.gb", data.path or "DATA", "-o RUN", *flags])
+    versions = {"gbspec": run.fit.gbspec, **run.fit.versions}
     return {
         "command": command,
-        "sha256": data.get("sha256", "-"),
-        "path": data.get("path", "-"),
+        "sha256": data.sha256 or "-",
+        "path": data.path or "-",
         "versions": versions,
         "made": f"gbspec {__version__}, Python {platform.python_version()}",
         "text": run.model.text,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
 from gbspec.training.engines.device import device_of
@@ -43,7 +44,7 @@ class Choice:
         return TorchEngine(problem, parameters, self.device, batch=self.batch)
 
 
-def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int) -> Choice:
+def choose(model: Model, module: type[GeneratedModule], options: TrainOptions, substeps: int) -> Choice:
     """The choice of `--backend` for data of so many sub-steps; `module` is the model's generated class.
 
     Raises UserError (GB863) where the kernel was asked for and cannot be had.

@@ -83,7 +83,7 @@ class Columns:
         problem = self.problem
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
-        out = problem.module._initial(problem.ops, x0, self.tensor(problem.packed.condition), tuple(k))
+        out = problem.module.equations.initial(problem.ops, x0, self.tensor(problem.packed.condition), tuple(k))
         rows = [gradients(out[:, i].sum(), [x0, *k]) for i in range(out.shape[1])]
         return [torch.stack([row[j] for row in rows], 1) for j in range(1 + len(k))]
 

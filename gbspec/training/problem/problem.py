@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.diagnostics import Defect
 from gbspec.ir.methods import METHODS
 from gbspec.ir.model import Model
@@ -27,7 +28,7 @@ class Problem:
     """What is fitted, whatever engine solves it. `module` is an instance of the generated class."""
 
     model: Model
-    module: Any
+    module: GeneratedModule
     packed: Packed
     forcing: Forcing
     scaling: Scaling
@@ -80,6 +81,6 @@ def matching_rows(whole: Packed, part: Packed, index: NDArray[np.int64]) -> NDAr
     return np.asarray(whole.row_table[index[part.row_trajectory], part.row_index], dtype=np.int64)
 
 
-def torch_arithmetic(module: Any) -> Any:
+def torch_arithmetic(module: GeneratedModule) -> Any:
     """The generated module's torch arithmetic."""
     return module.arithmetic("torch")

@@ -171,8 +171,7 @@ class _Profiler:
     """Fits with the constant free, then held, all around one linearisation."""
 
     def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
-        fields = {k: v for k, v in run.fit.get("options", {}).items() if k in TrainOptions().to_json()}
-        options = replace(TrainOptions(**fields), random_substeps=False)
+        options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)

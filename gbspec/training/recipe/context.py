@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.methods import METHODS, Method
 from gbspec.ir.model import Model
@@ -32,7 +32,7 @@ class Context:
     """
 
     model: Model
-    module: Any
+    module: GeneratedModule
     trajectories: Trajectories
     held: Trajectories
     options: TrainOptions
@@ -86,7 +86,12 @@ class Context:
 
 
 def build_context(
-    model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int, smooth: bool = False
+    model: Model,
+    module: type[GeneratedModule],
+    trajectories: Trajectories,
+    options: TrainOptions,
+    seed: int,
+    smooth: bool = False,
 ) -> Context:
     """Splits off what is held out and prepares the rest; `smooth` chooses smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)

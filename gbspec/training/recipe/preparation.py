@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
 from gbspec.training.engines.objective import residual_vector
@@ -34,7 +34,9 @@ class Prepared:
     loss: float
 
 
-def prepare(model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int) -> Prepared:
+def prepare(
+    model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
+) -> Prepared:
     """Builds the context and the first vector: from interpolating curves, or smoothing ones where these do better."""
     first = _attempt(build_context(model, module, trajectories, options, seed))
     if not options.warm_start or not first.context.points.equations:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.data.fingerprint import fingerprint
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
@@ -64,7 +65,7 @@ class Position:
 
 def fit_member(
     model: Model,
-    module: type[Any],
+    module: type[GeneratedModule],
     trajectories: Trajectories,
     options: TrainOptions,
     member: int,

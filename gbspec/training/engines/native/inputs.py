@@ -36,7 +36,9 @@ class KernelInputs:
         """The values at a vector, differentiable in it."""
         constants = parameters.constants(vector)
         condition = torch.from_numpy(problem.packed.condition)
-        initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
+        initial = problem.module.equations.initial(
+            problem.ops, parameters.starts(vector), condition, constants.unbind(1)
+        )
         networks = network_layers(problem.module, parameters.weights(vector), problem.ops)
         layers = _layer_weights(networks, vector)
         return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
 from gbspec.backends.native import TILE, CompilerError, Library, NotCoveredError, Precision, Struct, source
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.ir.methods import METHODS, RK4, Method
 from gbspec.ir.model import Model
 from gbspec.training.engines.engine import Lack, Unable
@@ -111,10 +111,10 @@ class Kernel:
         return out
 
 
-_kernels: dict[tuple[type[Any], Precision], Kernel | Unable] = {}
+_kernels: dict[tuple[type[GeneratedModule], Precision], Kernel | Unable] = {}
 
 
-def kernel_of(model: Model, module: type[Any], precision: Precision = "float64") -> Kernel | Unable:
+def kernel_of(model: Model, module: type[GeneratedModule], precision: Precision = "float64") -> Kernel | Unable:
     """The kernel of a model (`module` is its generated class), or why there is none."""
     key = (module, precision)
     if key not in _kernels:

@@ -48,8 +48,8 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
     networks = module.torch_networks(parameters.weights(vector))
     k = tuple(parameters.constants(vector).unbind(1))
     c = torch.from_numpy(packed.condition)
-    deliveries, rhs = Deliveries.of(problem, c, k), module._field(m, c, k, networks)
-    x = module._initial(m, parameters.starts(vector), c, k)
+    deliveries, rhs = Deliveries.of(problem, c, k), module.equations.field(m, c, k, networks)
+    x = module.equations.initial(m, parameters.starts(vector), c, k)
     bad = ~torch.isfinite(x)
     if bad.any():
         i = int(torch.nonzero(bad)[0, 0])
@@ -64,7 +64,7 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
             bad = ~torch.isfinite(new)
             if bad.any():
                 i = int(torch.nonzero(bad.any(-1))[0, 0])
-                slope = module._rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
+                slope = module.equations.rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
                 return i, float(packed.t[s - 1, i]), _blame(names, slope, bad[i]), x[i].numpy()
             x = new
         here = np.flatnonzero(packed.row_step == s)

@@ -122,7 +122,9 @@ class _Intervals:
         for j in range(batch.depth):
             live = batch.live(j)
             step = sub_step(problem, self.path, batch.first[:live] + j, batch.owner[:live], x.detach())
-            rhs = problem.module._field(problem.ops, condition[:live], tuple(column[:live] for column in k), networks)
+            rhs = problem.module.equations.field(
+                problem.ops, condition[:live], tuple(column[:live] for column in k), networks
+            )
             state = advance(state, step, deliveries, rhs)
             calls.append(len(tape))
             remaining = batch.live(j + 1)
