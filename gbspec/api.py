@@ -58,7 +58,7 @@ class Specification:
 
     def check(self) -> tuple[Diagnostic, ...]:
         """The warnings, on what no data could tell among them; errors were raised when the model was loaded."""
-        from gbspec.passes.examine import examine
+        from gbspec.passes.examination import examine
 
         findings = Findings(self.warnings)
         examine(self.model, findings)
@@ -315,7 +315,7 @@ def load(path: str | Path) -> Specification:
 def check(path: str | Path) -> tuple[Diagnostic, ...]:
     """Everything that is found in a model file, errors and warnings, in the order of the text; nothing is raised."""
     from gbspec.diagnostics import UserError
-    from gbspec.passes.examine import examine
+    from gbspec.passes.examination import examine
 
     findings = Findings()
     try:

@@ -83,7 +83,7 @@ def after(name: str, path: str | Path, findings: Findings, read: Read | None = N
 
 def verified(model: Model, name: str) -> Model:
     """The Model itself; raises `Defect`, naming the stage or pass that made it, where it is not well formed."""
-    from gbspec.ir.verify import verify
+    from gbspec.ir.verification import verify
 
     try:
         verify(model)
@@ -159,19 +159,19 @@ def _model(state: State) -> Model:
 
 
 def _file_text(state: State) -> str:
-    from gbspec.syntax.dump import dump
+    from gbspec.syntax.dumping import dump
 
     return "" if state.file is None else dump(state.file)
 
 
 def _checked_text(state: State) -> str:
-    from gbspec.semantics.dump import dump
+    from gbspec.semantics.dumping import dump
 
     return "" if state.checked is None else dump(state.checked)
 
 
 def _model_text(state: State) -> str:
-    from gbspec.ir.dump import dump
+    from gbspec.ir.dumping import dump
 
     return dump(_model(state))
 

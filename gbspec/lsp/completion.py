@@ -14,7 +14,7 @@ from gbspec.lsp.index import DEFAULT_TIME
 from gbspec.lsp.workspace import Parsed, Workspace
 from gbspec.semantics.vocabulary import ACTIVATIONS
 from gbspec.syntax import ast
-from gbspec.syntax.expected import Expected, expected
+from gbspec.syntax.expectations import Expected, expected
 from gbspec.syntax.kinds import VALUES, Kind
 from gbspec.syntax.tokens import inert, statement_before
 

@@ -16,7 +16,7 @@ from typing import Literal
 from gbspec.diagnostics import Span
 from gbspec.syntax import ast
 from gbspec.syntax.names import FUNCTIONS
-from gbspec.syntax.walk import children, walk
+from gbspec.syntax.walking import children, walk
 
 DEFAULT_TIME = "t"
 """What the time is called in a model without a `time` statement."""

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.eigen import Eigen
     from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
     from gbspec.analysis.prediction.forecast import Forecast
-    from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.analysis.prediction.solutions import Prediction
     from gbspec.analysis.prediction.start_comparison import InitialStates
     from gbspec.analysis.systems.system import Box, System
     from gbspec.analysis.validation.validate import Validation

@@ -83,6 +83,6 @@ def profile(
     progress: Callable[[float, float], None] | None = None,
 ) -> Profile:
     """The profile likelihood of a learned constant."""
-    from gbspec.training.profile.likelihood import profile as follow
+    from gbspec.training.profile.likelihood import profile_constant
 
-    return follow(run, name, data, member=member, points=points, iterations=iterations, progress=progress)
+    return profile_constant(run, name, data, member=member, points=points, iterations=iterations, progress=progress)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import sympy
 
-from gbspec.ir.dump import written
+from gbspec.ir.dumping import written
 from gbspec.ir.model import NN, Contract, Expr, Network, Unknown
 from gbspec.passes.intervals import REAL, Interval
 from gbspec.passes.signs import Prover

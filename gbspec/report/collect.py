@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.predict import Start, input_values, learned_positions, learned_start, predict
+from gbspec.analysis.prediction.solutions import Start, input_values, learned_positions, learned_start, predict
 from gbspec.analysis.prediction.start_comparison import InitialStates
 from gbspec.analysis.prediction.start_comparison import initial_states as compare_starts
 from gbspec.analysis.systems.system import system_of
@@ -20,7 +20,7 @@ from gbspec.backends.module import load_module
 from gbspec.data.statistics import deviations
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
-from gbspec.ir.residuals import residuals as residuals_of
+from gbspec.ir.residual import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
     ChannelFit,

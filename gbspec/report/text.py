@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import sympy
 
 from gbspec.ir.arrays import Family
-from gbspec.ir.dump import guarantee
+from gbspec.ir.dumping import guarantee
 from gbspec.ir.model import Initial, Learnable, Model, Range, State
 
 if TYPE_CHECKING:

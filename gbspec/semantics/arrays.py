@@ -20,7 +20,7 @@ from gbspec.semantics.rewriting import rebuilt, with_expressions
 from gbspec.syntax import ast
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.statements.base import Place
-from gbspec.syntax.walk import children
+from gbspec.syntax.walking import children
 
 LARGEST = 2000
 """The most elements that an array may have."""

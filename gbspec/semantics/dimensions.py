@@ -15,7 +15,7 @@ from gbspec.semantics.units import ONE, Unit, read
 from gbspec.syntax import ast
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.names import FUNCTIONS
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax.walking import ungrouped
 
 _OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
 _SAME = frozenset({"abs", "min", "max"})

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import TypeVar, assert_never
 
 from gbspec.syntax import ast
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax.walking import ungrouped
 
 T = TypeVar("T")
 

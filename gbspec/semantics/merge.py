@@ -18,7 +18,7 @@ from gbspec.diagnostics import Findings, Source, Span, UserError
 from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import ast
 from gbspec.syntax.statements.base import Key
-from gbspec.syntax.walk import children
+from gbspec.syntax.walking import children
 
 _UNITS = (ast.UnitName, ast.UnitNumber, ast.UnitBinary)
 

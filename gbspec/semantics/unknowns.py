@@ -11,7 +11,7 @@ from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.vocabulary import ACTIVATIONS, suggestion
 from gbspec.syntax import ast
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax.walking import ungrouped
 
 WIDEST = 4096
 """The most units a hidden layer may have."""

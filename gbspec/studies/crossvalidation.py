@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import finite, write_text

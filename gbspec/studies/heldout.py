@@ -12,7 +12,7 @@ import numpy as np
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.arrays import Array, Mask
 from gbspec.files import finite
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir.residual import logarithmic
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
 
 
 def _stretches(run: Run, fold: Fold) -> list[Point]:
-    from gbspec.analysis.prediction.predict import learned_start, predict
+    from gbspec.analysis.prediction.solutions import learned_start, predict
     from gbspec.backends.casadi.evaluator import Evaluator
 
     evaluators = [Evaluator(member) for member in run.members]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.prediction.predict import input_values, learned_start, needed
+from gbspec.analysis.prediction.solutions import input_values, learned_start, needed
 from gbspec.analysis.simulation.simulate import true_starts
 from gbspec.analysis.systems.steady import ordered_eigenvalues
 from gbspec.analysis.validation.truth_errors import truth_evaluator, truth_model

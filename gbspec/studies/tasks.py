@@ -16,7 +16,7 @@ from typing import Any
 
 from gbspec.data.cases import FILE, Case, Cases, load_cases
 from gbspec.data.names import similar
-from gbspec.data.overlay import overlay
+from gbspec.data.overlays import overlay
 from gbspec.data.shipped import models_folder
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
 from gbspec.studies.options import StudyOptions

@@ -1,6 +1,6 @@
 """The stages of the estimation: their names, and the most iterations of each by effort.
 
-`gbspec.training.recipe.plan` says when each of them runs; docs/training.md describes them.
+`gbspec.training.recipe.planning` says when each of them runs; docs/training.md describes them.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import pytest
 import sympy
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.predict import learned_positions, learned_start, predict
+from gbspec.analysis.prediction.solutions import learned_positions, learned_start, predict
 from gbspec.analysis.simulation.simulate import simulate
 from gbspec.analysis.validation.comparison_points import sampling_for
 from gbspec.analysis.validation.step_check import StepCheck, step_check
@@ -21,7 +21,7 @@ from gbspec.analysis.validation.validate import bundled_case, validate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings

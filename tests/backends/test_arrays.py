@@ -16,9 +16,9 @@ from gbspec.backends.c import c_code
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.latex import document
 from gbspec.backends.module import generate, load_module
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from gbspec.ir.model import Model
-from gbspec.ir.verify import verify
+from gbspec.ir.verification import verify
 from gbspec.passes import with_truth
 from gbspec.report.html import mathml
 from tests.backends.test_agreement import RANDOM, check_agreement, check_derivatives, check_step, close, instance_of

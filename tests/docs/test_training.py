@@ -10,7 +10,7 @@ from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.training.options import TrainOptions
 from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.plan import plan
+from gbspec.training.recipe.planning import plan
 from tests.training.conftest import URP, model_of, trajectory, urp_data
 
 TEXT = (Path(__file__).parents[2] / "docs" / "training.md").read_text(encoding="utf-8")

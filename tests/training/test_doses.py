@@ -179,7 +179,7 @@ def test_learned_lags_in_parts_of_solutions_and_of_data(monkeypatch: pytest.Monk
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.02, blend=0.3)
     same_by_the_kernel(problem, parameters, theta)
     whole = kernel_of(problem.model, type(problem.module))
-    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 12_000)
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.kernel_text"], "KEPT_BYTES", 12_000)
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
     same_by_the_kernel(problem, parameters, theta)
     kernel, index = kernel_of(problem.model, type(problem.module)), np.array([2, 0])

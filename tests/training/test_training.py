@@ -15,7 +15,7 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
-from gbspec.training.recipe import plan
+from gbspec.training.recipe import planning
 from tests.training.conftest import URP, Recorder, model_of, trajectory, urp_data, urp_rhs
 
 
@@ -116,8 +116,8 @@ def test_options_give_a_finite_fit(more: dict[str, object], tmp_path: Path) -> N
 
 
 def test_too_much_for_a_jacobian_goes_by_minibatches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.recipe.plan.LARGEST", 1000)
-    monkeypatch.setitem(plan.ALONE, "low", 3)  # type: ignore[arg-type]
+    monkeypatch.setattr("gbspec.training.recipe.planning.LARGEST", 1000)
+    monkeypatch.setitem(planning.ALONE, "low", 3)  # type: ignore[arg-type]
     recorder = Recorder()
     train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(effort="low", batch_size=2), tmp_path / "run", recorder)
     assert [u.stage for u in recorder.updates] == ["warm start", "initial states", "adam", "adam", "adam"]

@@ -14,7 +14,7 @@ from gbspec.arrays import Array, ComplexArray
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.analysis.prediction.solutions import Prediction
     from gbspec.data.trajectories import Trajectories
 
 

@@ -1,7 +1,7 @@
 """Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
 
 Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are those of `gbspec.ir.residuals` at all measured values, in units of the
+trajectory has its own. The residuals are those of `gbspec.ir.residual` at all measured values, in units of the
 standard deviation of the channel's data; what is known beforehand, from the trajectories of the training, pulls towards
 its centre: as strongly as the noise says where that is known, else just enough to keep what the data do not determine
 from running away.
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.prediction.predict import (
+from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
     learned_positions,
@@ -27,7 +27,7 @@ from gbspec.analysis.systems.points import spread_points
 from gbspec.arrays import Array
 from gbspec.data.statistics import deviations
 from gbspec.data.window import recognised
-from gbspec.ir.residuals import logarithmic, residuals
+from gbspec.ir.residual import logarithmic, residuals
 
 if TYPE_CHECKING:
     from gbspec.backends.casadi.evaluator import Evaluator

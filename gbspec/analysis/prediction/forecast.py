@@ -15,13 +15,13 @@ import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
+from gbspec.analysis.prediction.solutions import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.systems.system import trained_ranges
 from gbspec.arrays import Array, Mask
 from gbspec.data.statistics import channel_scales, deviations
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir.residual import logarithmic
 
 if TYPE_CHECKING:
     from gbspec.backends.casadi.evaluator import Evaluator

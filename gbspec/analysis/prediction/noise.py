@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir.residual import logarithmic
 
 if TYPE_CHECKING:
     from gbspec.runs.store import Run

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.predict import learned_positions, learned_start, needed
+from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
 from gbspec.analysis.systems.steady import ordered_modes
 from gbspec.analysis.systems.system import System
 from gbspec.arrays import Array, ComplexArray

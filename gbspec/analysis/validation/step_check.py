@@ -21,7 +21,7 @@ from gbspec.runs.record import StepRecord
 from gbspec.runs.typed_json import encode
 
 if TYPE_CHECKING:
-    from gbspec.analysis.prediction.predict import Prediction
+    from gbspec.analysis.prediction.solutions import Prediction
     from gbspec.backends.casadi.evaluator import Evaluator
     from gbspec.data.trajectories import Trajectories, Trajectory
     from gbspec.runs.store import Run
@@ -89,7 +89,7 @@ class StepCheck:
 
 def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     """The check of each member of a run that was just fitted to `trajectories`, from the starts that it learned."""
-    from gbspec.analysis.prediction.predict import learned_positions, learned_start, predict
+    from gbspec.analysis.prediction.solutions import learned_positions, learned_start, predict
     from gbspec.backends.casadi.evaluator import Evaluator
 
     checks = []

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.prediction.predict import Prediction, mean_prediction
+from gbspec.analysis.prediction.solutions import Prediction, mean_prediction
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def make(model: Model, instance: Any, method: Method) -> str:
     """The Model, part by part."""
-    from gbspec.ir.dump import dump
+    from gbspec.ir.dumping import dump
 
     return dump(model)
 

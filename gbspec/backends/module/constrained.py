@@ -8,7 +8,7 @@ import sympy
 
 from gbspec.backends.printing import Names, PythonPrinter, temporary
 from gbspec.diagnostics import Defect
-from gbspec.ir.dump import guarantee
+from gbspec.ir.dumping import guarantee
 from gbspec.ir.forms import Form, described
 from gbspec.ir.model import Expr, Network, Unknown
 

@@ -2,8 +2,8 @@
 
 from gbspec.backends.native.compiler import CompilerError, compiled
 from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
+from gbspec.backends.native.kernel_text import TILE, Precision, Source, source
 from gbspec.backends.native.library import Library, Struct
-from gbspec.backends.native.source import TILE, Precision, Source, source
 
 __all__ = [
     "NUMBER_WORDS",

@@ -9,9 +9,9 @@ import typer
 from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Findings, Severity, UserError
-from gbspec.ir.dump import guarantee
+from gbspec.ir.dumping import guarantee
 from gbspec.ir.model import Model
-from gbspec.passes.examine import Examination, examine
+from gbspec.passes.examination import Examination, examine
 from gbspec.report.text import model_summary, start
 
 

@@ -1,7 +1,7 @@
 """A training problem: the model, its generated module, packed data, scales and forcing.
 
 The loss is the mean over all measured values of rho(residual), with rho(r) = r^2 / 2, or Huber's function where a stage
-says so; `gbspec.ir.residuals` defines the residual.
+says so; `gbspec.ir.residual` defines the residual.
 """
 
 from __future__ import annotations

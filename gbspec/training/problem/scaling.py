@@ -21,7 +21,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.data.statistics import deviations
 from gbspec.data.trajectories import Trajectories
 from gbspec.ir.model import Model
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir.residual import logarithmic
 from gbspec.training.problem.packing import Packed
 
 

@@ -36,7 +36,7 @@ from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.residuals import typical
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.plan import FIRST_RIDGE
+from gbspec.training.recipe.planning import FIRST_RIDGE
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
@@ -124,7 +124,7 @@ class Profile:
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
 
-def profile(
+def profile_constant(
     run: Run,
     name: str,
     trajectories: Trajectories,

@@ -26,7 +26,7 @@ from gbspec.training.engines.device import device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.plan import plan
+from gbspec.training.recipe.planning import plan
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult

@@ -13,7 +13,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends.protocol import GeneratedModule
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir.model import Model
@@ -24,9 +24,9 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.plan import Planned, Reached, plan, step_fraction
+from gbspec.training.recipe.planning import Planned, Reached, plan, step_fraction
 from gbspec.training.recipe.preparation import prepare
-from gbspec.training.recipe.recognition import recognition
+from gbspec.training.recipe.recognition_network import recognition
 from gbspec.training.runs.summary import MemberResult, summarise
 from gbspec.training.stages import StageName
 

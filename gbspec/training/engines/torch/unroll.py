@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gbspec.ir.residuals import residuals
+from gbspec.ir.residual import residuals
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
 from gbspec.training.engines.torch.segments import Schedule

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from gbspec.syntax import ast
-from gbspec.syntax.walk import fold
+from gbspec.syntax.walking import fold
 
 _Prefix = tuple[str, list[str]]
 """The operator of an operation with its operands as text; what is none has no operator and is one text."""

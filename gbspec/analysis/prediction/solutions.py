@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.signals import evaluate
 from gbspec.diagnostics import ComputationError
 

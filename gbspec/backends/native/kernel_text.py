@@ -14,7 +14,7 @@ from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
 from gbspec.ir.methods import RK4, Explicit, Method
 from gbspec.ir.model import Model, Network
-from gbspec.ir.residuals import LOG_FLOOR
+from gbspec.ir.residual import LOG_FLOOR
 
 Precision = Literal["float64", "float32"]
 
