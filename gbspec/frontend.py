@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 from gbspec.diagnostics import Defect, Findings, Source, UserError
 
 if TYPE_CHECKING:
-    from gbspec.ir.model import Model
+    from gbspec.ir import Model
     from gbspec.semantics import Checked
-    from gbspec.syntax.ast import File
+    from gbspec.syntax import File
 
 Read = Callable[[str | Path], Source]
 """Gives the text of the model's file and of those that it extends: an editor has newer ones than the disk."""
@@ -83,7 +83,7 @@ def after(name: str, path: str | Path, findings: Findings, read: Read | None = N
 
 def verified(model: Model, name: str) -> Model:
     """The Model itself; raises `Defect`, naming the stage or pass that made it, where it is not well formed."""
-    from gbspec.ir.verification import verify
+    from gbspec.ir import verify
 
     try:
         verify(model)
@@ -94,7 +94,7 @@ def verified(model: Model, name: str) -> Model:
 
 def resolve(path: str | Path) -> Path:
     """The path itself where it exists; else the bundled model of that name, if there is one; else the path."""
-    from gbspec.data.shipped import shipped_models
+    from gbspec.data import shipped_models
 
     given = Path(path)
     return given if given.exists() else shipped_models().get(str(path), given)
@@ -102,7 +102,7 @@ def resolve(path: str | Path) -> Path:
 
 def read_source(path: str | Path) -> Source:
     """The text of a model file. Raises `UserError` (GB001 to GB003) where there is none."""
-    from gbspec.syntax.reading import read_source as read
+    from gbspec.syntax import read_source as read
 
     return read(resolve(path))
 
@@ -133,7 +133,7 @@ def _lower(state: State) -> State:
 
 def _claims(model: Model, findings: Findings) -> Model:
     if model.claims:
-        from gbspec.passes.claims import check_claims
+        from gbspec.passes import check_claims
 
         check_claims(model, findings)
     return model
@@ -141,7 +141,7 @@ def _claims(model: Model, findings: Findings) -> Model:
 
 def _contracts(model: Model, findings: Findings) -> Model:
     if any(unknown.contracts for unknown in model.unknowns):
-        from gbspec.passes.contracts import with_contracts
+        from gbspec.passes import with_contracts
 
         return with_contracts(model, findings)
     return model
@@ -159,19 +159,19 @@ def _model(state: State) -> Model:
 
 
 def _file_text(state: State) -> str:
-    from gbspec.syntax.dumping import dump
+    from gbspec.syntax import dump
 
     return "" if state.file is None else dump(state.file)
 
 
 def _checked_text(state: State) -> str:
-    from gbspec.semantics.dumping import dump
+    from gbspec.semantics import dump
 
     return "" if state.checked is None else dump(state.checked)
 
 
 def _model_text(state: State) -> str:
-    from gbspec.ir.dumping import dump
+    from gbspec.ir import dump
 
     return dump(_model(state))
 

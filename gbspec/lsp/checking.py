@@ -27,7 +27,7 @@ def check(workspace: Workspace, path: str | Path) -> Checked:
     one names it, with the place itself beside it.
     """
     from gbspec import frontend
-    from gbspec.passes.examination import examine
+    from gbspec.passes import examine
 
     source = workspace.source(path)
     findings = Findings()

@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
-    from gbspec.training import Progress
-    from gbspec.training.options import TrainOptions
-    from gbspec.training.profile.likelihood import Profile
-    from gbspec.training.runs.variations import Point
+    from gbspec.data import Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import Run
+    from gbspec.training import Point, Profile, Progress, TrainOptions
 
 
 def train(
@@ -35,8 +32,8 @@ def fit(
 
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
     """The run just fitted to `data`, with the check of each member's step, and a warning of those that depend on it."""
-    from gbspec.analysis.validation.step_check import check_fit
-    from gbspec.training.recipe.context import split
+    from gbspec.analysis import check_fit
+    from gbspec.training import split
 
     if len(data) == 1:  # of one trajectory the last rows are held out; it is known by the others
         data, _ = split(data, options.holdout, options.seed)
@@ -58,8 +55,8 @@ def sweep(
 
     A row's columns are those of `sweep.csv`: what was varied has its own name there.
     """
-    from gbspec.runs.store import member_numbers, open_run
-    from gbspec.training.runs.sweep import sweep as run
+    from gbspec.runs import member_numbers, open_run
+    from gbspec.training import sweep as run
 
     rows = run(model, data, points, options, directory, progress)
     for point in points:
@@ -83,6 +80,6 @@ def profile(
     progress: Callable[[float, float], None] | None = None,
 ) -> Profile:
     """The profile likelihood of a learned constant."""
-    from gbspec.training.profile.likelihood import profile_constant
+    from gbspec.training import profile_constant
 
     return profile_constant(run, name, data, member=member, points=points, iterations=iterations, progress=progress)

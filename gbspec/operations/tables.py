@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 
 if TYPE_CHECKING:
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
+    from gbspec.data import SimulateOptions, Trajectories
+    from gbspec.ir import Model
     from gbspec.operations.models import Subject
-    from gbspec.runs.store import Run
+    from gbspec.runs import Run
 
 
 def simulate(
@@ -23,15 +22,15 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectories:
     """Simulated measurements of a subject; conditions that were set are held there."""
-    from gbspec.analysis.simulation.simulate import simulate as run
-    from gbspec.data.sampling import fixed
+    from gbspec.analysis import simulate as run
+    from gbspec.data import fixed
 
     return run(source.evaluator, source.model, fixed(options, source.values, source.model), like, progress)
 
 
 def read_data(path: str | Path, model: Model, findings: Findings, *, require_channels: bool = True) -> Trajectories:
     """A table of measurements for a model. Raises `UserError` with everything that is wrong in it."""
-    from gbspec.data.table import read
+    from gbspec.data import read
 
     return read(path, model, findings, require_channels)
 

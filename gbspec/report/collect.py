@@ -9,18 +9,22 @@ from typing import Protocol
 
 import numpy as np
 
-from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.solutions import Start, input_values, learned_positions, learned_start, predict
-from gbspec.analysis.prediction.start_comparison import InitialStates
-from gbspec.analysis.prediction.start_comparison import initial_states as compare_starts
-from gbspec.analysis.systems.system import system_of
+from gbspec.analysis import (
+    Estimator,
+    InitialStates,
+    Start,
+    input_values,
+    learned_positions,
+    learned_start,
+    predict,
+    system_of,
+)
+from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
-from gbspec.backends.casadi.evaluator import Evaluator
-from gbspec.backends.module import load_module
-from gbspec.data.statistics import deviations
-from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.ir.model import Model
-from gbspec.ir.residual import residuals as residuals_of
+from gbspec.backends import Evaluator, load_module
+from gbspec.data import Trajectories, Trajectory, deviations
+from gbspec.ir import Model
+from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
     ChannelFit,
@@ -30,9 +34,8 @@ from gbspec.report.content import (
     Residuals,
     TrajectoryFit,
 )
-from gbspec.runs.store import Run
-from gbspec.training.problem.packing import pack
-from gbspec.training.problem.scaling import scaling_of
+from gbspec.runs import Run
+from gbspec.training import pack, scaling_of
 
 DENSE = 240
 """Points of a curve over one trajectory."""

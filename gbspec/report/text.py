@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 
 import sympy
 
-from gbspec.ir.arrays import Family
-from gbspec.ir.dumping import guarantee
-from gbspec.ir.model import Initial, Learnable, Model, Range, State
+from gbspec.ir import Family, Initial, Learnable, Model, Range, State, guarantee
 
 if TYPE_CHECKING:
-    from gbspec.runs.store import Run
+    from gbspec.runs import Run
 
 
 def number(value: float | None, digits: int = 4) -> str:

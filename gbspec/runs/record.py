@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gbspec.backends.module import INTERFACE
+from gbspec.backends import INTERFACE
 from gbspec.diagnostics import Findings
-from gbspec.ir.methods import METHODS, RK4
+from gbspec.ir import METHODS, RK4
 from gbspec.runs import files
 from gbspec.runs.typed_json import JsonError, decode, encode, read_object
 from gbspec.version import __version__

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.backends.module import load_module
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends import GeneratedModule, load_module
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
-from gbspec.ir.methods import METHODS, Method
-from gbspec.ir.model import Model
+from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files
 from gbspec.runs.record import DAMAGED, FitRecord, read_record
 

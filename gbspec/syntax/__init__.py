@@ -1,5 +1,5 @@
 """Text to tree: reading, statements, the parser, names, and the formatter; the only importer of lark."""
 
-from gbspec.syntax.parser import parse, parse_expression, read_source
+import lazy_loader
 
-__all__ = ["parse", "parse_expression", "read_source"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

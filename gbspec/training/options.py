@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gbspec.diagnostics import Findings
-from gbspec.ir.methods import METHODS, RK4, listed, unknown_method
-from gbspec.runs import files
-from gbspec.runs.record import DAMAGED, Option
-from gbspec.runs.typed_json import JsonError, decode
+from gbspec.ir import METHODS, RK4, listed, unknown_method
+from gbspec.runs import DAMAGED, JsonError, Option, decode, files
 from gbspec.training.stages import BY_METHOD, Effort, StageName
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]

@@ -23,18 +23,16 @@ from gbspec.analysis.prediction.solutions import (
     needed,
     predict,
 )
-from gbspec.analysis.systems.points import spread_points
+from gbspec.analysis.systems import spread_points
 from gbspec.arrays import Array
-from gbspec.data.statistics import deviations
-from gbspec.data.window import recognised
-from gbspec.ir.residual import logarithmic, residuals
+from gbspec.data import deviations, recognised
+from gbspec.ir import logarithmic, residuals
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.protocol import GeneratedModule
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.ir.model import Model
-    from gbspec.runs.record import DataRecord
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
+    from gbspec.runs import DataRecord
 
 
 PULL = 1e-3

@@ -16,18 +16,18 @@ import numpy as np
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import Prediction, Start, learned_positions, learned_start, needed, predict
-from gbspec.analysis.systems.system import trained_ranges
+from gbspec.analysis.systems import trained_ranges
 from gbspec.arrays import Array, Mask
-from gbspec.data.statistics import channel_scales, deviations
+from gbspec.data import channel_scales, deviations
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
-from gbspec.ir.residual import logarithmic
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
+    from gbspec.backends import Evaluator
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
+    from gbspec.runs import Run
 
 Use = Literal["training", "window", "predicted"]
 """What a row was to the prediction: seen in training, used to estimate the start, or neither."""
@@ -171,7 +171,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
     Raises ComputationError where no trajectory can be solved.
     """
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends import Evaluator
 
     scales = channel_scales(trajectories)
     each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]

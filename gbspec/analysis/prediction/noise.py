@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir.residual import logarithmic
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
-    from gbspec.runs.store import Run
+    from gbspec.runs import Run
 
 
 NORMAL_90 = 1.6448536269514722

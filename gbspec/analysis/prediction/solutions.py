@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.fingerprints import fingerprint
-from gbspec.data.signals import evaluate
+from gbspec.data import evaluate, fingerprint
 from gbspec.diagnostics import ComputationError
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.protocol import GeneratedModule
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.ir.model import Model
-    from gbspec.runs.record import DataRecord
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
+    from gbspec.runs import DataRecord
 
 Origin = Literal["learned", "known", "estimated", "failed"]
 """Where an initial state comes from: learned in training; known (expressed by the model, or measured at the first row);

@@ -16,17 +16,16 @@ import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
-from gbspec.analysis.systems.steady import ordered_modes
-from gbspec.analysis.systems.system import System
+from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
-from gbspec.data.statistics import deviations
+from gbspec.data import deviations
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
-    from gbspec.runs.record import DataRecord
+    from gbspec.backends import Evaluator
+    from gbspec.data import Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import DataRecord
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,12 @@ import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.arrays import Array
-from gbspec.data.signals import Interpolation, evaluate
-from gbspec.data.trajectories import Signal
+from gbspec.data import Interpolation, Signal, evaluate
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.protocol import GeneratedModule
-    from gbspec.ir.model import Condition, Input, Model, Range, State
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.ir import Condition, Input, Model, Range, State
 
 Box = tuple[float, float]
 ANYTHING: Box = (-math.inf, math.inf)

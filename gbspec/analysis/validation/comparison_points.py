@@ -15,20 +15,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan
-from gbspec.analysis.simulation.region import Region, regions
-from gbspec.analysis.systems.points import spread_points
-from gbspec.analysis.systems.system import trained_ranges
+from gbspec.analysis.simulation import Boxes, Plan, Region, boxes, plan, regions
+from gbspec.analysis.systems import spread_points, trained_ranges
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError, Findings
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.protocol import GeneratedModule
-    from gbspec.data.cases import MetricsOptions
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Signal
-    from gbspec.ir.model import Condition, Input, Model
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.data import MetricsOptions, Signal, SimulateOptions
+    from gbspec.ir import Condition, Input, Model
 
 
 RTOL = 1e-8
@@ -122,7 +117,7 @@ class Sampler:
 
     def inputs_at(self, signals: tuple[Signal, ...], times: Array) -> Array:
         """The inputs [T, m] at times."""
-        from gbspec.data.signals import evaluate
+        from gbspec.data import evaluate
 
         columns = [evaluate(s, item.interpolation, times) for s, item in zip(signals, self.model.inputs, strict=True)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))

@@ -15,16 +15,15 @@ import numpy as np
 
 from gbspec.analysis.validation.metrics import truth_scale
 from gbspec.arrays import Array
-from gbspec.data.statistics import evenly_spaced
+from gbspec.data import evenly_spaced
 from gbspec.files import finite
-from gbspec.runs.record import StepRecord
-from gbspec.runs.typed_json import encode
+from gbspec.runs import StepRecord, encode
 
 if TYPE_CHECKING:
-    from gbspec.analysis.prediction.solutions import Prediction
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.runs.store import Run
+    from gbspec.analysis.prediction import Prediction
+    from gbspec.backends import Evaluator
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.runs import Run
 
 
 DEPENDS = 0.01
@@ -89,8 +88,8 @@ class StepCheck:
 
 def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     """The check of each member of a run that was just fitted to `trajectories`, from the starts that it learned."""
-    from gbspec.analysis.prediction.solutions import learned_positions, learned_start, predict
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.analysis.prediction import learned_positions, learned_start, predict
+    from gbspec.backends import Evaluator
 
     checks = []
     count = max(1, min(LOOKED_AT, STATES_LOOKED_AT // len(run.model.states)))

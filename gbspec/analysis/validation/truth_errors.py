@@ -13,13 +13,12 @@ from gbspec.analysis.validation.comparison_points import RhsPoints, Sampler, Sol
 from gbspec.analysis.validation.metrics import Norms, norms, relative_errors
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir.model import symbol, unknown_function
+from gbspec.ir import symbol, unknown_function
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.data.cases import MetricsOptions
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.ir.model import Model
+    from gbspec.backends import Evaluator
+    from gbspec.data import MetricsOptions, SimulateOptions
+    from gbspec.ir import Model
 
 
 LEARNED_RTOL = 1e-7
@@ -105,15 +104,14 @@ def without_truth(model: Model) -> tuple[str, ...]:
 
 def truth_model(model: Model) -> Model:
     """The model with its truth in place of what is learned."""
-    from gbspec.passes.truth import with_truth
+    from gbspec.passes import with_truth
 
     return with_truth(model)
 
 
 def truth_evaluator(model: Model) -> Evaluator:
     """An evaluator of the model's truth: the same module and functions as for a fitted run."""
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.module import load_module
+    from gbspec.backends import Evaluator, load_module
 
     return Evaluator(load_module(truth_model(model))())
 

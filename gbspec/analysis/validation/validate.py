@@ -8,22 +8,19 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.prediction.solutions import Prediction, mean_prediction
+from gbspec.analysis.prediction import Prediction, mean_prediction, predictions
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data.statistics import channel_scales
+from gbspec.data import channel_scales
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 
 if TYPE_CHECKING:
-    from gbspec.data.cases import Case, MetricsOptions
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
+    from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import Run
 
 
 @dataclass(frozen=True)
@@ -117,7 +114,7 @@ def validate(
 
     Raises UserError where there is no such member.
     """
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends import Evaluator
 
     members = run.members if member == "mean" else (run.member(member),)
     evaluators = [Evaluator(one) for one in members]
@@ -188,8 +185,8 @@ def _against_truth(
     warnings: list[str],
 ) -> TruthErrors | None:
     """The errors against the truth; None, and a warning, where the comparison cannot be made."""
-    from gbspec.data.cases import MetricsOptions as Metrics
-    from gbspec.data.sampling import SimulateOptions as Sampling
+    from gbspec.data import MetricsOptions as Metrics
+    from gbspec.data import SimulateOptions as Sampling
 
     lacking = without_truth(model)
     if lacking:
@@ -219,8 +216,7 @@ def _against_truth(
 
 def bundled_case(model: Model) -> Case | None:
     """The case of a bundled model of this name, if its sampling fits this one's states and conditions."""
-    from gbspec.data.cases import find_cases
-    from gbspec.data.shipped import shipped_models
+    from gbspec.data import find_cases, shipped_models
 
     path = shipped_models().get(model.name)
     if path is None:

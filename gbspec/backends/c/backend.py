@@ -8,8 +8,7 @@ from gbspec.backends import Backend
 
 if TYPE_CHECKING:
     from gbspec.backends.protocol import GeneratedModule
-    from gbspec.ir.methods import Method
-    from gbspec.ir.model import Model
+    from gbspec.ir import Method, Model
 
 
 def make(model: Model, instance: GeneratedModule, method: Method) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from gbspec.backends.protocol import GeneratedModule
-from gbspec.ir.methods import METHODS
+from gbspec.ir import METHODS
 from gbspec.version import __version__
 
 _USE = """\

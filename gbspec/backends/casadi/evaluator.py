@@ -14,7 +14,7 @@ from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
 from gbspec.backends.protocol import GeneratedModule
-from gbspec.ir.methods import METHODS
+from gbspec.ir import METHODS
 
 MAPS = 64
 """Functions over a number of points that an evaluator keeps for the next call with as many."""

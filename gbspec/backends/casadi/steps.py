@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
 from gbspec.backends.protocol import GeneratedModule
-from gbspec.ir.methods import METHODS, RK4, Method
+from gbspec.ir import METHODS, RK4, Method
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,12 @@ from gbspec.backends.module.constrained import Constrained, document
 from gbspec.backends.printing import (
     STATE,
     Assignment,
+    Column,
+    Entry,
+    Join,
     Names,
     NetworkCall,
+    Part,
     Program,
     PythonPrinter,
     Statement,
@@ -24,11 +28,8 @@ from gbspec.backends.printing import (
     is_vector,
     temporary,
 )
-from gbspec.backends.printing.nodes import Column, Entry, Join, Part
 from gbspec.diagnostics import Defect
-from gbspec.ir.arrays import Vector
-from gbspec.ir.methods import Explicit, Method
-from gbspec.ir.model import NN, Expr, Model, Network, Unknown
+from gbspec.ir import NN, Explicit, Expr, Method, Model, Network, Unknown, Vector
 
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 

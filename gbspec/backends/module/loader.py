@@ -10,8 +10,7 @@ import sys
 from gbspec.backends.module.render import class_name, generate
 from gbspec.backends.protocol import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir.methods import RK4, Method
-from gbspec.ir.model import Model
+from gbspec.ir import RK4, Method, Model
 
 _loaded: dict[str, type[GeneratedModule]] = {}
 

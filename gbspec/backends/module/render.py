@@ -11,9 +11,7 @@ from gbspec.backends.module import attributes, equations
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
-from gbspec.ir.arrays import Vector
-from gbspec.ir.methods import RK4, Method
-from gbspec.ir.model import NN, Declared, Model, Network, Range
+from gbspec.ir import NN, RK4, Declared, Method, Model, Network, Range, Vector
 from gbspec.version import __version__
 
 INTERFACE = 2

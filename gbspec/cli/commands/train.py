@@ -11,8 +11,8 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.report.text import run_summary
-from gbspec.training.options import TrainOptions
+from gbspec.report import run_summary
+from gbspec.training import TrainOptions
 
 
 @command(

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.eigen import Eigen, eigen
-from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.systems.system import system_of
+from gbspec.analysis import Eigen, eigen, predictions, system_of
 from gbspec.arrays import Array
-from gbspec.data.statistics import evenly_spaced
+from gbspec.data import evenly_spaced
 from gbspec.report.description import Axis, Figure, Mark, Panel, Points, Rule, single
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, TRUTH

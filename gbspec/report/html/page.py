@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gbspec.diagnostics import UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.report import collect
 from gbspec.report.description import Figure, Panel
 from gbspec.report.figures import diagram
@@ -17,13 +17,11 @@ from gbspec.report.html import charts, mathml, tables
 from gbspec.report.kinds import KINDS, Kind
 from gbspec.report.source import MissingError, Source
 from gbspec.report.text import number
-from gbspec.runs.store import Run
+from gbspec.runs import Run
 from gbspec.version import __version__
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcation.diagram import Diagram
-    from gbspec.analysis.bifurcation.eigen import Eigen
-    from gbspec.analysis.validation.validate import Validation
+    from gbspec.analysis import Diagram, Eigen, Validation
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 HARMLESS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
@@ -201,7 +199,7 @@ def _diagram(found: Findings, store: _Charts) -> dict[str, Any] | None:
 
 def _reproduce(run: Run) -> dict[str, Any]:
     """Commands, versions and fingerprints."""
-    from gbspec.training.options import TrainOptions
+    from gbspec.training import TrainOptions
 
     standard = TrainOptions().to_json()
     data = run.fit.data

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.report import collect
 from gbspec.report.text import number
-from gbspec.runs.store import Run
+from gbspec.runs import Run
 
 
 @dataclass(frozen=True)

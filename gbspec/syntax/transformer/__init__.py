@@ -4,6 +4,6 @@ What a rule cannot say (a clause twice, a comparison used as a number, a refused
 The rules of statements are read by the statements' own classes.
 """
 
-from gbspec.syntax.transformer.parts import Clause
+import lazy_loader
 
-__all__ = ["Clause"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.training.engines.device import device_of
 from gbspec.training.engines.engine import Engine, Lack, Unable
-from gbspec.training.engines.native.engine import NativeEngine
-from gbspec.training.engines.native.kernel import Kernel, kernel_of
-from gbspec.training.engines.torch.engine import TorchEngine
+from gbspec.training.engines.native import Kernel, NativeEngine, kernel_of
+from gbspec.training.engines.torch import TorchEngine
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 LEAST_SUBSTEPS = 1500
 """With fewer sub-steps in the data, `--backend auto` does not wait for the compiler: it takes two seconds or so, and at

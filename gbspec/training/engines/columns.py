@@ -18,10 +18,8 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Observed
-from gbspec.training.engines.torch.unroll import observe_rows
-from gbspec.training.problem.bounds import STRETCH
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.engines.torch import observe_rows
+from gbspec.training.problem import STRETCH, Parameters, Problem
 
 Taped = list[tuple[int, int, Tensor, Tensor]]
 """Calls of layers: network, layer, the layer's inputs, its pre-activations."""

@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.path import Path, path_of
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Path, Problem, path_of
 
 Terms = list[tuple[Any, Any]]
 """Fraction and lag of each of the model's doses: tensors [B], or one number for all rows."""

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir.methods import METHODS
-from gbspec.ir.model import Model
+from gbspec.ir import METHODS, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
 from gbspec.training.problem.packing import Packed
 from gbspec.training.problem.scaling import Scaling

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir.residual import residuals, slopes
+from gbspec.ir import residuals, slopes
 from gbspec.training.problem.problem import Problem
 
 

@@ -22,21 +22,25 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories
+from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Model
-from gbspec.runs.store import Run
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.levenberg_marquardt import evidence, noise_variance
-from gbspec.training.optimise.normal_equations import NormalEquations
-from gbspec.training.optimise.preconditioned_lbfgs import Anchor, Penalised, Rest, minimise
-from gbspec.training.optimise.stage import require_finite
+from gbspec.ir import Model
+from gbspec.runs import Run
+from gbspec.training.engines import residual_vector
+from gbspec.training.optimise import (
+    Anchor,
+    NormalEquations,
+    Penalised,
+    Rest,
+    evidence,
+    minimise,
+    noise_variance,
+    require_finite,
+)
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.residuals import typical
+from gbspec.training.problem import Parameters, typical
 from gbspec.training.profile.store import Kept
-from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.planning import FIRST_RIDGE
+from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""

@@ -9,19 +9,14 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.adam import Adam
-from gbspec.training.optimise.lbfgs_stage import LimitedMemory
-from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
-from gbspec.training.optimise.stage import Stage
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.residuals import mean_loss, typical
+from gbspec.training.engines import Engine, residual_vector
+from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions, LimitedMemory, Stage
+from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts.search import Search
+from gbspec.training.starts import Search
 
 ENOUGH: Mapping[Effort, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
 """Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the deviations)."""

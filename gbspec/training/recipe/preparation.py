@@ -8,17 +8,15 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.backends.protocol import GeneratedModule
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
-from gbspec.training.engines.objective import residual_vector
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories
+from gbspec.ir import Model
+from gbspec.training.engines import residual_vector
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.bounds import Bijections
-from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.residuals import mean_loss, typical
+from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, typical
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.stages import imputed_forcing
-from gbspec.training.starts.warm_start import eliminate, network_scales, regress_slopes
+from gbspec.training.starts import eliminate, network_scales, regress_slopes
 
 SUSPECT = 0.03
 """Smoothing is tried above this typical residual (in deviations of the data) of a start from interpolating curves."""

@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.stage import Outcome, State
-from gbspec.training.problem.forcing import Forcing
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.engines import Engine, residual_vector
+from gbspec.training.optimise import Outcome, State
+from gbspec.training.problem import Forcing, Problem, mean_loss
 from gbspec.training.recipe.context import Context
 from gbspec.training.stages import StageName
-from gbspec.training.starts.initial_states import refit_starts
+from gbspec.training.starts import refit_starts
 
 
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:

@@ -20,7 +20,7 @@ from typing import Any
 
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.runs import files
-from gbspec.training.optimise.normal_equations import use_threads
+from gbspec.training.optimise import use_threads
 from gbspec.training.progress import Update
 from gbspec.training.runs.jobs import Job, Pending, Sender, Workers, fit
 from gbspec.training.runs.member import Interrupted

@@ -12,21 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gbspec.backends.module import INTERFACE, generate, load_module
-from gbspec.data.trajectories import Trajectories
+from gbspec.backends import INTERFACE, generate, load_module
+from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import finite
-from gbspec.ir.methods import METHODS
-from gbspec.ir.model import Model
-from gbspec.runs import files
-from gbspec.runs.record import ConstantRecord, DataRecord, FitRecord, MemberRecord, StageRecord, read_record
-from gbspec.runs.store import Run
-from gbspec.training.engines.choice import choose
-from gbspec.training.engines.device import device_of
+from gbspec.ir import METHODS, Model
+from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, StageRecord, files, read_record
+from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.planning import plan
+from gbspec.training.recipe import build_context, plan
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult

@@ -8,11 +8,10 @@ from pathlib import Path
 from queue import Queue
 from typing import Any, Protocol
 
-from gbspec.backends.module import load_module
-from gbspec.data.trajectories import Trajectories
+from gbspec.backends import load_module
+from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.ir.methods import METHODS
-from gbspec.ir.model import Model
+from gbspec.ir import METHODS, Model
 from gbspec.runs import files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Update

@@ -12,21 +12,16 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.backends.protocol import GeneratedModule
-from gbspec.data.fingerprints import fingerprint
-from gbspec.data.trajectories import Trajectories
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.runs import files
-from gbspec.training.optimise.levenberg_marquardt import Certainty, LevenbergMarquardt
-from gbspec.training.optimise.stage import Outcome, Stage, State
+from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
-from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.planning import Planned, Reached, plan, step_fraction
-from gbspec.training.recipe.preparation import prepare
-from gbspec.training.recipe.recognition_network import recognition
+from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
 from gbspec.training.runs.summary import MemberResult, summarise
 from gbspec.training.stages import StageName
 
@@ -225,7 +220,7 @@ class _Runner:
         if not len(self.context.held):
             position.best, position.best_score = position.theta, position.loss
             return
-        from gbspec.training.recipe.holdout import held_out_score
+        from gbspec.training.recipe import held_out_score
 
         score = held_out_score(self.context, self.parameters, position.theta)
         if score <= position.best_score:

@@ -8,7 +8,7 @@ from queue import Empty, Queue
 from typing import Any
 
 from gbspec.diagnostics import ComputationError, UserError
-from gbspec.training.optimise.normal_equations import use_threads
+from gbspec.training.optimise import use_threads
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Update
 from gbspec.training.runs.cluster import cluster

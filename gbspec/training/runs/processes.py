@@ -14,7 +14,7 @@ from threading import Event
 from typing import Any
 
 from gbspec.diagnostics import ComputationError
-from gbspec.training.optimise.normal_equations import use_threads
+from gbspec.training.optimise import use_threads
 from gbspec.training.runs.jobs import Job, Pending, Sender, Workers, fit
 from gbspec.training.runs.member import Interrupted
 from gbspec.training.runs.summary import MemberResult

@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.training.engines.objective import predicted, residual_table
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.recipe.context import Context
+from gbspec.training.engines import predicted, residual_table
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context
 from gbspec.training.stages import StageName
 
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gbspec.data.trajectories import Trajectories
+from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.runs import files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent

@@ -11,12 +11,10 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends.protocol import GeneratedModule
-from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.problem import torch_arithmetic
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories, evaluate
+from gbspec.ir import Model
+from gbspec.training.problem import Integers, torch_arithmetic
 from gbspec.training.starts.splines import Curves
 
 POINTS = 6000

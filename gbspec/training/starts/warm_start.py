@@ -17,12 +17,10 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends.protocol import GeneratedModule
-from gbspec.ir.model import NN, Model
-from gbspec.training.optimise.adam_update import Moments, one_cycle
-from gbspec.training.optimise.priors import spread_of
-from gbspec.training.problem.bounds import Bijections
-from gbspec.training.problem.parameters import Parameters, Weights
+from gbspec.backends import GeneratedModule
+from gbspec.ir import NN, Model
+from gbspec.training.optimise import Moments, one_cycle, spread_of
+from gbspec.training.problem import Bijections, Parameters, Weights
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 
 ELIMINATION_STEPS = 30

@@ -9,11 +9,9 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends.module import NetworkLayers, network_layers
-from gbspec.backends.native import NUMBER_WORDS, Library, Struct
+from gbspec.backends import NUMBER_WORDS, Library, NetworkLayers, Struct, network_layers
 from gbspec.training.engines.deliveries import delivered
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,13 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.backends.native import TILE, CompilerError, Library, NotCoveredError, Precision, Struct, source
-from gbspec.backends.protocol import GeneratedModule
-from gbspec.ir.methods import METHODS, RK4, Method
-from gbspec.ir.model import Model
+from gbspec.backends import TILE, CompilerError, GeneratedModule, Library, NotCoveredError, Precision, Struct, source
+from gbspec.ir import METHODS, RK4, Method, Model
 from gbspec.training.engines.engine import Lack, Unable
 from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.native.threads import shared_out, workspace
-from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem import Integers
 
 SHARES = 8
 """Shares of the work for each thread."""

@@ -20,10 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir.affinity import is_affine
-from gbspec.ir.model import Model
+from gbspec.ir import Model, is_affine
 
 Coefficient = float | Tensor
 Key = tuple[Any, ...]

@@ -10,8 +10,7 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 _REMEDY = (
     "try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), "

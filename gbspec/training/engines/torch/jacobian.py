@@ -19,8 +19,7 @@ from gbspec.training.engines.columns import Columns, Taped, gradients
 from gbspec.training.engines.engine import Moments
 from gbspec.training.engines.linearised import Batch, Jacobian, Observed
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.path import Path
+from gbspec.training.problem import Integers, Path
 
 CHUNK_BYTES = 256 * 1024 * 1024
 """Derivatives of intervals by weights are formed in chunks of about this size."""

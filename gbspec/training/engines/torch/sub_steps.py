@@ -12,9 +12,7 @@ from torch import Tensor
 
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Integers, Path, Problem
 
 
 @dataclass(frozen=True)

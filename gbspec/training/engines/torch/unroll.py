@@ -9,13 +9,12 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gbspec.ir.residual import residuals
+from gbspec.ir import residuals
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.sub_steps import Deliveries, SubStep, advance
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 
 @dataclass(frozen=True)
