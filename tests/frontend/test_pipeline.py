@@ -23,6 +23,7 @@ from gbspec.lsp.checking import check
 from gbspec.lsp.workspace import Workspace
 from gbspec.operations.models import compile_file
 from gbspec.runs import files
+from gbspec.runs.record import DataRecord, FitRecord
 from gbspec.runs.store import open_run
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -120,7 +121,7 @@ def run_of(folder: Path, model: Model) -> Path:
     """A run directory with one member, as training leaves one."""
     (folder / files.MEMBERS / "0").mkdir(parents=True)
     (folder / files.MODEL).write_text(model.text, encoding="utf-8")
-    files.write_json(folder / files.FIT, {"gbspec": gbspec.__version__, "model": model.name})
+    FitRecord("0", model.name, DataRecord("", "", 0, 0, 0), {}, {}, {}, {}, (), ()).write(folder)
     load_module(model).random(0).save(folder / files.MEMBERS / "0" / files.WEIGHTS)
     return folder
 
