@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 import gbspec
+import gbspec.ir
 from gbspec import frontend
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Defect, Findings, Source, UserError
-from gbspec.ir import verify as verifier
 from gbspec.ir.model import Constant, Model
 from gbspec.lsp.checking import check
 from gbspec.lsp.workspace import Workspace
@@ -108,7 +108,7 @@ def test_so_is_a_pass_that_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_every_model_that_a_stage_makes_is_verified_once(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Model] = []
-    monkeypatch.setattr(verifier, "verify", seen.append)
+    monkeypatch.setattr(gbspec.ir, "verify", seen.append)
     made = frontend.load_model("claim.gb", Findings(), read)
     assert len(seen) == 2, "after lowering and after contracts; claims leave the Model as it is"
     assert seen[0].unknowns[0].form is None
