@@ -1,7 +1,7 @@
-"""Backends: from one Model to other languages and to functions, each a folder.
+"""Backends, one folder each: they translate a Model to other languages and to functions.
 
-A folder whose `backend.py` has a `BACKEND` is a form of `gbspec compile --emit`; `registry` finds it there. `printing`
-is what backends share; they do not import each other.
+A folder whose `backend.py` defines `BACKEND` is an output form of `gbspec compile --emit`; `registry` finds it.
+`printing` holds what backends share; they do not import each other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Refusal:
-    """That a backend cannot express a model: the reason as a clause (`it has no states`), and what can be done."""
+    """The answer of a backend that cannot express a model: a reason as a clause (`it has no states`), and a remedy."""
 
     reason: str
     help: str = ""
@@ -29,11 +29,11 @@ class Refusal:
 class Backend:
     """A form that a model can be compiled to.
 
-    `name` stands after `--emit`; `suffix` (with the dot) is that of its files; `help` says in a line what they are.
-    `make` gives what they hold for a verified Model, or why it cannot: bytes if `binary`, else a text that ends with a
-    line end. A backend that writes `numbers` (what was learned, or the truth) also gets an instance of the generated
-    module with weights; for others it is None. The method is that of the steps, where the form has any. `make` imports
-    what it needs when it is called: the command line lists every backend.
+    `name` is the value of `--emit`, `suffix` (with the dot) that of the file name; `help` describes the file in one
+    line. `make` returns its content for a verified Model, or a `Refusal`: bytes if `binary`, else a text that ends with
+    a newline. A backend that writes `numbers` (learned, or of the truth) also gets an instance of the generated module
+    with weights; others get None. The method is the one that takes the steps, if the form has any. `make` imports what
+    it needs when it is called, since the command line lists every backend.
     """
 
     name: str
@@ -44,9 +44,9 @@ class Backend:
     numbers: bool = False
 
     def emit(self, model: Model, instance: Any = None, method: Method = RK4) -> str | bytes:
-        """What its file holds for a Model, and an instance of its module where it needs one.
+        """The content of the file for a Model, and for an instance of its module if the backend needs one.
 
-        Raises `UserError` (GB808) where it cannot express the model.
+        Raises `UserError` (GB808) if the backend cannot express the model.
         """
         if self.numbers and instance is None:
             raise Defect(f"the backend `{self.name}` was asked for the model `{model.name}` without its numbers")
@@ -55,5 +55,5 @@ class Backend:
             message = f"the form `{self.name}` cannot express the model `{model.name}`: {made.reason}"
             raise UserError([Diagnostic("GB808", message, None, help=made.help)])
         if isinstance(made, bytes) != self.binary:
-            raise Defect(f"the backend `{self.name}` emits {type(made).__name__}, and it is registered otherwise")
+            raise Defect(f"the backend `{self.name}` emits {type(made).__name__}, not the registered type")
         return made
