@@ -1,1 +1,1 @@
-"""What a model says: simulation, validation, steady states, eigenvalues, bifurcations and limit cycles."""
+"""Analyses of a model: simulation, validation, steady states, eigenvalues, bifurcations and limit cycles."""

@@ -1,1 +1,1 @@
-"""Predictions of fitted models, and the initial states that they start from."""
+"""Predictions of fitted models, and their initial states."""

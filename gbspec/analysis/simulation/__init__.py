@@ -1,1 +1,1 @@
-"""Data simulated from models."""
+"""Simulation of data from models."""
