@@ -17,24 +17,24 @@ from gbspec.ir.model import NN, Declared, Model, Network, Range
 from gbspec.version import __version__
 
 INTERFACE = 1
-"""The version of the generated module's interface; training and analysis refuse another."""
+"""The version of the generated module's interface; training and analysis reject other versions."""
 
 
 def generate(model: Model, method: Method = RK4) -> str:
-    """The standalone Python module of a model that is stepped by a method: the text that `gbspec compile` writes and
-    that training runs."""
+    """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
+    training runs."""
     name = class_name(model)
     return fill(template().replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
 def class_name(model: Model) -> str:
-    """The generated class: the model's name in CamelCase, with `_` where Python or the module needs that name."""
+    """The generated class: the model's name in CamelCase, with `_` appended if Python or the module uses that name."""
     name = identifier(model.class_name)
     return f"{name}_" if keyword.iskeyword(name) or name in _MODULE_NAMES else name
 
 
 _MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "Mapping", "Path", "SimpleNamespace"})
-"""What the generated module itself calls by names that a class could have."""
+"""Names in the generated module that a class could have."""
 
 
 def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
@@ -61,8 +61,8 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
 _COMMENT = """\
 # ------------------------------------------------------------------ the equations, for torch, casadi and numpy
 # math: the arithmetic of one of these; state, condition, inputs: vectors, components on the last axis (in casadi,
-# columns); constants: a tuple; networks: a tuple of functions, each called with its arguments one by one and
-# returning a tuple of its outputs.
+# columns); constants: a tuple; networks: a tuple of functions, each called with separate arguments and returning
+# a tuple of its outputs.
 
 """
 
@@ -135,10 +135,10 @@ def _class_document(model: Model) -> str:
 
 
 def _unknown_table(model: Model) -> str:
-    """Where each unknown is: number of its network, number of its output, the network's method."""
+    """The table of unknowns: index of the network, index of the output, method of the network."""
     if not model.unknowns:
         return "_unknowns = {}"
-    lines = ["_unknowns = {  # name: (number of its network, number of its output there, method)"]
+    lines = ["_unknowns = {  # name: (index of the network, index of its output, method)"]
     for unknown in model.unknowns:
         method = equations.method_name(model.networks[unknown.network])
         lines.append(
