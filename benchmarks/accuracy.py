@@ -1,13 +1,13 @@
-"""Processor time to a given accuracy: `gbspec train` beside fits by hand with torchdiffeq and with diffrax.
+"""Processor time to a given accuracy: `gbspec train` compared with hand-written fits with torchdiffeq and diffrax.
 
     python -m benchmarks.accuracy [--seconds 110] [--fits gbspec torchdiffeq diffrax diffrax-ar] [--trajectories 100]
 
-All fit `urp_gb2` with a network 3-64-64-1 to the same simulated data: each channel on its own irregular times, starts
-unknown. gbspec runs as the command does, with its defaults (Runge-Kutta steps of 0.1 given, as for the others). The
-others are what one writes by hand: inputs scaled by the data, starts guessed from the first measurements and learned,
-B and beta learned as logarithms, Adam with a one-cycle schedule that ends when their time does. The error is that of
-the learned right-hand side on solutions of the truth that no fit has seen (norm L2 of the paper's appendix). Times are
-of the processor, compilers included, reading data and importing libraries not.
+All fit `urp_gb2` with a network 3-64-64-1 to the same simulated data: each channel has its own irregular times, initial
+states are unknown. gbspec runs as the command does, with its defaults (Runge-Kutta steps of 0.1, as for the others).
+The others are typical hand-written code: inputs scaled by the data, initial states guessed from the first measurements
+and learned, B and beta learned as logarithms, Adam with a one-cycle schedule that ends with the time budget. The error
+is that of the learned right-hand side on solutions of the truth that no fit has seen (norm L2 of the paper's appendix).
+Times are processor times, including compilation, excluding reading data and importing libraries.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Layers = Sequence[Array]
 
 # ------------------------------------------------------------------------------------------------------ data and error
 def data(trajectories: int, span: float = 10.0) -> Trajectories:
-    """What all fit."""
+    """The data that all fits use."""
     model = gbspec.load("urp_gb2")
     return model.simulate(
         trajectories=trajectories, span=span, sampling="gamma", channels="own-clock", seed=0, **REGION
@@ -94,7 +94,7 @@ class Record:
         self.taken: list[tuple[float, Layers, Array, Sequence[Array]]] = []
 
     def take(self, layers: Layers, constants: Array, scales: Sequence[Array]) -> None:
-        """Takes one now."""
+        """Takes a snapshot."""
         self.taken.append((processor_seconds() - self.began, layers, constants, scales))
 
     def errors(self) -> list[dict[str, float]]:
@@ -109,7 +109,7 @@ class Record:
 
 
 def fit_gbspec(table: Trajectories, **options: Any) -> Record:
-    """`gbspec train`; snapshots are its own checkpoints, which are written more often than usual."""
+    """Fits by `gbspec train`; snapshots are its checkpoints, which are written more often than usual."""
     from gbspec.runs import files
     from gbspec.training.problem.parameters import Parameters
     from gbspec.training.runs import member
@@ -150,7 +150,7 @@ def fit_gbspec(table: Trajectories, **options: Any) -> Record:
 
 
 def fit_by_hand(name: str, table: Trajectories, budget: float) -> Record:
-    """One of the peers, for `budget` processor seconds."""
+    """Fits by one of the peers, for `budget` processor seconds."""
     _, module, function = FITS[name]
     prepare_jax()
     fit = getattr(importlib.import_module(module), function)
@@ -184,14 +184,14 @@ def fit_by_hand(name: str, table: Trajectories, budget: float) -> Record:
 
 
 def prepared(table: Trajectories) -> Workload:
-    """The data as arrays, inputs scaled and starts guessed by what was measured."""
+    """The data as arrays, with scaled inputs and initial states guessed from measurements."""
     model = gbspec.load("urp_gb2").model
     work = of_data(Size(trajectories=len(table)), model, table)
     packed = pack(table, model, MAX_STEP)
     values, seen = measured_states(model, packed)
     start = work.start.copy()
     for state in range(start.shape[1]):
-        rows = np.flatnonzero(seen[:, state])[::-1]  # from last to first: the first measurement stays
+        rows = np.flatnonzero(seen[:, state])[::-1]  # from last to first: the first measurement is kept
         start[packed.row_trajectory[rows], state] = values[rows, state]
     spread = [values[seen[:, state], state] for state in range(start.shape[1])] + [work.condition[:, 0]]
     center, scale = (np.array([f(column) for column in spread]) for f in (np.mean, np.std))
@@ -205,7 +205,7 @@ def reached(curve: Sequence[Mapping[str, float]], level: float) -> float | None:
 
 
 def table_of(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
-    """Seconds to each level, and where it ended."""
+    """Seconds to each level, and the final error."""
     rows = []
     for name, curve in curves.items():
         times = [reached(curve, level) for level in LEVELS]
@@ -218,7 +218,7 @@ def table_of(curves: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
 
 
 def run_child(name: str, options: argparse.Namespace) -> list[dict[str, float]]:
-    """One fit in a process of its own."""
+    """One fit in a separate process."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "curve.json"
         command = [sys.executable, "-m", "benchmarks.accuracy", "--fit", name, str(path)]
@@ -231,7 +231,7 @@ def run_child(name: str, options: argparse.Namespace) -> list[dict[str, float]]:
 
 
 MISSING = 75
-"""Exit status of a fit whose library is not there."""
+"""Exit status of a fit whose library is not installed."""
 
 
 def arguments() -> argparse.Namespace:
@@ -244,7 +244,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measures, and writes accuracy.md and accuracy.json."""
+    """Runs the benchmark and writes accuracy.md and accuracy.json."""
     options = arguments()
     if options.fit:
         name, path = options.fit
@@ -255,7 +255,7 @@ def main() -> None:
             try:
                 record = fit_gbspec(table) if name == "gbspec" else fit_by_hand(name, table, options.seconds)
             except ImportError as error:
-                say(f"{name}: left out: {error} (`pip install .[benchmarks]` brings the peers)")
+                say(f"{name}: skipped: {error} (`pip install .[benchmarks]` installs the peers)")
                 sys.exit(MISSING)
         Path(path).write_text(json.dumps(record.errors()))
         return

@@ -1,4 +1,4 @@
-"""How long a whole bifurcation diagram takes, steady states and limit cycles, in seconds of processor time.
+"""Processor time of a whole bifurcation diagram, with steady states and limit cycles.
 
     python -m benchmarks.bifurcation -o benchmarks/results/bifurcation.md
 
@@ -39,7 +39,7 @@ def line(name: str, over: str, low: float, high: float) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measures and writes the table."""
+    """Runs the benchmark and writes the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
     given = parser.parse_args(arguments)

@@ -1,9 +1,9 @@
-"""How long `gbspec check` takes: every shipped model, and generated ones of growing size.
+"""Time of `gbspec check`: every bundled model, and generated ones of increasing size.
 
     python -m benchmarks.check_time [--rounds 3] [--sizes 200 500 1000 2000]
 
-Each figure is the median processor time of whole processes, imports and start-up included, beside what Python needs to
-import sympy alone. Generated models are reactions in a ring (every state with a balance, a process and an unknown
+Each figure is the median processor time of whole processes, imports and start-up included, compared with
+importing only sympy. Generated models are reactions in a ring (every state with a balance, a process and an unknown
 shared by all) and the same number of states as one array (diffusion by the method of lines).
 """
 
@@ -19,7 +19,7 @@ from gbspec.data.shipped import shipped_models
 
 
 def ring(states: int) -> str:
-    """Reactions in a ring, each state consumed by one and made by two of them."""
+    """Reactions in a ring; each state is consumed by one and produced by two of them."""
     lines = ["model ring", "learn k = 1 in [0, 10]", "unknown f(a in [0, 10]) >= 0 by mlp(8)"]
     for i in range(states):
         after, far = (i + 1) % states, (i + 7) % states
@@ -60,7 +60,7 @@ def table(timings: Mapping[str, Timing], alone: str) -> str:
 
 
 def main() -> None:
-    """Measures, and writes check_time.md and check_time.json."""
+    """Runs the benchmark and writes check_time.md and check_time.json."""
     options = parser(__doc__)
     options.add_argument("--rounds", type=int, default=3)
     options.add_argument("--sizes", type=int, nargs="*", default=[200, 500, 1000, 2000])

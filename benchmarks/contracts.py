@@ -1,10 +1,10 @@
-"""What contracts cost: a training step with them against one of the plain network, in interleaved runs.
+"""The cost of contracts: a training step with them compared with one of the plain network, in interleaved runs.
 
     python -m benchmarks.contracts [--repeats 15] [--only CONTRACTS ...]
 
-Workload: URP (two states, network 3-64-64-1), 200 trajectories of one in [0, 10], measured about every 0.5, RK4 with
-step 0.1, one thread, float64, processor time. "kernel" and "graph" are the loss and its gradient (a step of Adam) by
-the native kernel, which trains where there is a compiler, and by the torch graph; "Jacobian" (a step of
+Workload: URP (two states, network 3-64-64-1), 200 trajectories over [0, 10], measured about every 0.5, RK4 with step
+0.1, one thread, float64, processor time. "kernel" and "graph" are the loss and its gradient (a step of Adam) by
+the native kernel, which training uses if there is a compiler, and by the torch graph; "Jacobian" (a step of
 Levenberg-Marquardt) the exact derivatives of all residuals, on a tenth of the trajectories. Prints medians, and the
 median of the ratios of neighbouring runs.
 """
@@ -66,7 +66,7 @@ def model_of(contracts: str, arguments: str) -> Model:
 
 
 def data(count: int) -> Trajectories:
-    """Values that keep the solver in a usual region; what is measured does not matter for the cost."""
+    """Values that keep the solver in the usual region; the measured values do not affect the cost."""
     rng = np.random.default_rng(0)
     items = []
     for i in range(count):

@@ -1,11 +1,11 @@
-"""What an ensemble costs beside one member, and what its workers' start-up is.
+"""The cost of an ensemble compared with one member, and the start-up time of its workers.
 
     python -m benchmarks.ensemble [--members 10] [--trajectories 40] [--effort low] [--workers 1 2]
 
-Each is one `gbspec train` as a process, with the defaults of the command: one member has all cores for its large
-matrices, members of an ensemble share them. On a machine that does other things besides, the processor time tells more
-than the clock: `by processor time` sets the processor time of the ensemble, over the number of workers, beside that of
-one member, as the clock would do on an idle machine where nothing waits.
+Each run is a `gbspec train` process with the defaults of the command: one member uses all cores for its large matrices,
+members of an ensemble share them. On a busy machine, processor time is more reliable than wall time: `by processor
+time` is the processor time of the ensemble divided by the number of workers, relative to that of one member; on an idle
+machine it is the ratio of wall times.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, dict[str, fl
 
 
 def rows(found: Mapping[str, Mapping[str, float]]) -> str:
-    """Wall and processor time, and both beside one member's."""
+    """Wall and processor time, and both relative to one member's."""
     one = found["one member"]
     lines = [
         [
@@ -61,7 +61,7 @@ def rows(found: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def main() -> None:
-    """Measures, and writes ensemble.md and ensemble.json."""
+    """Runs the benchmark and writes ensemble.md and ensemble.json."""
     made = parser(__doc__)
     made.add_argument("--members", type=int, default=10)
     made.add_argument("--trajectories", type=int, default=40)

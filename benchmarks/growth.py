@@ -1,9 +1,9 @@
-"""How a training step grows: with trajectories, length, width of the network and number of states.
+"""Growth of the time of a training step with trajectories, length, width of the network and number of states.
 
     python -m benchmarks.growth [--rounds 3] [--axes trajectories length width states] [--variants native torch …]
 
-One size is varied at a time, the others stay at 200 trajectories, span 10, width 64 and two states (further states
-follow in a chain). float32, one core. Cases that would take too long or too much memory are left out, and told.
+One size is varied at a time; the others are 200 trajectories, span 10, width 64 and two states (further states form a
+chain). float32, one core. Cases that would take too long or too much memory are skipped, with a message.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ AXES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     "width": ("width", (16, 64, 256)),
     "states": ("states", (2, 8, 32)),
 }
-"""What is varied, and to which values."""
+"""The varied sizes and their values."""
 
 SIMULATED = 50
-"""Trajectories that are simulated; more are repeats of them."""
+"""Most trajectories that are simulated; further ones repeat them."""
 
 COMPARED = 100_000
-"""Sub-steps up to which gradients are compared: the reference stores all activations."""
+"""Most sub-steps for which gradients are compared: the reference stores all activations."""
 
 STORING = ("graph", "jax", "torch", "torch-naive", "torch-aligned", "torchdiffeq", "torchdiffeq-packed")
-"""Variants that keep all activations of all sub-steps."""
+"""Variants that store all activations of all sub-steps."""
 
 
 def dtype_of(name: str) -> Dtype:
-    """float32 where the variant has it."""
+    """float32 if the variant has it."""
     return VARIANTS[name].dtypes[0]
 
 
 def needed_gb(name: str, work: Workload) -> float:
-    """About what a step takes: of those that store it, six arrays of the width in each of four stages of a sub-step."""
+    """Estimated GB of a step: the storing variants keep six arrays of the width per Runge-Kutta stage of a sub-step."""
     if name not in STORING:
         return 0.0
     size = 4 if dtype_of(name) == "float32" else 8
@@ -52,12 +52,12 @@ def needed_gb(name: str, work: Workload) -> float:
 
 
 def available_gb() -> float:
-    """Memory of the machine that is free."""
+    """Free memory of the machine."""
     return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
 
 
 def case(size: Size, names: Sequence[str], before: Mapping[str, float], rounds: int, most: float) -> dict[str, Any]:
-    """Milliseconds by variant at one size; `before` has the seconds a floating point operation that are expected."""
+    """Milliseconds by variant at one size; `before` has the expected seconds per floating point operation."""
     work = make(size, SIMULATED)
     chosen, left_out = [], {}
     for name in names:
@@ -92,12 +92,12 @@ def grow(axis: str, names: Sequence[str], rounds: int, most: float) -> list[dict
         cases.append(case(size, names, before, rounds, most))
         before |= {name: 1e-3 * t["ms"] / cases[-1]["flop"] for name, t in cases[-1]["timings"].items()}
         times = ", ".join(f"{name} {t['ms']:.1f} ms" for name, t in cases[-1]["timings"].items())
-        say(f"{axis} {value:g}: {times}" + "".join(f", {n} left out ({w})" for n, w in cases[-1]["left_out"].items()))
+        say(f"{axis} {value:g}: {times}" + "".join(f", {n} skipped ({w})" for n, w in cases[-1]["left_out"].items()))
     return cases
 
 
 def table(axes: Mapping[str, Sequence[Mapping[str, Any]]], names: Sequence[str]) -> str:
-    """One row a case: milliseconds by variant."""
+    """One row per case: milliseconds by variant."""
     rows = []
     for axis, cases in axes.items():
         for found in cases:
@@ -122,7 +122,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measures, and writes growth.md and growth.json."""
+    """Runs the benchmark and writes growth.md and growth.json."""
     options = arguments()
     torch.set_num_threads(1)
     axes = {axis: grow(axis, options.variants, options.rounds, options.most) for axis in options.axes}

@@ -1,7 +1,7 @@
-"""How everything here is timed: interleaved rounds, pinned to cores, medians with quartiles, results in a table.
+"""Timing of all benchmarks: interleaved rounds, pinned to cores, medians with quartiles, results in a table.
 
-Whatever the machine does besides (its clock, its neighbours) then hits all variants alike: round by round each runs
-once, in an order drawn anew, and ratios are taken between medians of the same rounds.
+Every round runs each variant once in a new random order, and ratios are those of medians over the same rounds, so that
+disturbances of the machine (clock rate, other processes) affect all variants alike.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ RESULTS = Path(__file__).resolve().parent / "results"
 PACKAGES = ("gbspec", "torch", "numpy", "numba", "jax", "diffrax", "optax", "torchdiffeq", "casadi")
 
 BUSY = 0.9
-"""Below this ratio of processor time to wall time of one-core runs, others were using the machine."""
+"""Below this ratio of processor time to wall time of one-core runs, other processes used the machine."""
 
 
 @dataclass
 class Timing:
-    """Seconds of repeated runs: `wall` by the clock, `cpu` by processor time."""
+    """Seconds of repeated runs: `wall` time and `cpu` time."""
 
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
@@ -54,7 +54,7 @@ class Timing:
         return low, high
 
     def to_json(self) -> dict[str, Any]:
-        """Median and quartiles in milliseconds, how many rounds they are of, and the median processor time."""
+        """Median and quartiles in milliseconds, the number of rounds, and the median processor time."""
         low, high = self.quartiles
         keys = {"ms": self.median, "low_ms": low, "high_ms": high}
         if self.cpu:
@@ -69,7 +69,7 @@ def cores() -> list[int]:
 
 @contextmanager
 def pinned(count: int = 1) -> Iterator[None]:
-    """Within it this thread, and threads begun in it, run on `count` cores."""
+    """A context in which this thread, and threads started in it, run on `count` cores."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, cores()[:count])
     try:
@@ -79,7 +79,7 @@ def pinned(count: int = 1) -> Iterator[None]:
 
 
 def processor_seconds() -> float:
-    """Processor time so far of this process, all its threads, and the processes that it ran to their end."""
+    """Processor time so far of this process with all its threads, and of its finished child processes."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
@@ -92,7 +92,7 @@ def clock(run: Callable[[], object]) -> tuple[float, float]:
 
 
 def process(*arguments: str) -> Callable[[], object]:
-    """A run of Python with these arguments as a process, whose output is dropped; raises where it fails."""
+    """A function that runs Python with these arguments as a process without output, and raises if it fails."""
     return lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
 
 
@@ -104,10 +104,10 @@ def interleaved(
     threads: Mapping[str, int] | None = None,
     seed: int = 0,
 ) -> dict[str, Timing]:
-    """Times all `runs` once a round, in random order, after one run each that does not count.
+    """Times all `runs` once per round, in random order, after one untimed run of each.
 
-    `threads` names runs that get more than one core. It stops after `rounds`, or after the round in which `seconds`
-    are over (one round is always done).
+    `threads` gives the number of cores of runs that use more than one. It stops after `rounds`, or after the round in
+    which `seconds` have passed (at least one round is run).
     """
     order, shuffle = list(runs), random.Random(seed)
     for name in order:
@@ -135,16 +135,16 @@ def interleaved(
 
 
 def busyness(timings: Mapping[str, Timing], threads: Mapping[str, int] | None = None) -> float:
-    """Processor time over wall time of the runs on one core: 1 on a quiet machine, and told where it is far below."""
+    """Processor time over wall time of the runs on one core: 1 on an idle machine; reports a far smaller one."""
     alone = [t for name, t in timings.items() if (threads or {}).get(name, 1) == 1]
     share = sum(sum(t.cpu) for t in alone) / max(sum(sum(t.wall) for t in alone), 1e-12)
     if share < BUSY:
-        say(f"these runs had {100 * share:.0f} % of their core: repeat them on a quiet machine")
+        say(f"these runs had {100 * share:.0f} % of their core: repeat them on an idle machine")
     return share
 
 
 def peak_memory(run: Callable[[], object]) -> float | None:
-    """MB by which the process grows at most during `run` (Linux; None where the kernel does not tell)."""
+    """The largest growth of the process during `run` in MB (Linux; None if the kernel does not report it)."""
     gc.collect()
     try:
         ctypes.CDLL(None).malloc_trim(0)
@@ -196,14 +196,14 @@ def _version(name: str) -> str:
 
 
 def command() -> str:
-    """The command that is running, as one would type it."""
+    """The running command, as typed in a shell."""
     spec = getattr(sys.modules["__main__"], "__spec__", None)
     name = spec.name if spec is not None else sys.argv[0]
     return " ".join(["python", *(["-m", name] if spec is not None else [name]), *sys.argv[1:]])
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown; the first column to the left, the others to the right."""
+    """A table in Markdown; the first column is left-aligned, the others right-aligned."""
     lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
     return "\n".join([lines[0], "|---" + "|---:" * (len(header) - 1) + "|", *lines[1:]])
 
@@ -224,14 +224,14 @@ def write(name: str, title: str, text: str, content: Mapping[str, Any], folder: 
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser of arguments with what all commands here have: `--output`."""
+    """An argument parser with the common option `--output`."""
     made = argparse.ArgumentParser(
         description=(description or "").splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    made.add_argument("--output", type=Path, default=RESULTS, metavar="FOLDER", help="where the results go")
+    made.add_argument("--output", type=Path, default=RESULTS, metavar="FOLDER", help="folder for the results")
     return made
 
 
 def say(text: str) -> None:
-    """Progress, on standard error."""
+    """Prints progress on standard error."""
     print(text, file=sys.stderr, flush=True)

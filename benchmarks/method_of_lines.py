@@ -1,10 +1,10 @@
-"""What arrays of states cost: a training step of a method-of-lines model computed as vectors, and written out.
+"""The cost of arrays of states: a training step of a method-of-lines model, computed as vectors or written out.
 
     python -m benchmarks.method_of_lines [--rounds 5] [--states 32 128 512 2000] [--written-out 32 128]
 
-The shipped `spreading_population` with an MLP 1-32-32-1, 8 trajectories, 20 sub-steps of RK4, float64, one core. A step
-is forward and backward through the generated module's torch graph; `written out` has one expression a state. Beside
-it are the same step written by hand in torch, and how long `gbspec check` takes.
+The bundled `spreading_population` with an MLP 1-32-32-1, 8 trajectories, 20 sub-steps of RK4, float64, one core. A step
+is forward and backward through the generated module's torch graph; `written out` has one expression per state. For
+comparison: the same step written by hand in torch, and the time of `gbspec check`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Gradients = tuple[Tensor, ...]
 
 
 def text_of(states: int) -> str:
-    """The shipped model with another number of reaches."""
+    """The bundled model with another number of reaches."""
     text = shipped_models()["spreading_population"].read_text(encoding="utf-8")
     return text.replace("const N = 24", f"const N = {states}").replace("mlp(16, 16)", "mlp(32, 32)")
 
@@ -57,7 +57,7 @@ def of_module(path: Path, written_out: bool) -> Callable[[], Gradients]:
 
 
 def by_hand(path: Path) -> Callable[[], Gradients]:
-    """The same step as one writes it in torch."""
+    """The same step, written by hand in torch."""
     instance = load_module(load_model(path, Findings())).random(0)
     values = {name: torch.from_numpy(np.array(value)) for name, value in instance.weights.items()}
     trained = [value.requires_grad_() for name, value in values.items() if name.endswith(("weight", "bias"))]
@@ -87,12 +87,12 @@ def by_hand(path: Path) -> Callable[[], Gradients]:
 
 
 def begin(states: int) -> Tensor:
-    """The state at the start."""
+    """The initial state."""
     return torch.linspace(0.1, 0.9, states).expand(TRAJECTORIES, states)
 
 
 def agree(runs: dict[str, Callable[[], Gradients]]) -> None:
-    """Stops unless all runs have the same gradient to 1e-10."""
+    """Exits unless all runs have the same gradient to 1e-10."""
     (first, wanted), *others = ((name, run()) for name, run in runs.items())
     for name, found in others:
         for a, b in zip(wanted, found, strict=True):
@@ -118,7 +118,7 @@ def case(states: int, written_out: bool, rounds: int) -> dict[str, Any]:
 
 
 def table(cases: list[dict[str, Any]]) -> str:
-    """One row a number of states: processor time, which others on the machine disturb less."""
+    """One row per number of states: processor time, which other processes affect less than wall time."""
     names = ("by hand", "vectors", "written out")
     rows = [
         [
@@ -140,7 +140,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measures, and writes method_of_lines.md and method_of_lines.json."""
+    """Runs the benchmark and writes method_of_lines.md and method_of_lines.json."""
     options = arguments()
     torch.set_num_threads(1)
     torch.set_default_dtype(torch.float64)

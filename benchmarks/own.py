@@ -27,7 +27,7 @@ def graph(work: Workload, dtype: torch.dtype) -> Step:
 
 
 def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
-    """The generated native kernel; raises ImportError where it cannot be had."""
+    """The generated native kernel. Raises ImportError if it is not available."""
     try:
         function = objective(work.problem, work.parameters, "native", precision_of(dtype))
     except ValueError as error:
@@ -44,7 +44,7 @@ def native(work: Workload, dtype: torch.dtype, threads: int = 1) -> Step:
 
 
 def release() -> None:
-    """Gives back the work space that a step keeps for the next one, which then takes all that it needs itself."""
+    """Frees the work space that is kept between steps, so that the next step allocates all that it needs."""
     kernel_threads.release()
 
 

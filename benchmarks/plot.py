@@ -2,7 +2,7 @@
 
     python -m benchmarks.plot [--figure docs/benchmarks.png] [--readme README.md]
 
-The README keeps what lies outside of the two marks.
+In the README only the text between two marks is replaced.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ Result = Mapping[str, Any]
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- measured: make benchmarks -->", "<!-- end of what was measured -->"
 LEVEL = 1e-3
-"""The accuracy whose time the README tells."""
+"""The accuracy for which the README gives the time."""
 
 DARK, LIGHT = "#1f4e79", "#9dc3e6"
 
 
 def steps(axes: Axes, result: Result) -> None:
-    """A bar a variant and precision, in multiples of the limit."""
+    """One bar per variant and precision, in multiples of the limit."""
     timings, limits = result["timings"], result["limit_ms"]
     ratios = {label: t["ms"] / limits[label.partition(" ")[2]] for label, t in timings.items()}
     names = quickest_first(timings)
@@ -79,12 +79,12 @@ PANELS = {"step": steps, "growth": growth, "accuracy": accuracy}
 
 
 def plain(title: str) -> str:
-    """A title without the marks of Markdown."""
+    """A title without Markdown."""
     return title.replace("*", "").replace("`", "")
 
 
 def figure(folder: Path) -> Figure:
-    """One panel for each result that is there."""
+    """One panel for each existing result."""
     found = {name: folder / f"{name}.json" for name in PANELS if (folder / f"{name}.json").is_file()}
     made = Figure(figsize=(4.6 * max(len(found), 1), 3.6), layout="constrained")
     for place, (name, path) in enumerate(found.items(), start=1):
@@ -94,7 +94,7 @@ def figure(folder: Path) -> Figure:
 
 # ---------------------------------------------------------------------------------------------------------- the README
 def summary(folder: Path, picture: str) -> str:
-    """What the README says of the results in `folder`."""
+    """The README's section on the results in `folder`."""
     paragraphs = []
     if (folder / "step.json").is_file():
         paragraphs += _steps(json.loads((folder / "step.json").read_text()))
@@ -139,7 +139,7 @@ def _accuracy(curves: Mapping[str, Any]) -> str:
 
 
 def fill(text: str, made: str) -> str:
-    """A README with `made` between its marks. Raises ValueError where it has none."""
+    """A README with `made` between its marks. Raises ValueError if it has none."""
     pattern = re.compile(re.escape(BEGIN) + ".*?" + re.escape(END), re.DOTALL)
     if not pattern.search(text):
         raise ValueError(f"there is no {BEGIN} … {END}")
@@ -147,7 +147,7 @@ def fill(text: str, made: str) -> str:
 
 
 def main() -> None:
-    """Writes the figure, and fills the README."""
+    """Writes the figure and updates the README."""
     options = parser(__doc__)
     options.add_argument("--figure", type=Path, default=ROOT / "docs" / "benchmarks.png", metavar="FILE")
     options.add_argument("--readme", type=Path, default=ROOT / "README.md", metavar="FILE")

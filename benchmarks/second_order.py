@@ -1,9 +1,10 @@
-"""What an iteration of least squares costs: the Jacobian by kernel or graph, a damped step by sketch or factors.
+"""The cost of a least-squares iteration: the Jacobian by kernel or graph, a damped step by sketch or factors.
 
     python -m benchmarks.second_order [--rounds 5] [--trajectories 200]
 
 The workload of `benchmarks.step` (urp_gb2, an MLP 3-64-64-1, 200 trajectories, 3,900 measured values)
-after four iterations of a fit, float64, one core. A step is the first at its linearisation, with all that it prepares.
+after four iterations of a fit, float64, one core. The timed step is the first one at its linearisation and includes
+the preparations.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def fitted(work: Workload, engine: Engine) -> State:
 
 
 def variants(work: Workload) -> dict[str, Callable[[], object]]:
-    """What is timed; stops unless they agree."""
+    """The timed functions; exits unless their results agree."""
     try:
         native = native_engine(work.problem, work.parameters)
     except ValueError as error:
@@ -84,7 +85,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measures, and writes second_order.md and second_order.json."""
+    """Runs the benchmark and writes second_order.md and second_order.json."""
     options = arguments()
     torch.set_num_threads(1)
     timings = interleaved(variants(make(Size(trajectories=options.trajectories))), options.rounds)

@@ -1,9 +1,9 @@
-"""What there is to wait for before anything is computed: start-up, check, compile, and the compilers of steps.
+"""Waiting times before any computation: start-up, check, compile, and the compilation of training steps.
 
     python -m benchmarks.startup [--rounds 3] [--no-peers]
 
-Commands are timed as whole processes, beside what Python needs to import sympy and torch alone. Kernels are made in a
-process that has imported everything; "cached" is the same in another process that finds the compiled one.
+Commands are timed as whole processes, and compared with importing only sympy or torch. Kernels are built in a process
+that has imported everything; "cached" is the same in another process that finds the compiled one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from benchmarks.variants import VARIANTS, Dtype
 MODEL = "urp_gb2"
 
 COMPILED: Mapping[str, Sequence[Dtype]] = {"jax-checkpoint": ("float32",), "diffrax": ("float32",)}
-"""Peers whose step is compiled by XLA, and in which precision it is timed."""
+"""Peers whose step is compiled by XLA, and the precision in which it is timed."""
 
 KERNEL = """
 import time, gbspec, torch
@@ -51,7 +51,7 @@ print(time.perf_counter() - began)
 
 
 def commands(folder: str) -> dict[str, list[str]]:
-    """What is timed as a process: arguments of Python by title."""
+    """The processes to time: arguments of Python by title."""
     run = ["-m", "gbspec"]
     return {
         "`import sympy` alone": ["-c", "import sympy"],
@@ -74,7 +74,7 @@ def told(program: str, **environment: str) -> float:
 
 
 def kernels(rounds: int) -> dict[str, Timing]:
-    """Generating and compiling the native kernel, and finding it in the cache."""
+    """Times of generating and compiling the native kernel, and of finding it in the cache."""
     out: dict[str, Timing] = {}
     for dtype in ("float32", "float64"):
         program = KERNEL.format(model=MODEL, dtype=dtype)
@@ -88,14 +88,14 @@ def kernels(rounds: int) -> dict[str, Timing]:
 
 
 def peers(rounds: int) -> dict[str, Timing]:
-    """Tracing and compiling a step with XLA."""
+    """Times of tracing and compiling a step with XLA."""
     out = {}
     for name, dtypes in COMPILED.items():
         for dtype in dtypes:
             try:
                 importlib.import_module(VARIANTS[name].module)
             except ImportError as error:
-                say(f"{name}: left out: {error} (`pip install .[benchmarks]` brings the peers)")
+                say(f"{name}: skipped: {error} (`pip install .[benchmarks]` installs the peers)")
                 continue
             timing = Timing([told(STEP.format(name=name, dtype=dtype)) for _ in range(rounds)])
             out[f"{VARIANTS[name].title}, {dtype}: trace and compile"] = timing
@@ -103,7 +103,7 @@ def peers(rounds: int) -> dict[str, Timing]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Wall time of each; processor time of processes."""
+    """A table of wall times, and of processor times of processes."""
     rows = [
         [
             title,
@@ -125,7 +125,7 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Measures, and writes startup.md and startup.json."""
+    """Runs the benchmark and writes startup.md and startup.json."""
     options = arguments()
     with tempfile.TemporaryDirectory() as folder, pinned():
         made = commands(folder)

@@ -2,10 +2,9 @@
 
     python -m benchmarks.step [--rounds 9] [--seconds 80] [--variants native torch …]
 
-The limit is the time that the needed matrix products alone take, at the rate measured in the same rounds for products
-of the shape that a step consists of (trajectories x width x width), by torch or by NumPy, whichever is quicker: their
-libraries do not suit all processors alike. Every variant's gradient is compared with
-gbspec's torch graph before it is timed.
+The limit is the time of the necessary matrix products only, at the rate measured in the same rounds for products of the
+shape that a step consists of (trajectories x width x width), by torch or by NumPy, whichever is faster on the
+processor. Every variant's gradient is compared with that of gbspec's torch graph before it is timed.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from benchmarks.workload import Size, Workload, make
 DTYPES: tuple[Dtype, ...] = ("float32", "float64")
 
 PRODUCTS = 200
-"""Matrix products in a run of the limit."""
+"""Number of matrix products in a run that measures the limit."""
 
 TINY = Size(trajectories=4, span=2.0)
 
 
 def limits(work: Workload, dtype: Dtype) -> tuple[dict[str, Callable[[], object]], float]:
-    """Runs of matrix products as a step has them, by library; by what their time is multiplied to give the limit."""
+    """Runs of matrix products of a step's shape, by library, and the factor from their time to the limit."""
     n, width = work.size.trajectories, work.size.width
     a, b, out = (torch.rand(shape, dtype=getattr(torch, dtype)) for shape in ((n, width), (width, width), (n, width)))
     x, y, z = a.numpy(), b.numpy(), out.numpy()
@@ -71,7 +70,7 @@ def memory_of(name: str, dtype: Dtype, size: Size) -> float | None:
     """MB by which a fresh process grows in the first step, after a step of a tiny workload that loads all libraries."""
     arguments = [sys.executable, "-m", "benchmarks.step", "--memory-of", name, dtype]
     sizes = ["--trajectories", str(size.trajectories), "--span", str(size.span)]
-    # Blocks above 64 kB come from the system and go back to it, so that memory freed before is not mistaken for room.
+    # Blocks above 64 kB are allocated from and returned to the system, so that memory freed before is not reused.
     environment = {**os.environ, "MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
     done = subprocess.run([*arguments, *sizes], capture_output=True, text=True, env=environment)
     if done.returncode != 0:
@@ -91,7 +90,7 @@ def _memory(name: str, dtype: Dtype, size: Size) -> None:
 
 # ------------------------------------------------------------------------------------------------------------ table
 def quickest_first(timings: Mapping[str, Any]) -> list[str]:
-    """Names of the variants by the lesser time of their precisions."""
+    """Names of the variants, ordered by the smaller time of their precisions."""
     best: dict[str, float] = {}
     for label, found in timings.items():
         name = label.partition(" ")[0]
@@ -100,7 +99,7 @@ def quickest_first(timings: Mapping[str, Any]) -> list[str]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The results in Markdown, quickest first."""
+    """The results in Markdown, fastest first."""
     timings, limits = result["timings"], result["limit_ms"]
 
     def cells(name: str, dtype: str) -> list[str]:
@@ -130,17 +129,17 @@ def table(result: Mapping[str, Any]) -> str:
 def arguments() -> argparse.Namespace:
     options = parser(__doc__)
     options.add_argument("--rounds", type=int, default=9)
-    options.add_argument("--seconds", type=float, default=80.0, help="no round is begun after so many seconds")
+    options.add_argument("--seconds", type=float, default=80.0, help="no round starts after this number of seconds")
     options.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS), metavar="NAME")
     options.add_argument("--trajectories", type=int, default=200)
     options.add_argument("--span", type=float, default=10.0)
-    options.add_argument("--no-memory", action="store_true", help="leave the peak memory out")
+    options.add_argument("--no-memory", action="store_true", help="do not measure peak memory")
     options.add_argument("--memory-of", nargs=2, help=argparse.SUPPRESS)
     return options.parse_args()
 
 
 def main() -> None:
-    """Measures, and writes step.md and step.json."""
+    """Runs the benchmark and writes step.md and step.json."""
     options = arguments()
     torch.set_num_threads(1)
     size = Size(trajectories=options.trajectories, span=options.span)

@@ -1,4 +1,4 @@
-"""All variants of the training step, and the test that they compute the same before any of them is timed."""
+"""All variants of the training step, and the check that they agree, which precedes all timings."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from gbspec.training.engines.objective import objective
 Dtype = Literal["float32", "float64"]
 
 TOLERANCE = {"float64": 1e-9, "float32": 1e-3}
-"""How far a gradient may be from the reference, relative to its norm."""
+"""Largest distance of a gradient from the reference, relative to its norm."""
 
 STEPS_TOLERANCE = 1e-4
-"""The same where a library takes other steps, or another rule of the same order."""
+"""The same for libraries that take other steps, or use another method of the same order."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to compute the step: the module and function that build it, and how it differs.
+    """An implementation of the step: the module and function that build it, and its differences.
 
-    `same_steps` is False where its steps are not the workload's own; `forcing` is "AR" where it cannot put measured
-    states in.
+    `same_steps` is False if its steps are not those of the workload; `forcing` is "AR" if it cannot reset states to
+    measured values.
     """
 
     title: str
@@ -40,7 +40,7 @@ class Variant:
     threads: int = 1
 
     def build(self, work: Workload, dtype: Dtype) -> Callable[[], Any]:
-        """The step as a call without arguments; raises ImportError where the library is missing."""
+        """The step as a call without arguments; raises ImportError if the library is missing."""
         library = importlib.import_module(self.module)
         kind = library.jnp.dtype(dtype) if "jax" in vars(library) else getattr(torch, dtype)
         return getattr(library, self.function)(work if self.forcing == "TF" else work.autoregressive(), kind)
@@ -74,7 +74,7 @@ VARIANTS: Mapping[str, Variant] = {
 
 @dataclass(frozen=True)
 class Candidate:
-    """A variant built for a workload in one precision: `run` is what is timed."""
+    """A variant built for a workload in one precision; `run` is timed."""
 
     name: str
     dtype: Dtype
@@ -87,16 +87,16 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """Name and precision, as keys of results."""
+        """Name and precision, the key of its results."""
         return f"{self.name} {self.dtype}"
 
     def gradient(self, work: Workload) -> tuple[float, Array]:
-        """Loss, and the gradient by natural values, of one run."""
+        """Loss, and the gradient with respect to natural values, of one run."""
         return natural(self.name, work, self.run())
 
 
 def natural(name: str, work: Workload, result: Any) -> tuple[float, Array]:
-    """Loss and gradient of a variant's result, in float64, by natural values in the workload's order."""
+    """Loss and gradient of a variant's result, in float64, with respect to natural values in the workload's order."""
     loss, gradient = result
     if VARIANTS[name].module == "benchmarks.own":
         return float(loss), work.natural(np.asarray(gradient, dtype=np.float64))
@@ -124,7 +124,7 @@ class DisagreementError(AssertionError):
 def build(
     work: Workload, names: Iterable[str], dtypes: Iterable[Dtype], say: Callable[[str], None] = lambda text: None
 ) -> list[Candidate]:
-    """Builds variants; those whose library is missing are left out, and told."""
+    """Builds variants; those whose library is missing are skipped, with a message."""
     prepare_jax()
     made = []
     for name in names:
@@ -133,12 +133,12 @@ def build(
             with pinned(variant.threads):
                 made += [Candidate(name, d, variant.build(work, d)) for d in dtypes if d in variant.dtypes]
         except ImportError as error:
-            say(f"{name}: left out: {error} (`pip install .[benchmarks]` brings the peers)")
+            say(f"{name}: skipped: {error} (`pip install .[benchmarks]` installs the peers)")
     return made
 
 
 def agree(work: Workload, candidates: Iterable[Candidate], say: Callable[[str], None] = lambda text: None) -> None:
-    """Holds each against the reference; raises DisagreementError where a loss or gradient is not the reference's."""
+    """Compares each with the reference; raises DisagreementError if a loss or gradient differs."""
     references: dict[str, tuple[float, Array]] = {}
     for candidate in candidates:
         forcing = candidate.variant.forcing
@@ -151,7 +151,7 @@ def agree(work: Workload, candidates: Iterable[Candidate], say: Callable[[str], 
 
 
 def compare(candidate: Candidate, found: tuple[float, Array], expected: tuple[float, Array]) -> float:
-    """The larger of the relative errors of loss and gradient; raises DisagreementError where it is too large."""
+    """The larger of the relative errors of loss and gradient; raises DisagreementError if it is too large."""
     loss, gradient = found
     error = max(
         abs(loss - expected[0]) / abs(expected[0]),
@@ -164,7 +164,7 @@ def compare(candidate: Candidate, found: tuple[float, Array], expected: tuple[fl
 
 
 def prepare_jax() -> None:
-    """One thread for XLA, and float64 allowed; nothing where jax is not installed."""
+    """Restricts XLA to one thread and enables float64; does nothing if jax is not installed."""
     import os
 
     flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"

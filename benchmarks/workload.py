@@ -1,10 +1,10 @@
-"""The workload that all variants share: one training step of the reactor with unknown kinetics, measured sparsely.
+"""The common workload of all variants: one training step of the sparsely measured reactor with unknown kinetics.
 
 `urp_gb2`: two states, an MLP 3-64-64-1 with SiLU, learnable B and beta, learned initial states. 200 trajectories over
-[0, 10], gamma-distributed key times with mean 0.5, one channel a key time, Runge-Kutta steps of at most 0.1. A step is
-the loss over all measured values and its gradient by everything learned.
+[0, 10], gamma-distributed key times with mean 0.5, one channel per key time, Runge-Kutta steps of at most 0.1. A step
+is the loss over all measured values and its gradient with respect to everything learned.
 
-`Workload` holds plain arrays, so that a peer needs nothing of gbspec, and gbspec's own problem of the same data.
+`Workload` holds plain arrays, so that peers do not depend on gbspec, and gbspec's own problem with the same data.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MAX_STEP = 0.1
 SEED = 1
 
 REGION = {"initial": {"x1": (0.2, 0.95), "x2": (0.3, 3.5)}, "reject": ("x2 > 4",)}
-"""As in the cases that come with the model: beyond, the true reactor ignites and steps of 0.1 are unstable."""
+"""As in the cases of the model: outside, the true reactor ignites and steps of 0.1 are unstable."""
 
 TEXT = """model reactor_chain
 state x1 in [0, 1] = 0.6
@@ -58,7 +58,7 @@ truth beta = 3
 
 @dataclass(frozen=True)
 class Size:
-    """How large the workload is; the default is the one that is quoted."""
+    """The size of the workload; the README quotes the default."""
 
     trajectories: int = 200
     span: float = 10.0
@@ -70,13 +70,13 @@ class Size:
 class Workload:
     """N trajectories, T packed sub-steps, n states, M measured values.
 
-    `h` [T, N]: lengths of the sub-steps (0 at the end only); `value`, `mask` [T + 1, N, n]: measured values, and 1
-    where there is one on arrival after s sub-steps; `scale` [n]: what residuals are divided by. `blend` is 1 where
-    measured states are put in (teacher forcing), 0 where they are not. `layers`: weights [out, in] and biases [out];
+    `h` [T, N]: lengths of the sub-steps (0 at the end only); `value`, `mask` [T + 1, N, n]: measured values on
+    arrival after s sub-steps, and 1 if there is one; residuals are divided by `scale` [n]. `blend` is 1 if states are
+    reset to measured values (teacher forcing), else 0. `layers`: weights [out, in] and biases [out];
     `input_center`, `input_scale`, `output_center`, `output_scale`: the network's fixed scales; `constants`: B, beta;
     `start` [N, n].
     `interval` [K, N], `count` [K, N]: time and number of sub-steps from one key row of a trajectory to its next;
-    `row_value`, `row_mask` [K, N, n]: what is measured there.
+    `row_value`, `row_mask` [K, N, n]: the values measured in that row.
     """
 
     size: Size
@@ -113,25 +113,25 @@ class Workload:
 
     @property
     def flop(self) -> float:
-        """Floating point operations in matrix products, forward and backward, of the sub-steps that are needed."""
+        """Floating point operations in matrix products, forward and backward, of the necessary sub-steps."""
         weights = sum(weight.size for weight, _ in self.layers)
         return 3.0 * 2.0 * weights * 4 * self.substeps
 
     @property
     def weight(self) -> Array:
-        """The factor of each squared deviation in the loss [T + 1, N, n]: the loss is the sum of both products."""
+        """The weight of each squared residual in the loss [T + 1, N, n]: the loss is the sum of the products."""
         return 0.5 * self.mask / self.scale**2 / self.measured
 
     def autoregressive(self) -> Workload:
-        """The same without putting measured states in."""
+        """The same workload without teacher forcing."""
         return replace(self, blend=0.0, problem=self.problem.forced(0.0))
 
     def flat(self, parts: Sequence[Any]) -> Array:
-        """A gradient in the order weight, bias (layer by layer), B and beta, starts, as one vector of float64."""
+        """A gradient in the order weight, bias (by layer), B and beta, initial states, as one vector of float64."""
         return np.concatenate([np.asarray(part, dtype=np.float64).ravel() for part in parts])
 
     def natural(self, gradient: Array) -> Array:
-        """The gradient by natural values of one by gbspec's trainable vector."""
+        """Converts a gradient with respect to gbspec's parameter vector to one with respect to natural values."""
         theta = torch.from_numpy(self.theta).requires_grad_()
         known = len(self.parameters.model.constants)
         constants = self.parameters.constants(theta)[0, known:]
@@ -143,7 +143,7 @@ class Workload:
 
 
 def model_of(size: Size) -> Model:
-    """The model: `urp_gb2` as shipped where the size is its own."""
+    """The model: the bundled `urp_gb2` for its own size."""
     if (size.width, size.states) == (64, 2):
         return gbspec.load("urp_gb2").model
     extra = range(3, size.states + 1)
@@ -160,7 +160,7 @@ def model_of(size: Size) -> Model:
 
 
 def measurements(model: Model, trajectories: int, span: float, seed: int = SEED) -> Trajectories:
-    """Simulated data from time 0 on, one channel (drawn at random) a key time."""
+    """Simulated data from time 0 on, one channel (drawn at random) per key time."""
     made = gbspec.api.Specification("", model).simulate(
         trajectories=trajectories, span=span, dt=0.5, sampling="gamma", seed=seed, **REGION
     )
@@ -175,14 +175,14 @@ def measurements(model: Model, trajectories: int, span: float, seed: int = SEED)
 
 
 def make(size: Size | None = None, simulated: int = 200) -> Workload:
-    """The workload; at most `simulated` trajectories are simulated, and repeated where more are wanted."""
+    """The workload; at most `simulated` trajectories are simulated, and repeated if more are requested."""
     size = size or Size()
     model = model_of(size)
     return of_data(size, model, measurements(model, min(size.trajectories, simulated), size.span))
 
 
 def of_data(size: Size, model: Model, data: Trajectories) -> Workload:
-    """The workload of given data."""
+    """The workload for given data."""
     module = load_module(model).random(SEED)
     packed = pack(data, model, MAX_STEP)
     fixed = {name: v for name, v in module.weights.items() if name.endswith(("_center", "_scale"))}

@@ -1,1 +1,1 @@
-"""The same training step in other libraries, or by hand: one file each, nothing of gbspec in them but the data."""
+"""The same training step in other libraries or by hand: one file each, which use only the data from gbspec."""

@@ -15,9 +15,9 @@ from benchmarks.peers.jax_scan import parameters
 from benchmarks.workload import Workload
 
 RATE = 1e-2
-"""Peak learning rate of weights and starts."""
+"""Peak learning rate of weights and initial states."""
 CONSTANTS = 5.0
-"""The factor of that of constants: they are few, and start far off."""
+"""Factor of the learning rate for constants: they are few, and their starting values are far off."""
 BATCH = 25
 """Trajectories in a minibatch."""
 
@@ -25,14 +25,14 @@ BATCH = 25
 def fit_teacher_forced(
     work: Workload, steps: Callable[[Callable[[], None]], int], record: Callable[[Any], None]
 ) -> None:
-    """By a scan of solves with teacher forcing."""
+    """Fits by a scan of solves with teacher forcing."""
     _fit(work, scan_of_solves_loss(work, jnp.float32), steps, record)
 
 
 def fit_autoregressive(
     work: Workload, steps: Callable[[Callable[[], None]], int], record: Callable[[Any], None]
 ) -> None:
-    """By one solve a trajectory."""
+    """Fits by one solve per trajectory."""
     _fit(work, one_solve_loss(work.autoregressive(), jnp.float32), steps, record)
 
 

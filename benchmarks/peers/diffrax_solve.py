@@ -14,11 +14,11 @@ from benchmarks.peers.jax_scan import Step, parameters, right_hand_side, scales
 from benchmarks.workload import Workload
 
 Loss = Callable[[Any, Any], Any]
-"""Of parameters, and data whose first axis is that of trajectories."""
+"""Function of parameters, and of data whose first axis is that of trajectories."""
 
 
 class RK4(diffrax.AbstractERK):
-    """The classical method (diffrax has none of its own)."""
+    """The classical Runge-Kutta method (diffrax does not provide it)."""
 
     tableau: ClassVar[diffrax.ButcherTableau] = diffrax.ButcherTableau(
         c=np.array([0.5, 0.5, 1.0]),
@@ -29,7 +29,7 @@ class RK4(diffrax.AbstractERK):
     interpolation_cls: ClassVar[Callable[..., Any]] = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
 
     def order(self, terms: Any) -> int:
-        """Of the method."""
+        """The order of the method."""
         return 4
 
 
@@ -40,7 +40,7 @@ def field(t: Any, x: Any, arguments: Any) -> Any:
 
 
 def one_solve_loss(work: Workload, dtype: Any) -> tuple[Loss, Any]:
-    """One solve a trajectory, stepping through its own sub-steps (those that are done early go on, to as many)."""
+    """One solve per trajectory through its own sub-steps (shorter ones are padded to the same number)."""
     h = work.h.T
     end = h.sum(axis=1).max() + 1.0
     edges = np.concatenate([np.zeros((len(h), 1)), np.cumsum(h, axis=1)], axis=1)
@@ -73,7 +73,7 @@ def one_solve_loss(work: Workload, dtype: Any) -> tuple[Loss, Any]:
 
 
 def scan_of_solves_loss(work: Workload, dtype: Any) -> tuple[Loss, Any]:
-    """A scan over the key times; in each a solve of every trajectory to its own next one, then teacher forcing."""
+    """A scan over the key times: each trajectory is solved to its own next one, followed by teacher forcing."""
     fixed, longest = scales(work, dtype), int(work.count.max())
 
     def solve(p: Any, start: Any, condition: Any, end: Any, step: Any) -> Any:

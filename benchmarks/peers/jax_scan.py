@@ -1,4 +1,4 @@
-"""JAX by hand: `lax.scan` over the packed sub-steps, plain or with each step rematerialised on the way back."""
+"""JAX by hand: `lax.scan` over the packed sub-steps, plain or with each step rematerialised in the reverse pass."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Step = Callable[[], Any]
 
 
 def parameters(work: Workload, dtype: Any) -> dict[str, Any]:
-    """What is learned."""
+    """The learned parameters."""
     layers = [(jnp.asarray(w, dtype), jnp.asarray(b, dtype)) for w, b in work.layers]
     return {
         "layers": layers,
@@ -53,7 +53,7 @@ def right_hand_side(p: dict[str, Any], fixed: tuple[Any, ...], condition: Any) -
 
 
 def scan(work: Workload, dtype: Any, checkpoint: bool) -> Step:
-    """Compiled ahead; the loss is summed within the scan."""
+    """The step, compiled ahead of time; the loss is summed within the scan."""
     h, value, mask, weight = (jnp.asarray(a, dtype) for a in (work.h[..., None], work.value, work.mask, work.weight))
     condition, fixed = jnp.asarray(work.condition, dtype), scales(work, dtype)
 

@@ -1,7 +1,7 @@
-"""The whole unroll, forward and back, in Python loops that numba compiles: what the kernel would be without C.
+"""The whole unroll, forward and in reverse, in Python loops compiled by numba: the kernel's algorithm without C.
 
-As fast as we could make it: tiles of four trajectories that keep their activations, products in blocks of four rows by
-four terms, the logistic function as a polynomial over a layer (`math.exp` would be a call for every number).
+Optimised: tiles of four trajectories that store their activations, products in blocks of four rows by four terms, the
+logistic function as a polynomial over a layer (`math.exp` would be one call per number).
 """
 # mypy: disable-error-code="no-untyped-def"
 
@@ -18,7 +18,7 @@ from benchmarks.workload import Workload
 
 TILE = 4
 AHEAD, WEIGHT = (0.0, 0.5, 0.5, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-"""How far a stage goes along the slope before it, and its weight."""
+"""For each Runge-Kutta stage the step along the previous slope, and the weight."""
 
 
 @njit(fastmath=True)
@@ -47,7 +47,7 @@ def _forward(name: str) -> Any:
 
     @njit(fastmath=True)
     def silu(z, slope, e, bits):
-        """z p(z) in the place of z [TILE, width], and its slope; `bits` is the memory of `e`."""
+        """Replaces z [TILE, width] by z p(z) and computes its slope; `bits` is an integer view of `e`."""
         for t in range(TILE):
             for i in range(z.shape[1]):
                 y = min(max(z[t, i], -most), most) * per_ln2
@@ -66,7 +66,7 @@ def _forward(name: str) -> Any:
 
     @njit(fastmath=True)
     def forward(x, bias1, layers, a1, d1, a2, d2, e, bits, y):
-        """Outputs `y` [TILE] at states x [n, TILE]; keeps activations a and slopes d."""
+        """Outputs `y` [TILE] at states x [n, TILE]; stores activations a and slopes d."""
         first, _, _, w2t, b2, w3, b3 = layers
         for t in range(TILE):
             for i in range(a1.shape[1]):
@@ -85,7 +85,7 @@ def _forward(name: str) -> Any:
 
 @njit(fastmath=True)
 def reverse(yb, layers, d1, d2, da, xb):
-    """From the outputs' cotangents to those of both layers, which take the slopes' places, and of the states."""
+    """From the outputs' cotangents to those of both layers, which replace the slopes, and of the states."""
     first, _, w2, _, _, w3, _ = layers
     for t in range(TILE):
         for i in range(d1.shape[1]):
@@ -104,7 +104,8 @@ def reverse(yb, layers, d1, d2, da, xb):
 
 @njit(fastmath=True)
 def add_gradients(x, yb, a1, d1, a2, d2, own, gradients):
-    """What a step's four stages give to the weights; `own` [TILE, width]: to each trajectory's first bias."""
+    """Contributions of a step's four Runge-Kutta stages to the gradients of weights, and (`own` [TILE, width]) of each
+    trajectory's first bias."""
     d_first, _, d_w2, d_b2, d_w3, d_b3 = gradients
     width = a1.shape[1]
     for q in range(4):
@@ -147,7 +148,7 @@ def rates_reverse(x, k, y, ob, xb, yb, d_k):
 
 @njit(fastmath=True)
 def solve(forward, steps, own, h, rows, blend, layers, bias1, k, x, kept, e, bits):
-    """A tile's solution from x [n, TILE]: the loss; `kept` holds what the way back needs."""
+    """The loss of a tile's solution from x [n, TILE]; `kept` stores what the reverse pass needs."""
     x_at, y_at, arrivals, a1, d1, a2, d2 = kept
     value, mask, factor = rows
     slope, total = np.zeros((4, *x.shape), x.dtype), 0.0
@@ -174,7 +175,7 @@ def solve(forward, steps, own, h, rows, blend, layers, bias1, k, x, kept, e, bit
 
 @njit(fastmath=True)
 def back(steps, own, h, rows, blend, layers, k, kept, xb, d_bias1, gradients, d_k):
-    """The way back of `solve`: xb [n, TILE] becomes the cotangent of the start."""
+    """The reverse pass of `solve`: xb [n, TILE] becomes the cotangent of the initial state."""
     x_at, y_at, arrivals, a1, d1, a2, d2 = kept
     value, mask, factor = rows
     sb, ob, yb = np.zeros((4, *xb.shape), xb.dtype), np.zeros_like(xb), np.zeros((4, TILE), xb.dtype)
@@ -241,7 +242,7 @@ def _power_of_2(terms: int) -> list[float]:
 
 
 def kernel(work: Workload, dtype: Any) -> Callable[[], tuple[float, list[Any]]]:
-    """Loss and gradients; `dtype` is torch's. Raises ValueError where the width is no multiple of four."""
+    """Loss and gradients; `dtype` is torch's. Raises ValueError if the width is not a multiple of four."""
     name = str(dtype).removeprefix("torch.")
     forward, real = _forward(name), np.dtype(name)
     (w1, b1), (w2, b2), (w3, b3) = work.layers
@@ -252,7 +253,7 @@ def kernel(work: Workload, dtype: Any) -> Callable[[], tuple[float, list[Any]]]:
         return np.ascontiguousarray(a, dtype=real)
 
     def tiles(a: Any, axis: int) -> Any:
-        """Trajectories along `axis` up to whole tiles, those added without steps or measurements."""
+        """Pads trajectories along `axis` to whole tiles; those added have no steps or measurements."""
         room = [(0, 0)] * a.ndim
         room[axis] = (0, -work.size.trajectories % TILE)
         return array(np.pad(a, room))

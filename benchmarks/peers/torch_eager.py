@@ -1,4 +1,4 @@
-"""Torch by hand: the obvious code, and the same computation written well."""
+"""Hand-written torch: straightforward code, and an optimised version of the same computation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def tensor(value: Any, dtype: torch.dtype) -> Tensor:
 
 
 class Naive(nn.Module):
-    """The right-hand side as one writes it down."""
+    """The right-hand side, written straightforwardly."""
 
     def __init__(self, work: Workload, dtype: torch.dtype) -> None:
         super().__init__()
@@ -59,7 +59,7 @@ def gradient(model: Naive, loss: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
 
 
 def naive(work: Workload, dtype: torch.dtype) -> Step:
-    """All trajectories' sub-steps packed back to back, otherwise the obvious code."""
+    """All trajectories' sub-steps packed without gaps, otherwise straightforward code."""
     model = Naive(work, dtype)
     h = tensor(work.h, dtype)[..., None]
     value, mask, weight = (tensor(a, dtype) for a in (work.value, work.mask, work.weight))
@@ -77,7 +77,7 @@ def naive(work: Workload, dtype: torch.dtype) -> Step:
 
 
 def aligned(work: Workload, dtype: torch.dtype) -> Step:
-    """The obvious loop over key times: within each, all trajectories wait for the one with the longest interval."""
+    """A straightforward loop over key times, in which all trajectories wait for the one with the longest interval."""
     model = Naive(work, dtype)
     interval, value, mask = (tensor(a, dtype) for a in (work.interval, work.row_value, work.row_mask))
     weight = 0.5 * mask / tensor(work.scale, dtype) ** 2 / work.measured
@@ -97,7 +97,7 @@ def aligned(work: Workload, dtype: torch.dtype) -> Step:
 
 
 def well_written(work: Workload, dtype: torch.dtype) -> Step:
-    """The condition folded into the first bias, the output layer and the balances fused, sizes of steps prepared."""
+    """Optimised: condition folded into the first bias, output layer fused with the balances, step sizes precomputed."""
     leaves = [tensor(a, dtype).clone().requires_grad_() for layer in work.layers for a in layer]
     constants = tensor(work.constants, dtype).clone().requires_grad_()
     start = tensor(work.start, dtype).clone().requires_grad_()

@@ -14,25 +14,25 @@ from benchmarks.peers.torchdiffeq_rk4 import packed_loss
 from benchmarks.workload import Workload
 
 RATE = 1e-2
-"""Peak learning rate of weights and starts."""
+"""Peak learning rate of weights and initial states."""
 CONSTANTS = 5.0
-"""The factor of that of constants: they are few, and start far off."""
+"""Factor of the learning rate for constants: they are few, and their starting values are far off."""
 
 
 class Positive(nn.Module):
-    """A positive number as the exponential of what is trained."""
+    """A positive number as the exponential of a trained parameter."""
 
     def forward(self, x: Tensor) -> Tensor:
         """The number."""
         return x.exp()
 
     def right_inverse(self, x: Tensor) -> Tensor:
-        """What is trained."""
+        """The trained parameters."""
         return x.log()
 
 
 def fit(work: Workload, steps: Callable[[Callable[[], None]], int], record: Callable[[Any], None]) -> None:
-    """Trains; `steps` says how many steps there is time for after trying one; `record` takes weights and constants."""
+    """Trains; `steps` returns the affordable number of steps after trying one; `record` gets weights and constants."""
     model = Naive(work, torch.float32)
     parametrize.register_parametrization(model, "constants", Positive())
     loss = packed_loss(work, model, torch.float32)

@@ -1,4 +1,4 @@
-"""torchdiffeq's fixed-step Runge-Kutta method with teacher forcing (its `rk4` is the 3/8 rule: as many evaluations)."""
+"""torchdiffeq's fixed-step Runge-Kutta method with teacher forcing (its `rk4` is the 3/8 rule, of equal cost)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.workload import Workload
 
 
 def packed_loss(work: Workload, model: Naive, dtype: torch.dtype) -> Callable[[], Tensor]:
-    """The loss by one `odeint` for each packed sub-step, every trajectory with its own length of it."""
+    """The loss by one `odeint` for each packed sub-step, with an individual step length for every trajectory."""
     h = tensor(work.h, dtype)[..., None]
     value, mask, weight = (tensor(a, dtype) for a in (work.value, work.mask, work.weight))
     unit = torch.tensor([0.0, 1.0], dtype=dtype)

@@ -1,1 +1,1 @@
-"""Long studies whose results are committed as tables beside the command that made them."""
+"""Long studies; their results are committed as tables with the command that produced them."""

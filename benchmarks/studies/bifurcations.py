@@ -1,11 +1,11 @@
-"""The bifurcation diagrams of fitted reactors beside the truth, within and well beyond what they were trained on.
+"""Bifurcation diagrams of fitted reactors compared with the truth, within and far outside their training data.
 
     python -m benchmarks.studies.bifurcations RUNS -o docs/studies/bifurcations.md --figures docs/figures
 
-Fits URP_BB, URP_GB1 and URP_GB2 with the sampling of their case and all defaults, data and training with seed 1 (a run
-that is in RUNS already is taken as it is), and follows steady states and cycles over Da. All data are at B = 11 and
-beta = 3; where these are constants of the model (URP_GB1), the learned kinetics are followed over B and over beta too.
-The table has every Hopf point beside the truth's, and the largest differences of the cycles between them.
+Fits URP_BB, URP_GB1 and URP_GB2 with the sampling of their case and all defaults, with seed 1 for data and training (a
+run that exists in RUNS is reused), and follows steady states and cycles over Da. All data are at B = 11 and beta = 3;
+for URP_GB1, where these are constants of the model, the diagrams over B and over beta are computed too. The table has
+every Hopf point with the truth's, and the largest differences of the cycles between them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ temperature x2, over the parameter values at which both the learned model and th
 
 @dataclasses.dataclass(frozen=True)
 class Question:
-    """One diagram: of which model, over what, everything else where."""
+    """One diagram: its model, its parameter, and the values of all others."""
 
     model: str
     over: str
@@ -47,7 +47,7 @@ class Question:
 
     @property
     def name(self) -> str:
-        """The name of its figure."""
+        """The name of the figure."""
         return f"{self.model}_over_{self.over}"
 
 
@@ -61,7 +61,7 @@ QUESTIONS = (
 
 
 def fitted(name: str, runs: Path) -> Run:
-    """The run of a shipped model, trained unless it is there."""
+    """The run of a bundled model, trained unless it exists."""
     from gbspec import frontend
     from gbspec.data.cases import find_cases
     from gbspec.data.table import write
@@ -82,7 +82,7 @@ def fitted(name: str, runs: Path) -> Run:
 
 
 def rows(question: Question, shown: Diagram, truth: Diagram) -> list[str]:
-    """The table's lines of one diagram: its Hopf points by the parameter, the cycles' differences with the first."""
+    """The table's lines for one diagram: a Hopf point each, the first with the differences of the cycles."""
     points, true = shown.of_kind("hopf"), truth.of_kind("hopf")
     if len(points) != len(true):
         return [f"| {question.model} | {question.over} | {len(points)} instead of {len(true)} | | | | | |"]
@@ -97,7 +97,7 @@ def rows(question: Question, shown: Diagram, truth: Diagram) -> list[str]:
 
 
 def differences(shown: Diagram, truth: Diagram) -> list[float]:
-    """The largest relative differences of period and x2max where both have a stable cycle; none where none has."""
+    """The largest relative differences of period and x2max where both have a stable cycle; empty without any."""
     both = [stable_cycles(one) for one in (shown, truth)]
     if any(len(values) < 2 for values, _ in both):
         return []
@@ -108,7 +108,7 @@ def differences(shown: Diagram, truth: Diagram) -> list[float]:
 
 
 def stable_cycles(diagram: Diagram) -> tuple[np.ndarray, list[np.ndarray]]:
-    """The parameter [N], rising, of all stable cycles, and their periods and largest x2."""
+    """The parameter values [N] of all stable cycles, increasing, and their periods and largest x2."""
     column = diagram.states.index("x2")
     found = sorted((c.value, c.period, float(c.maximum[column])) for f in diagram.cycles for c in f.cycles if c.stable)
     values, *columns = (np.array(one) for one in zip(*found, strict=True)) if found else (np.zeros(0),) * 3
@@ -116,7 +116,7 @@ def stable_cycles(diagram: Diagram) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Fits, follows, writes."""
+    """Runs the study and writes table and figures."""
     from gbspec.operations import analysing, models, reporting
     from gbspec.report.style import save
 

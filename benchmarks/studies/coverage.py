@@ -4,8 +4,8 @@
     python -m benchmarks.studies.coverage -o coverage --table docs/studies/coverage.md
 
 Each set is simulated from the model's truth (the sampling of its case, `--trajectories` of it, `--noise` relative to
-each channel's spread) with a seed of its own, and fitted with all defaults, one member. A row is added to
-OUT/sets.csv as soon as its set is done; the same command again goes on with the sets that are missing.
+each channel's standard deviation) with its own seed, and fitted with all defaults, one member. A row is added to
+OUT/sets.csv as soon as its set is done; the same command run again continues with the missing sets.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Row = dict[str, str | float | int]
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """What all sets have in common."""
+    """The settings common to all sets."""
 
     model: str
     trajectories: int
@@ -36,7 +36,7 @@ class Design:
 
 
 def one_set(design: Design, seed: int) -> list[Row]:
-    """Simulates and fits one set; a row for each constant, its interval empty where the fit gave none."""
+    """Simulates and fits one set: a row for each constant, with an empty interval if the fit gave none."""
     from gbspec import frontend
     from gbspec.data.cases import find_cases
     from gbspec.diagnostics import Findings
@@ -63,7 +63,7 @@ def one_set(design: Design, seed: int) -> list[Row]:
 
 
 def table(rows: Sequence[Row], design: Design) -> str:
-    """The summary in Markdown: by constant the sets, those with an interval, those that contain the truth."""
+    """The summary in Markdown: for each constant the numbers of sets, of intervals, and of those with the truth."""
     lines = [
         f"`{design.model}`, {design.trajectories} trajectories a set, {100 * design.noise:g} % noise, defaults, one "
         'member. "error / sd": standard deviation of (value - truth) divided by the mean `sd`.',
@@ -88,7 +88,7 @@ def table(rows: Sequence[Row], design: Design) -> str:
 
 
 def read(path: Path) -> list[Row]:
-    """The rows of the sets that are done."""
+    """The rows of the finished sets."""
     if not path.is_file():
         return []
     with path.open(newline="") as file:
@@ -96,7 +96,7 @@ def read(path: Path) -> list[Row]:
 
 
 def append(path: Path, rows: Sequence[Row]) -> None:
-    """Adds the rows of a set, in one write."""
+    """Appends the rows of a set in one write."""
     new = not path.is_file()
     with path.open("a", newline="") as file:
         writer = csv.DictWriter(file, FIELDS)
@@ -114,7 +114,7 @@ def main() -> None:
     parser.add_argument("--trajectories", type=int, default=25)
     parser.add_argument("--noise", type=float, default=0.02)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--table", type=Path, help="write the table of what is done, and fit nothing")
+    parser.add_argument("--table", type=Path, help="write the table of the finished sets, without fitting")
     chosen = parser.parse_args()
     design = Design(chosen.model, chosen.trajectories, chosen.noise)
     sets = chosen.output / "sets.csv"
@@ -128,7 +128,7 @@ def main() -> None:
                 append(sets, future.result())
     rows = read(sets)
     if not rows:
-        raise SystemExit(f"{sets}: no set is done yet")
+        raise SystemExit(f"{sets}: no finished sets yet")
     text = table(rows, design)
     print(text)
     if chosen.table is not None:

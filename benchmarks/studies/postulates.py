@@ -1,9 +1,9 @@
-"""Does a fit recover from a wrong postulate? The reactor with a wrong activation energy, in three forms.
+"""Fits with a wrong postulate: the reactor with a wrong activation energy, in three forms.
 
     python -m benchmarks.studies.postulates -o docs/studies/postulates.md
 
 The truth of `phi` is `Da*(1 - x1)*exp(x2)`. Each fit starts from `Da*(1 - x1)*exp(0.8*x2)`, corrected by the network as
-a term, as a factor, and inside of the exponential; and, for comparison, from nothing. Data: the case's own sampling.
+a term, as a factor, and inside the exponential; and, for comparison, without a postulate. Data: the case's sampling.
 The table has the errors of `gbspec validate` (L2).
 """
 

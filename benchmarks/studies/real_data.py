@@ -1,11 +1,11 @@
-"""Measurements by others: what fits predict of data that they did not see, as a table and figures.
+"""Published measurements: predictions of held-out data, as a table and figures.
 
     python -m benchmarks.studies.real_data DATA -o out [--members 1] [--effort normal]
     python -m benchmarks.studies.real_data DATA -o out --figures docs/figures
 
 DATA is a folder with hare_lynx.csv, algae_rotifers.csv and theophylline.csv. Each part is a cross-validation (five
-stretches of time; one subject at a time), kept in OUT and resumed by the same command; OUT/real_data.md has the errors
-on what was held out. `--figures` also fits all of the data and draws measurements, predictions and 90 % intervals.
+blocks of time; one subject at a time), stored in OUT and resumed by the same command; OUT/real_data.md has the errors
+on the held-out data. `--figures` also fits all of the data and draws measurements, predictions and 90 % intervals.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LOTKA_VOLTERRA = {
 
 @dataclass(frozen=True)
 class Part:
-    """A cross-validation: a shipped model, perhaps with parts of its text replaced, and how its data are divided."""
+    """A cross-validation: a bundled model, possibly with parts of its text replaced, and the division of its data."""
 
     model: str
     over: str
@@ -61,7 +61,7 @@ def model_of(part: Part) -> Model:
 
 
 def judged(name: str, data: Path, out: Path, options: TrainOptions) -> CrossValidation:
-    """The cross-validation of a part, run or taken from `out`."""
+    """The cross-validation of a part, computed or read from `out`."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import tables
     from gbspec.studies.crossvalidation import CrossOptions, crossvalidate
@@ -70,7 +70,7 @@ def judged(name: str, data: Path, out: Path, options: TrainOptions) -> CrossVali
     part = PARTS[name]
     model = model_of(part)
     table = tables.read_data(data / f"{part.model}.csv", model, Findings())
-    division = CrossOptions(part.folds, part.over, part.window)  # type: ignore[arg-type]  # a literal, out of a table
+    division = CrossOptions(part.folds, part.over, part.window)  # type: ignore[arg-type]  # a literal from a table
     return crossvalidate(model, table, out / name.split()[-1], options, division, lambda fold: Silent())
 
 
@@ -129,7 +129,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.real_data", description=__doc__)
     parser.add_argument("data", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--parts", default=",".join(PARTS), help="of the cross-validations, separated by commas")
+    parser.add_argument("--parts", default=",".join(PARTS), help="the cross-validations, separated by commas")
     parser.add_argument("--members", type=int, default=1)
     parser.add_argument("--effort", default="normal", choices=("low", "normal", "high"))
     parser.add_argument("--figures", type=Path)

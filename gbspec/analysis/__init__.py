@@ -1,4 +1,4 @@
-"""What a model says: simulation, validation, steady states, eigenvalues, bifurcations and limit cycles."""
+"""Analyses of a model: simulation, validation, steady states, eigenvalues, bifurcations and limit cycles."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Backends: from one Model to other languages and to functions, each a folder.
+"""Backends, one folder each: they translate a Model to other languages and to functions.
 
-A folder whose `backend.py` has a `BACKEND` is a form of `gbspec compile --emit`; `registry` finds it there. `printing`
-and `protocol` (what a generated module offers) are what backends share; they do not import each other.
+A folder whose `backend.py` defines `BACKEND` is an output form of `gbspec compile --emit`; `registry` finds it.
+`printing` holds what backends share; they do not import each other.
 """
 
 import lazy_loader

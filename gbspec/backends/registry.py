@@ -1,4 +1,4 @@
-"""The backends that there are, by the folders beside this file: adding one is adding its folder."""
+"""Finds the backends in the folders next to this file; to add a backend, add its folder."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from gbspec.backends import Backend
 from gbspec.diagnostics import Defect
 
 REGISTRATION = "backend"
-"""The module of a folder that has its `BACKEND`."""
+"""The module in a folder that defines its `BACKEND`."""
 
 
 @cache
 def backends() -> Mapping[str, Backend]:
-    """Every backend by its name, in the order of the names."""
+    """All backends by name, in the order of the names."""
     found = (_registered(Path(folder) / name, name) for folder in gbspec.backends.__path__ for name in _folders(folder))
     return MappingProxyType({b.name: b for b in sorted((b for b in found if b), key=lambda b: b.name)})
 
@@ -30,20 +30,20 @@ def _folders(path: str) -> list[str]:
 
 
 def _registered(folder: Path, name: str) -> Backend | None:
-    """The backend of a folder; None where it registers none."""
+    """The backend of a folder, or None if it registers none."""
     path = folder / f"{REGISTRATION}.py"
     if not path.is_file():
         return None
     backend: object = getattr(_module(f"{gbspec.backends.__name__}.{name}.{REGISTRATION}", path), "BACKEND", None)
     if not isinstance(backend, Backend) or backend.name != name:
-        raise Defect(f"{path} has no BACKEND that is called `{name}`")
+        raise Defect(f"{path} has no BACKEND with the name `{name}`")
     return backend
 
 
 def _module(name: str, path: Path) -> ModuleType:
-    """The module of that file under its own name, without its package's `__init__`.
+    """Imports a file under its own name, without its package's `__init__`.
 
-    That loads the backend itself (sympy, casadi); `gbspec --help` only lists which there are.
+    The `__init__` may load sympy or casadi, which `gbspec --help` does not need.
     """
     if name in sys.modules:
         return sys.modules[name]
@@ -55,6 +55,6 @@ def _module(name: str, path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except BaseException:
-        del sys.modules[name]  # so that the next call says what is wrong, too
+        del sys.modules[name]  # so that the next call raises the error too
         raise
     return module

@@ -1,4 +1,4 @@
-"""The command line: one module a command, one frame for errors, output and exit statuses."""
+"""The command line: one module per command, one frame for errors, output and exit statuses."""
 
 from gbspec.cli.app import main
 

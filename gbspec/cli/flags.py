@@ -76,14 +76,14 @@ def flag(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
 
 
 def read(field: dataclasses.Field[Any], given: Any) -> Any:
-    """The field's value from what typer gives."""
+    """The field's value from typer's value."""
     if "parse" in field.metadata:
         return field.metadata["parse"](given) if given else default(field)
     return tuple(given) if isinstance(given, list) else given
 
 
 def _simple(hint: Any) -> Any:
-    """The type as typer takes it: literals stay, tuples of one type become lists, unions with None stay optional."""
+    """The type for typer: literals stay, tuples of one type become lists, unions with None stay optional."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (Union, types.UnionType):
         rest = [a for a in arguments if a is not type(None)]

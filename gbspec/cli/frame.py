@@ -29,7 +29,7 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON document on standar
 
 
 class ExitWith(Exception):  # noqa: N818 - it is a way out, not an error
-    """Leaves a command with a status, after all messages have been written."""
+    """Ends a command with an exit status, after all messages have been written."""
 
     def __init__(self, status: int) -> None:
         self.status = status
@@ -54,7 +54,7 @@ class Command:
 def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:
     """Makes a command from a function whose first parameter is its `Output`.
 
-    Parameters annotated with an option dataclass are expanded into one flag a field (`gbspec.cli.flags`).
+    Parameters annotated with an option dataclass are expanded into one flag per field (`gbspec.cli.flags`).
     """
 
     def decorate(function: Callable[..., None]) -> Command:
@@ -93,7 +93,7 @@ def guarded(work: Callable[[], None], output: Output) -> int:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        # the reader left (`gbspec … | head`); nothing more can be said there
+        # the reader has closed the pipe (`gbspec … | head`): no further output is possible
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except MemoryError:

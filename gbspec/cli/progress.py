@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 INTERVAL = 5.0
-"""Seconds between lines where standard error is not a terminal."""
+"""Seconds between lines if standard error is not a terminal."""
 
 
 @contextmanager
@@ -32,7 +32,7 @@ def shown(output: Output) -> Iterator[Progress]:
 
 
 def line(update: Update) -> str:
-    """One iteration in words."""
+    """The text of one iteration."""
     parts = [f"{update.stage} {update.iteration}/{update.total}", f"loss {number(update.loss)}"]
     parts += [f"{name} {number(value, 5)}" for name, value in update.constants.items()]
     if update.seconds_left is not None:
@@ -41,7 +41,7 @@ def line(update: Update) -> str:
 
 
 def clock(seconds: float) -> str:
-    """A duration as people write it."""
+    """A duration as text: `40 s`, `3 min 20 s`, `2 h 05 min`."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"
@@ -69,7 +69,7 @@ class _Lines:
 
 
 class _Live:
-    """One row a member, redrawn in place; remarks scroll above."""
+    """One row per member, redrawn in place; messages scroll above."""
 
     def __init__(self, console: Console) -> None:
         from rich.live import Live

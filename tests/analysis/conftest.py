@@ -17,7 +17,7 @@ from gbspec.runs.store import Run, open_run
 
 
 def model_of(name: str) -> Model:
-    """A shipped model."""
+    """A bundled model."""
     return load_model(name, Findings())
 
 
@@ -46,7 +46,7 @@ def nearly_true(constants: dict[str, float] | None = None, width: int = 64, seed
     a = (points - weights["network.phi.input_center"]) / weights["network.phi.input_scale"]
     for layer in (0, 1):
         a = silu(a @ weights[f"network.phi.{layer}.weight"].T + weights[f"network.phi.{layer}.bias"])
-    # Where the rate is small the cycle spends most of its time, so errors count relative to it.
+    # The cycle spends most of its time at small rates, so errors are weighted relative to the rate.
     importance = 1.0 / (0.3 + rate)
     design = np.column_stack([a, np.ones(len(a))]) * importance[:, None]
     solution = np.linalg.lstsq(design, rate * importance, rcond=1e-13)[0]

@@ -30,7 +30,7 @@ def true() -> Diagram:
     return bifurcate(system_of(subject.evaluator, subject.model), "Da", 0.2, 0.5)
 
 
-def test_the_shipped_reactor_has_its_published_hopf_points(true: Diagram) -> None:
+def test_the_bundled_reactor_has_its_published_hopf_points(true: Diagram) -> None:
     points = true.of_kind("hopf")
     assert [point.value for point in points] == pytest.approx([0.2802749, 0.4195478], abs=1e-6)
     assert [point.criticality for point in points] == ["super", "super"]
@@ -41,7 +41,7 @@ def test_the_shipped_reactor_has_its_published_hopf_points(true: Diagram) -> Non
     assert max(cycle.value for cycle in stable) > 0.419
 
 
-def test_a_fitted_network_goes_through_the_same_functions(true: Diagram, learned: Diagram) -> None:
+def test_a_fitted_network_uses_the_same_functions(true: Diagram, learned: Diagram) -> None:
     values = [point.value for point in learned.of_kind("hopf")]
     assert values == pytest.approx([point.value for point in true.of_kind("hopf")], rel=0.03)
     periods = [
@@ -76,7 +76,7 @@ def test_a_diagram_prints_itself(true: Diagram) -> None:
     assert "end: hopf" in text
 
 
-def test_over_a_constant_beyond_what_was_learned(urp_instance: Any) -> None:
+def test_over_a_constant_outside_the_learned_range(urp_instance: Any) -> None:
     system = system_of(Evaluator(urp_instance), model_of("urp_gb2")).with_values({"Da": 0.3})
     subject = reference(model_of("urp_gb2"), {"Da": 0.3})
     options = BifurcationOptions(cycles=False)
@@ -143,7 +143,7 @@ def test_members_that_disagree_give_no_interval() -> None:
     assert [point.interval for point in found.special] == [None, None]
 
 
-def test_a_range_that_is_none() -> None:
+def test_an_invalid_range() -> None:
     with pytest.raises(UserError) as caught:
         bifurcate(urp(), "Da", 0.5, 0.2)
     assert caught.value.diagnostics[0].code == "GB875"
@@ -162,7 +162,7 @@ def test_a_model_that_depends_on_time_has_no_diagram() -> None:
 
 
 def test_the_helper_network_is_near_the_truth() -> None:
-    # The other tests stand on it: the fitted rate is within 2 % of its range where cycles run.
+    # The other tests depend on it: the fitted rate is accurate to 2 % of its range along the cycles.
     instance = nearly_true()
     points = np.random.default_rng(5).uniform([0.2, 0.5, 0.2], [0.95, 3.6, 0.5], (500, 3))
     rate = points[:, 2] * (1 - points[:, 0]) * np.exp(points[:, 1])

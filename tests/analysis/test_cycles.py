@@ -20,7 +20,7 @@ from tests.analysis.textbook import baltzis_fredrickson, brusselator, lorenz, mo
 
 
 def cycle_at(system: System, name: str, value: float, start: list[float]) -> Cycle:
-    """The stable cycle at one value of the parameter, from where the flow settles."""
+    """The stable cycle at one value of the parameter, from the orbit to which the flow converges."""
     family = Family(system, name)
     orbit = settle(family, value, np.array(start))
     assert orbit is not None
@@ -143,20 +143,20 @@ def test_period_doublings_of_roessler() -> None:
     assert once.value < first.value < once.value + 0.01
     assert first.period == pytest.approx(2.0 * once.period, rel=1e-3)
     assert first.stable
-    # Beyond, what the flow itself settles to.
+    # Beyond, the flow converges to the doubled cycle.
     (beyond,) = [cycle for cycle in doubled.cycles if 3.4 < cycle.value < 3.6][:1]
     settled = settle(family, beyond.value, beyond.states[0] + 0.05)
     assert settled is not None
     assert settled.period == pytest.approx(beyond.period, rel=1e-4)
     assert settled.states.max(axis=0) == pytest.approx(beyond.maximum, rel=1e-3)
-    # They lose stability where the cascade goes on.
+    # They lose stability at the next doubling of the cascade.
     ((kind, twice),) = doubled.found
     assert kind == "period_doubling"
     assert [cycle.stable for cycle in doubled.cycles] == [cycle.value < twice.value for cycle in doubled.cycles]
 
 
 @pytest.mark.parametrize(("doublings", "starts"), [(0, ["settled"]), (1, ["settled", "period doubling"])])
-def test_a_diagram_follows_as_many_doublings_as_asked(doublings: int, starts: list[str]) -> None:
+def test_a_diagram_follows_as_many_doublings_as_requested(doublings: int, starts: list[str]) -> None:
     options = BifurcationOptions(values=3, starts=8, cycle=CycleOptions(doublings=doublings))
     found = bifurcate(roessler(), "c", 2.5, 3.1, options)
     assert [branch.start for branch in found.cycles] == starts
@@ -169,7 +169,7 @@ def test_a_diagram_follows_as_many_doublings_as_asked(doublings: int, starts: li
             assert cycle.period == pytest.approx(2.0 * point.period, rel=0.01)
 
 
-def test_a_cycle_passed_twice_is_taken_once() -> None:
+def test_a_cycle_traversed_twice_is_counted_once() -> None:
     family = Family(roessler(), "c")
     orbit = settle(family, 2.5, np.array([1.0, 1.0, 0.5]))
     assert orbit is not None

@@ -13,7 +13,7 @@ from gbspec.diagnostics import UserError
 from tests.analysis.textbook import brusselator, textbook, urp
 
 
-def test_eigenvalues_at_a_point_beside_the_truth() -> None:
+def test_eigenvalues_at_a_point_and_those_of_the_truth() -> None:
     found = eigen(urp(), at=[{"x1": 0.4, "x2": 1.2, "Da": 0.3}], truth=urp(B=12.0))
     (point,) = found.points
     heat = 0.3 * np.exp(1.2)
@@ -24,7 +24,7 @@ def test_eigenvalues_at_a_point_beside_the_truth() -> None:
 
 
 def test_the_truth_keeps_its_own_constants() -> None:
-    # In these systems B counts as a condition; a truth's constants are its own, its conditions those of the point.
+    # In these systems B counts as a condition: the truth keeps its own constants, but has the point's conditions.
     (point,) = eigen(urp(), at=[{"x1": 0.4, "x2": 1.2, "Da": 0.3, "B": 9.0}], truth=urp()).points
     assert point.truth == pytest.approx(point.eigenvalues)
 
@@ -78,7 +78,7 @@ def test_along_a_table_without_a_state() -> None:
     assert caught.value.diagnostics[0].code == "GB874"
 
 
-def test_eigenvalues_print_as_people_write_them() -> None:
+def test_eigenvalues_print_without_redundant_parts() -> None:
     assert format_eigenvalue(-0.5 + 0j) == "-0.5"
     assert format_eigenvalue(0.125 - 2.25j) == "0.125 - 2.25i"
     text = str(eigen(urp(), at=[{"x1": 0.4, "x2": 1.2, "Da": 0.3}]))
@@ -96,7 +96,7 @@ def test_rows_that_measure_too_little_take_the_predicted_states() -> None:
     assert [point.state["x1"] for point in found.points] == [0.4, 0.55, 0.6]
 
 
-def test_modes_that_die_out_between_measurements_are_named() -> None:
+def test_modes_that_decay_between_measurements_are_named() -> None:
     def rhs(x1: object, x2: object) -> tuple[object, ...]:
         return -0.1 * x1, -40.0 * x2  # type: ignore[operator]
 
@@ -125,7 +125,7 @@ def test_a_fast_mode_names_the_states_that_dominate_it_by_their_ranges() -> None
     ranges = {"w": (0.0, 1.0), "u": (0.0, 1.0), "v": (0.0, 1.0)}
     (mode,) = eigen(textbook("exchange", ("w", "u", "v"), rhs, {}, ranges), along=data).fast_modes
     assert (mode.rank, set(mode.states)) == (2, {"u", "v"})
-    # Measured by its range, the part of u becomes small where u is plentiful.
+    # Relative to its range, the part of u is small if u has a large range.
     (mode,) = eigen(
         textbook("plentiful", ("w", "u", "v"), rhs, {}, {**ranges, "u": (0.0, 10.0)}), along=data
     ).fast_modes

@@ -33,7 +33,7 @@ def data() -> Trajectories:
 
 @pytest.fixture(scope="module")
 def found(data: Trajectories) -> InitialStates:
-    """Starts of a nearly true network, learned ones `OFF` away from the true ones in x1."""
+    """Initial states for a nearly true network; the learned ones differ from the true ones by `OFF` in x1."""
     model, instance = model_of("urp_gb2"), nearly_true()
     subject = models.reference(model)
     instance.weights["initial"] = np.tile([0.5, 1.0], (len(data), 1))
@@ -48,8 +48,8 @@ def compare(instance: Any, data: Trajectories, truth: Any) -> InitialStates:
     return initial_states(evaluator, model, data, DataRecord("", "known", 4, 0, 0), system, truth)
 
 
-@pytest.mark.filterwarnings("error::RuntimeWarning")  # starts are tried from which the solution runs away
-def test_bred_starts_are_nearer_to_the_truth_than_wrong_learned_ones(found: InitialStates, data: Trajectories) -> None:
+@pytest.mark.filterwarnings("error::RuntimeWarning")  # some guesses have diverging solutions
+def test_bred_initial_states_are_closer_to_the_truth_than_wrong_ones(found: InitialStates, data: Trajectories) -> None:
     assert [item.trajectory for item in found.items] == [item.label for item in data.items]
     for item in found.items:
         assert item.true is not None
@@ -65,10 +65,10 @@ def test_they_print_write_and_draw_themselves(found: InitialStates) -> None:
     document = json.loads(json.dumps(found.to_json()))
     assert set(document["initial_states"][0]["bred"]) == {"x1", "x2"}
     made = draw(found)
-    assert [axes.get_ylabel() for axes in made.axes] == ["x1", "x2", "off the true start", "off the true start"]
+    assert [axes.get_ylabel() for axes in made.axes] == ["x1", "x2", *["distance from the true initial state"] * 2]
 
 
-def test_a_difference_along_one_direction_lies_in_its_mode_alone() -> None:
+def test_a_difference_along_one_direction_is_only_in_its_mode() -> None:
     slow, fast = np.array([1.0, 0.5]), np.array([-0.2, 1.0])
     frame = np.column_stack([slow, fast])
     jacobian = frame @ np.diag([-0.1, -40.0]) @ np.linalg.inv(frame)
@@ -79,7 +79,7 @@ def test_a_difference_along_one_direction_lies_in_its_mode_alone() -> None:
     assert split(0.3 * fast) == pytest.approx([0.0, 0.3 * np.linalg.norm(fast / scale)], abs=1e-12)
 
 
-def test_both_modes_of_a_pair_carry_the_common_part() -> None:
+def test_both_modes_of_a_pair_have_the_common_component() -> None:
     _, split = _modes(np.array([[-1.0, 3.0], [-3.0, -1.0]]), np.ones(2))
     assert split(np.array([3.0, 4.0])) == pytest.approx([5.0, 5.0])
 
@@ -92,7 +92,7 @@ def test_trajectories_that_were_not_trained_on(data: Trajectories) -> None:
     assert caught.value.diagnostics[0].code == "GB876"
 
 
-def test_starts_that_were_measured_need_no_comparison() -> None:
+def test_measured_initial_states_are_not_compared() -> None:
     subject = models.reference(model_of("urp_gb2"))
     options = replace(OPTIONS, channels="all", keep_start=True)
     full = replace(simulate(subject.evaluator, subject.model, options), sha256="known")
@@ -100,4 +100,4 @@ def test_starts_that_were_measured_need_no_comparison() -> None:
     instance.weights["initial"] = np.zeros((len(full), 2))
     with pytest.raises(UserError) as caught:
         compare(instance, full, None)
-    assert "the table measures them" in caught.value.diagnostics[0].message
+    assert "the model or the table gives them" in caught.value.diagnostics[0].message

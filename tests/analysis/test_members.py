@@ -1,4 +1,4 @@
-"""`bifurcate --members all`: every member drawn, intervals of Hopf points and folds; where what was trained ends."""
+"""`bifurcate --members all`: every member is drawn; intervals of Hopf points and folds; ends of trained ranges."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ def test_every_member_is_drawn_and_gives_an_interval(
     assert drawn == [2]
     (point,) = found["special"]
     low, high = point["interval"]
-    # A larger heat of reaction oscillates earlier: by half a percent in Da for one percent in B.
+    # With a larger heat of reaction, oscillations begin at smaller Da: half a percent for one percent in B.
     assert point["type"] == "hopf"
     assert point["value"] == high
     assert 1e-3 < high - low < 1e-2
-    # What was trained is said, and where a branch leaves it.
+    # The document has the trained range and the points outside it.
     assert found["trained"] == [0.2, 0.5]
     for branch in found["branches"]:
         for place in branch["points"]:
@@ -64,7 +64,7 @@ truth r = 1
 
 
 def cusp_run(write_run: Callable[..., Any], tmp_path: Path, *slopes: float) -> Any:
-    """A run of the cusp whose members learned these slopes."""
+    """A run of the cusp whose members learned the given slopes."""
     source = tmp_path / "cusp.gb"
     source.write_text(CUSP)
     model = frontend.load_model(str(source), Findings())
@@ -88,7 +88,7 @@ def test_folds_get_an_interval_over_the_members(write_run: Callable[..., Any], t
 
 def test_members_that_disagree_on_a_fold_give_it_no_interval(write_run: Callable[..., Any], tmp_path: Path) -> None:
     run = cusp_run(write_run, tmp_path, 1.0, 2.5)
-    # The second member's folds, at h = -+ 1.52, lie beyond the range.
+    # The second member's folds, at h = -+ 1.52, are outside the range.
     result = call(run.path, "--over", "h", "--range", -1, 1, "--members", "all", "--json")
     folds = [point for point in json.loads(result.stdout)["special"] if point["type"] == "fold"]
     assert [point["value"] for point in folds] == pytest.approx([-0.3849002, 0.3849002], abs=1e-7)

@@ -15,7 +15,7 @@ def test_norms_are_those_of_the_appendix() -> None:
     # Scaled by ranges 2 and 20: errors (.1, 0), (0, .2), (.1, .1).
     found = norms(truth, predicted, np.ones(2), ["a", "b"])
     assert pytest.approx((0.1 + 0.2 + 0.2) / 6) == found.L1
-    # The 1/N_v stands outside of the root, as printed.
+    # 1/N_v is outside the root, as printed.
     assert pytest.approx((0.1 + 0.2 + math.sqrt(0.02)) / 6) == found.L2
     assert found.Linf == pytest.approx((0.1 + 0.2 + 0.1) / 3)
     assert (found.points, found.failed, found.fallback) == (3, 0, ())
@@ -28,7 +28,7 @@ def test_a_variable_whose_truth_does_not_vary_takes_the_fallback() -> None:
     assert pytest.approx(0.1 / 2) == found.L1
 
 
-def test_failed_points_are_counted_and_score_nothing() -> None:
+def test_failed_points_are_counted_and_excluded() -> None:
     truth = np.array([[0.0], [1.0], [2.0]])
     predicted = np.array([[0.0], [np.nan], [2.0]])
     found = norms(truth, predicted, np.ones(1), ["a"])
@@ -47,7 +47,7 @@ def test_relative_errors_are_absolute_where_the_truth_is_zero() -> None:
     assert relative_errors({"a": 4.0, "b": 0.0}, {"a": 3.0, "b": 0.25}) == {"a": 0.25, "b": 0.25}
 
 
-def test_channel_errors_leave_out_what_was_not_measured() -> None:
+def test_channel_errors_exclude_missing_measurements() -> None:
     measured = np.array([1.0, np.nan, 3.0, 5.0])
     predicted = np.array([1.5, 9.0, 3.0, 4.5])
     found = channel_errors(measured, predicted)

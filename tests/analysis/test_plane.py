@@ -34,7 +34,7 @@ def test_bautin_and_bogdanov_takens_points_over_the_cooling() -> None:
     curve = lower_hopf("beta", (1.0, 5.0))
     special = dict(curve.special)
     assert special["bautin"].values[1] == pytest.approx(2.98857, abs=5e-6)
-    # Where the Hopf curve ends, trace and determinant of the Jacobian vanish together.
+    # At the end of the Hopf curve, trace and determinant of the Jacobian vanish together.
     takens = special["bogdanov_takens"]
     jacobian = Family(urp(beta=takens.values[1]), "Da").linear(takens.state, takens.values[0])[1]
     assert np.trace(jacobian) == pytest.approx(0.0, abs=1e-9)

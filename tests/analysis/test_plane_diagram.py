@@ -1,4 +1,4 @@
-"""All Hopf and fold curves of a plane, found without being told where they are."""
+"""All Hopf and fold curves of a plane, found without initial guesses."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_curves_of_the_reactor(reactor: PlaneDiagram) -> None:
     assert special["bautin"].values[1] == pytest.approx(2.98857, abs=5e-6)
 
 
-def test_every_point_says_what_it_leaves(reactor: PlaneDiagram) -> None:
+def test_every_point_names_the_ranges_it_leaves(reactor: PlaneDiagram) -> None:
     for curve in reactor.curves:
         for point in curve.points:
             assert ("Da" in point.outside) is not (0.2 - 1e-6 <= point.values[0] <= 0.5 + 1e-6)
@@ -76,7 +76,7 @@ def test_a_plane_without_curves_says_so() -> None:
         (("Da", "beta"), ((0.1, 0.5), (5.0, 1.0)), "GB875"),
     ],
 )
-def test_what_makes_no_plane(names: tuple[str, str], boxes: tuple[tuple[float, float], ...], code: str) -> None:
+def test_invalid_planes(names: tuple[str, str], boxes: tuple[tuple[float, float], ...], code: str) -> None:
     with pytest.raises(UserError) as caught:
         bifurcation_plane(urp(), names, (boxes[0], boxes[1]))
     assert caught.value.diagnostics[0].code == code

@@ -1,4 +1,4 @@
-"""Simulated tables: designs, regions, noise, failures; against a stand-in whose solutions are known in closed form."""
+"""Simulated tables: designs, regions, noise, failures; with a replacement of the solver by closed-form solutions."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_inputs_start_with_what_is_recorded() -> None:
         assert item.inputs[0].times[0] == item.start == 0.25
 
 
-def test_linear_inputs_go_on_to_the_end() -> None:
+def test_linear_inputs_continue_to_the_end() -> None:
     model = decay(inputs=(Input("F", interpolation="linear", range=Range(0.0, 2.0)),))
     for item in made(model).items:
         assert item.inputs[0].times[-1] == item.end
@@ -152,7 +152,7 @@ def test_gamma_intervals_have_the_mean_and_the_shape() -> None:
     intervals = np.diff(times)
     assert times[0] == 100.0 and times[-1] <= 20_100.0 and mask.all()
     assert intervals.mean() == pytest.approx(0.5, rel=0.02)
-    assert intervals.std() == pytest.approx(0.25, rel=0.03)  # shape 4: half of the mean
+    assert intervals.std() == pytest.approx(0.25, rel=0.03)  # shape 4: half the mean
 
 
 @pytest.mark.parametrize("sampling", ["regular", "gamma"])
@@ -175,7 +175,7 @@ def test_a_fraction_of_the_channels_and_at_least_one() -> None:
     assert mask.mean() == pytest.approx(expected, abs=0.02)
 
 
-def test_noise_is_relative_to_each_channels_deviation() -> None:
+def test_noise_is_relative_to_each_channels_standard_deviation() -> None:
     options: dict[str, object] = {"trajectories": 200, "dt": 0.05, "span": 2.0}
     clean, noisy = made(**options), made(**options, noise=0.2)
     exact = np.concatenate([item.values for item in clean.items])
@@ -202,7 +202,7 @@ def test_boxes_override_ranges() -> None:
         np.testing.assert_allclose(item.values[:, 1], item.times, atol=1e-9)
 
 
-def test_expressed_starts_are_kept() -> None:
+def test_given_initial_values_are_kept() -> None:
     states = (State("x", initial=Initial("expression", value=symbol("a"))), State("y", start=3.0))
     for item in made(decay(states=states), keep_start=True).items:
         assert item.values[0, 0] == item.condition[0]
@@ -236,14 +236,14 @@ def test_trajectories_that_fail_are_drawn_again_and_counted() -> None:
     assert all(item.values[0, 0] <= 1.5 for item in found.items)
 
 
-def test_what_always_fails_is_an_error() -> None:
+def test_repeated_failure_is_an_error() -> None:
     model = decay()
     with pytest.raises(ComputationError, match="200 could not be solved") as caught:
         simulate(Exact(limit=0.0), model, SimulateOptions(span=2.0))
     assert "too large to solve" in caught.value.what and caught.value.remedy
     with pytest.raises(ComputationError, match="200 were rejected"):
         made(reject=("x > 0",))
-    with pytest.raises(ComputationError, match="fewer than two measurements"):
+    with pytest.raises(ComputationError, match="fewer than two measurement times"):
         made(span=0.1, dt=5.0)
 
 
@@ -322,7 +322,7 @@ def test_a_simulated_table_reads_back(tmp_path: Path, suffix: str) -> None:
         assert [fingerprint(a) for a in back.items] == [fingerprint(a) for a in found.items]
 
 
-def test_progress_is_told() -> None:
+def test_progress_is_reported() -> None:
     told: list[tuple[int, int]] = []
     model = decay()
     simulate(Exact(), model, SimulateOptions(trajectories=3, span=2.0), progress=lambda i, n: told.append((i, n)))

@@ -31,7 +31,7 @@ def test_one_state_systems() -> None:
     assert [one.stable for one in found] == [True, False, True]
 
 
-def test_negative_concentrations_are_left_out() -> None:
+def test_negative_concentrations_are_omitted() -> None:
     found = steady_states(baltzis_fredrickson(7.3 * 0.68))
     assert found
     assert all(np.all(one.state >= -1e-6 * np.array([100, 5, 2, 250, 3000, 2])) for one in found)
@@ -45,17 +45,17 @@ def test_a_missing_number_is_named() -> None:
     assert "`Da`" in caught.value.diagnostics[0].message
 
 
-def test_states_outside_of_their_range_are_named() -> None:
+def test_states_outside_their_range_are_named() -> None:
     (found,) = steady_states(brusselator(A=1.0, B=7.0))
     assert found.outside == ("y",)
 
 
-def test_eigenvalues_come_by_falling_real_part_and_pairs_together() -> None:
+def test_eigenvalues_are_ordered_by_real_part_with_pairs_together() -> None:
     matrix = np.array([[-3.0, 0, 0], [0, 0.5, -2.0], [0, 2.0, 0.5]])
     assert ordered_eigenvalues(matrix) == pytest.approx([0.5 + 2j, 0.5 - 2j, -3.0])
 
 
-def test_points_are_spread() -> None:
+def test_points_have_low_discrepancy() -> None:
     points = spread_points(256, 3)
     assert points.shape == (256, 3)
     counts = np.histogramdd(points, bins=(2, 2, 2), range=[(0, 1)] * 3)[0]
@@ -63,7 +63,7 @@ def test_points_are_spread() -> None:
     assert not np.array_equal(points, spread_points(256, 3, seed=1))
 
 
-def test_distinct_points_come_in_lexical_order_whatever_their_units() -> None:
+def test_distinct_points_are_in_lexicographic_order_in_any_units() -> None:
     # In units of the first state's scale the first coordinates are 1e-4 apart: they decide, though small.
     scale = np.array([1e-3, 1.0])
     points = np.array([[2e-7, 0.0], [1e-7, 1.0], [2e-7, 1e-7], [3e-7, 0.0]])

@@ -1,4 +1,4 @@
-"""Every fit is checked for depending on its step, and says so where it does: steps as long as a fast decay takes."""
+"""Every fit is checked for dependence on its step, and warns of it; tested with steps as long as a fast decay."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def options(step: float) -> TrainOptions:
     return TrainOptions(max_step=step, members=2, workers=1, method="lm", epochs=20, warm_start=False)
 
 
-def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path) -> None:
+def test_a_fit_that_depends_on_its_step_has_a_warning(data: Trajectories, tmp_path: Path) -> None:
     run = fitting.train(model_of(DECAY), data, tmp_path / "run", options(1.0))
     assert [check.half_step > 0.01 for check in run.fit.step_checks] == [True, True]
     assert [check.trajectories for check in run.fit.step_checks] == [8, 8]
@@ -48,21 +48,21 @@ def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path
     assert open_run(tmp_path / "run").fit == run.fit
     found = validate(run, data, truth=False)
     assert found.step_check.half_step == pytest.approx(run.fit.step_checks[0].half_step)
-    assert found.warnings_after(run.fit.warnings) == list(run.fit.warnings)  # the report says it once
+    assert found.warnings_after(run.fit.warnings) == list(run.fit.warnings)  # the warning is not repeated
 
 
-def test_a_fit_that_holds_at_any_step_has_its_check_and_no_warning(data: Trajectories, tmp_path: Path) -> None:
+def test_a_fit_that_is_independent_of_the_step_has_no_warning(data: Trajectories, tmp_path: Path) -> None:
     run = fitting.train(model_of(DECAY), data, tmp_path / "run", options(0.1))
     assert all(0 <= getattr(check, name) < 0.01 for check in run.fit.step_checks for name in ("half_step", "adaptive"))
     assert not any("depends on its training step" in warning for warning in run.fit.warnings)
 
 
-def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> None:
+def test_solutions_that_only_the_fixed_step_can_solve_are_reported(tmp_path: Path) -> None:
     model = model_of("model blow\nstate x in [0, 1000] = 1\nlearn k = 0.5 in [0.01, 3]\nx' = k*x^2\nobserve x\n")
     rows = []
     for start in (1.0, 1.1):
         rows += [(start, 0.0, start)]
-        for t in (1.0, 2.0):  # the classical step of length 1 with k = 0.75 goes through where the solution ends
+        for t in (1.0, 2.0):  # a classical Runge-Kutta step of length 1 with k = 0.75 passes the singularity
             x = rows[-1][2]
             k1 = 0.75 * x**2
             k2 = 0.75 * (x + k1 / 2) ** 2
@@ -76,12 +76,12 @@ def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> No
     assert any("2 of 2 trajectories" in w and "but not by an adaptive solver" in w for w in run.fit.warnings)
 
 
-def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:
+def test_a_failure_of_the_adaptive_solver_is_not_attributed_to_the_step() -> None:
     assert StepCheck(2e-8, 0.054, 0.1, 8).warning is None
     assert StepCheck(2e-3, 0.054, 0.1, 8).warning is not None
 
 
-def test_the_rest_of_a_single_trajectory_is_known_again(data: Trajectories, tmp_path: Path) -> None:
+def test_the_remainder_of_a_single_trajectory_is_recognised(data: Trajectories, tmp_path: Path) -> None:
     one = data.subset([3])
     fit = fitting.train(model_of(DECAY), one, tmp_path / "run", replace(options(1.0), holdout=0.3)).fit
     assert [check.trajectories for check in fit.step_checks] == [1, 1]

@@ -108,12 +108,12 @@ def test_several_unknowns_and_fallback_scales() -> None:
     few = replace(case.metrics, points=5, rhs_points=12)
     found = truth_errors(model, [Evaluator(instance)], case.sampling, few)
     assert set(found.functions) == {"all", "r1", "r2", "r3"}
-    # The first commensal is washed out on the cycle: its solution does not vary, and takes the case's scale.
+    # The first commensal is washed out on the cycle: its solution does not vary, and the case's scale is used.
     assert found.solution.fallback == ("y",)
     assert found.constants == {}
 
 
-def test_a_function_applied_once_an_element_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_function_applied_to_each_element_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     model = model_of("spreading_population")
     case = bundled_case(model)
     assert case is not None
@@ -136,7 +136,7 @@ def test_a_driven_model_is_compared_along_its_trajectories() -> None:
     assert found.rhs.points == 8
 
 
-def test_boxes_of_starts_come_from_the_weights_where_nothing_declares_them() -> None:
+def test_undeclared_boxes_of_initial_states_come_from_the_weights() -> None:
     model = model_of("urp_gb2")
     model = replace(model, states=(model.states[0], replace(model.states[1], range=None)))
     instance = nearly_true()
@@ -191,7 +191,7 @@ def test_json_has_the_keys_of_the_contract(
         assert name in str(found)
 
 
-def test_learned_starts_are_found_by_content(
+def test_learned_initial_states_are_found_by_content(
     write_run: Callable[..., Run], urp_instance: Any, urp_data: Trajectories
 ) -> None:
     starts = np.array([[0.31, 1.1], [0.32, 1.2], [0.33, 1.3], [0.34, 1.4]])
@@ -206,7 +206,7 @@ def test_learned_starts_are_found_by_content(
     assert not any("estimated" in warning for warning in found.warnings)
 
 
-def test_learned_starts_are_found_by_the_table_where_weights_keep_no_fingerprints(urp_data: Trajectories) -> None:
+def test_learned_initial_states_are_found_by_the_table_without_fingerprints(urp_data: Trajectories) -> None:
     instance = nearly_true()
     instance.weights["initial"] = np.zeros((4, 2))
     same = replace(urp_data, sha256="abc")
@@ -214,7 +214,7 @@ def test_learned_starts_are_found_by_the_table_where_weights_keep_no_fingerprint
     assert learned_positions(instance, same, DataRecord("", "other", 4, 0, 0)) == [None] * 4
 
 
-def test_estimated_starts_recover_the_true_ones() -> None:
+def test_estimated_initial_states_recover_the_true_ones() -> None:
     data = measured("lotka_volterra", trajectories=3)
     model = truth_model(model_of("lotka_volterra"))
     # Half of the channels' values are dropped, the first rows among them.
@@ -231,7 +231,7 @@ def test_estimated_starts_recover_the_true_ones() -> None:
         assert start.state == pytest.approx(full.values[0], rel=1e-3)
 
 
-def test_a_start_is_fitted_to_logarithms_where_the_noise_is_in_them(tmp_path: Path) -> None:
+def test_an_initial_state_is_fitted_to_logarithms_for_lognormal_noise(tmp_path: Path) -> None:
     text = "model decay\nstate x in [0, 2]\ninitial x learn\nx' = -x\nobserve y = 2*x noise lognormal(0.3)\n"
     (tmp_path / "decay.gb").write_text(text)
     model = load_model(tmp_path / "decay.gb", Findings())
@@ -240,11 +240,11 @@ def test_a_start_is_fitted_to_logarithms_where_the_noise_is_in_them(tmp_path: Pa
     values = (2.0 * 0.8 * np.exp(-times) * wrong)[:, None]
     item = Trajectory("1", 0.0, times, values, np.ones((8, 1)), np.full((8, 1), np.nan), np.zeros(0))
     start = Estimator(Evaluator(load_module(model)()), model, np.ones(1)).start(item)
-    # Least squares of logarithms average them; those of values would follow the first ones alone.
+    # Least squares of logarithms average all of them; those of values would be dominated by the first ones.
     assert start.state[0] == pytest.approx(0.8 * math.exp(np.log(wrong).mean()), rel=1e-3)
 
 
-def test_a_measured_first_row_is_the_start(urp_instance: Any) -> None:
+def test_a_measured_first_row_is_the_initial_state(urp_instance: Any) -> None:
     data = measured("urp_gb2", trajectories=2, span=4.0, channels="all", keep_start=True)
     estimator = Estimator(Evaluator(urp_instance), model_of("urp_gb2"), np.ones(2))
     for item in data.items:
@@ -253,7 +253,7 @@ def test_a_measured_first_row_is_the_start(urp_instance: Any) -> None:
         assert start.state.tolist() == item.values[0].tolist()
 
 
-def test_a_trajectory_that_cannot_be_solved_is_named_and_not_scored(
+def test_a_trajectory_that_cannot_be_solved_is_named_and_excluded(
     write_run: Callable[..., Run], urp_data: Trajectories
 ) -> None:
     instance = nearly_true()
@@ -265,7 +265,7 @@ def test_a_trajectory_that_cannot_be_solved_is_named_and_not_scored(
     assert found.failed == (label,)
     assert math.isnan(found.trajectories[3].nrmse)
     assert found.to_json()["trajectories"][3]["nrmse"] is None  # type: ignore[index]
-    assert any(f"`{label}`" in warning and "no error" in warning for warning in found.warnings)
+    assert any(f"`{label}`" in warning and "excluded from all errors" in warning for warning in found.warnings)
     counted = sum(int(np.isfinite(item.values[:, 0]).sum()) for item in urp_data.items[:3])
     assert found.channels["x1"].n == counted
 
@@ -283,7 +283,7 @@ def test_without_data_or_truth_there_is_only_the_member(write_run: Callable[...,
 
 
 # ---------------------------------------------------------------------- the step
-def test_a_truth_that_cannot_be_sampled_is_a_warning_beside_the_errors_on_data(
+def test_a_truth_that_cannot_be_sampled_is_a_warning(
     write_run: Callable[..., Run], urp_instance: Any, urp_data: Trajectories
 ) -> None:
     run = write_run(model_of("urp_gb2"), urp_instance)
@@ -294,7 +294,7 @@ def test_a_truth_that_cannot_be_sampled_is_a_warning_beside_the_errors_on_data(
     assert any("not compared with its truth" in warning for warning in found.warnings)
 
 
-def test_a_step_that_is_too_large_is_told(urp_data: Trajectories) -> None:
+def test_a_step_that_is_too_large_is_reported(urp_data: Trajectories) -> None:
     small, large = nearly_true(), nearly_true()
     large.info["max_step"] = 0.6
     checks = []
@@ -315,13 +315,13 @@ def test_a_step_that_is_too_large_is_told(urp_data: Trajectories) -> None:
     assert "depends on its training step of 0.6" in str(checks[1].warning)
 
 
-def test_a_fixed_step_that_blows_up_is_told() -> None:
+def test_a_fixed_step_that_diverges_is_reported() -> None:
     check = StepCheck(math.inf, math.inf, 5.0, 3)
     assert "blow up" in str(check.warning)
     assert check.to_json()["half_step"] is None
 
 
-def test_a_model_without_a_truth_is_not_compared_with_its_starts() -> None:
+def test_a_model_without_a_truth_is_not_compared_with_its_starting_values() -> None:
     assert not has_reference(model_of("gas_oil"))
     assert has_reference(model_of("urp_gb2"))
     model = model_of("urp_gb2")

@@ -1,4 +1,4 @@
-"""Textbook systems written straight in CasADi: their published numbers are what the analysis is tested against."""
+"""Textbook systems written directly in CasADi, with published numbers as references for the tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def textbook(
     ranges: Mapping[str, tuple[float, float]],
     declared: bool = False,
 ) -> System:
-    """A system whose right-hand side is a function of states and conditions by name; NaN stands for no default."""
+    """A system whose right-hand side is a function of states and conditions by name; NaN means no default."""
     t, x, u, k = ca.SX.sym("t"), ca.SX.sym("x", len(states)), ca.SX.sym("u", 0), ca.SX.sym("k", 0)
     c = ca.SX.sym("c", len(conditions))
     values = {**dict(zip(states, ca.vertsplit(x), strict=True)), **dict(zip(conditions, ca.vertsplit(c), strict=True))}

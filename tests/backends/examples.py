@@ -1,4 +1,4 @@
-"""Small models made by hand."""
+"""Small hand-made models."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def reactor() -> Model:
 
 
 def clinic() -> Model:
-    """Everything at once: names to be mangled, two networks, postulates, a let, inputs, a dose, expressed starts."""
+    """All constructs: names to be mangled, two networks, postulates, a let, inputs, a dose, given initial values."""
     x, k, state, u, t, g, total = map(symbol, ("x", "lambda", "state", "u", "t", "g", "total"))
     q, h = unknown_function("q"), unknown_function("h")
     return Model(

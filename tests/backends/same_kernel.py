@@ -1,4 +1,4 @@
-"""The native kernel held against the torch graph."""
+"""Comparison of the native kernel with the torch graph."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DOUBLE, SINGLE = 1e-12, 1e-5
 
 
 def compare(problem: Problem, parameters: Parameters, theta: np.ndarray, precisions: tuple[str, ...]) -> None:
-    """Loss and gradient by the kernel against those by the graph, relative to the largest entry."""
+    """Asserts that loss and gradient of kernel and graph agree, relative to the largest entry."""
     loss, gradient = objective(problem, parameters, "torch")(theta)
     assert np.isfinite(loss)
     for precision in precisions:
@@ -28,7 +28,7 @@ def compare(problem: Problem, parameters: Parameters, theta: np.ndarray, precisi
 
 
 def compare_jacobians(problem: Problem, parameters: Parameters, theta: np.ndarray) -> None:
-    """The Jacobian of the residuals by the kernel against that by the graph, relative to the largest entry."""
+    """Asserts that the Jacobians of the residuals by kernel and graph agree, relative to the largest entry."""
     kernel = kernel_of(problem.model, type(problem.module))
     assert isinstance(kernel, Kernel)
     engines = TorchEngine(problem, parameters), NativeEngine(problem, parameters, kernel)

@@ -1,4 +1,4 @@
-"""Right-hand side, observations, starts, Jacobian and one step: torch, casadi, numpy and the symbolic truth agree."""
+"""Right-hand side, observations, initial values, Jacobian and a step agree in torch, casadi, numpy and symbolically."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RANDOM = settings(
 
 
 def close(value: Any, truth: Any, what: str) -> None:
-    """To 1e-12 of the vector's largest entry (or of 1)."""
+    """Asserts agreement to 1e-12 of the vector's largest entry (or of 1)."""
     found, wanted = np.asarray(value, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     assert found.shape == wanted.shape, what
     assert np.all(np.isfinite(wanted)), f"{what}: the truth {wanted} is not finite"
@@ -44,7 +44,7 @@ def close(value: Any, truth: Any, what: str) -> None:
 
 
 def instance_of(model: Model, seed: int, constants: Array, method: Method = RK4) -> Any:
-    """A module with generic weights and scales."""
+    """A module with random weights and scales."""
     cls = load_module(model, method)
     weights = cls.random(seed).weights if model.networks else {}
     generator = np.random.default_rng(seed)
@@ -118,7 +118,7 @@ def test_random_steps_agree(model: Model, seed: int, method: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(shipped_models()))
-def test_shipped_models_agree(name: str) -> None:
+def test_bundled_models_agree(name: str) -> None:
     model = load_model(shipped_models()[name], Findings())
     at = _plausible(model)
     check_agreement(model, at, 3)
@@ -128,7 +128,7 @@ def test_shipped_models_agree(name: str) -> None:
 
 
 def _plausible(model: Model) -> Point:
-    """A generic point inside the declared ranges, with the constants at their values and starts."""
+    """A random point inside the declared ranges, with constants at their values and starting values."""
     generator = np.random.default_rng(7)
 
     def inside(item: Any) -> float:
@@ -147,7 +147,7 @@ def _plausible(model: Model) -> Point:
 
 @settings(RANDOM, max_examples=15)
 @given(models(), st.integers(0, 2**16))
-def test_batches_are_point_by_point(model: Model, seed: int) -> None:
+def test_batches_agree_with_single_points(model: Model, seed: int) -> None:
     instance = instance_of(model, seed, point(model, seed).constants)
     points = [point(model, seed + i) for i in range(6)]
     shape = (2, 3, -1)

@@ -1,4 +1,4 @@
-"""Arrays of states computed as vectors: the same numbers as written out, in every library, in text that stays short."""
+"""Arrays of states computed as vectors: same numbers as written out, in every library, with text of constant length."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ truth m(x) = x
 
 
 def written_out(model: Model) -> Model:
-    """The same model with one expression a state."""
+    """The same model with one expression per state."""
     return dataclasses.replace(model, arrays=(), families=())
 
 
@@ -75,7 +75,7 @@ def written_out(model: Model) -> Model:
 
 
 @pytest.mark.parametrize("known", [False, True])
-def test_all_that_the_language_has_agrees_with_the_symbolic_truth(known: bool) -> None:
+def test_all_array_constructs_agree_with_the_symbolic_truth(known: bool) -> None:
     model = with_truth(model_of(TUBE)) if known else model_of(TUBE)
     verify(model)
     assert {f.vector for f in model.families} == {"balances", "starts", "channels", "intermediates"}
@@ -87,7 +87,7 @@ def test_all_that_the_language_has_agrees_with_the_symbolic_truth(known: bool) -
 
 @st.composite
 def array_models(draw: st.DrawFn) -> str:
-    """A random model: neighbours near and far, ends of several kinds, an index as a number, sums, an unknown."""
+    """A random model: near and far neighbours, several kinds of ends, the index as a number, sums, an unknown."""
     first, count = draw(st.integers(-2, 3)), draw(st.integers(1, 7))
     last, reach = first + count - 1, draw(st.integers(1, 3))
     ends = ["cin", "w", "0", f"c[{first}]", f"2*c[{last}] - 1", "cos(t)*D", "sum(c)", f"r(c[{last}], w)"]
@@ -127,7 +127,7 @@ def array_models(draw: st.DrawFn) -> str:
 
 @settings(RANDOM, max_examples=15)
 @given(array_models(), st.integers(0, 2**16))
-def test_random_arrays_agree_with_what_they_are_written_out(text: str, seed: int) -> None:
+def test_random_arrays_agree_with_the_written_out_model(text: str, seed: int) -> None:
     model = model_of(text)
     verify(model)
     assert any(family.vector == "balances" for family in model.families)
@@ -144,7 +144,7 @@ def test_random_arrays_agree_with_what_they_are_written_out(text: str, seed: int
     close(Evaluator(short).rhs_many(at.t, at.x, at.condition)[0], wanted, "casadi")
     close(short.observe(at.t, at.x, at.condition), long.observe(at.t, at.x, at.condition), "channels")
     close(short.initial(at.x, at.condition), long.initial(at.x, at.condition), "starts")
-    close(Evaluator(short).initial(at.x, at.condition), long.initial(at.x, at.condition), "starts by numpy")
+    close(Evaluator(short).initial(at.x, at.condition), long.initial(at.x, at.condition), "initial values by numpy")
     jacobian = Evaluator(long).jacobian_at(at.t, at.x, at.condition)
     close(Evaluator(short).jacobian_at(at.t, at.x, at.condition), jacobian, "casadi's Jacobian")
     x = torch.tensor(np.random.default_rng(seed).normal(size=(3, 2, len(at.x))), requires_grad=True)
@@ -165,7 +165,7 @@ def test_arrays_of_different_lengths_with_one_running_index() -> None:
     check_agreement(model, point(model, 3), 3)
 
 
-def test_contracts_hold_their_form_for_vectors() -> None:
+def test_contracts_hold_for_vectors() -> None:
     text = TUBE.replace("unknown m(x) by mlp(4)", "unknown m(x in [0, 3]) >= 0, increasing in x\n  by mlp(4)")
     model = model_of(text)
     at = point(model, 2)
@@ -180,7 +180,7 @@ def test_contracts_hold_their_form_for_vectors() -> None:
 # ---------------------------------------------------------------------------------------------------------- text
 
 
-def test_text_has_as_many_lines_for_many_states() -> None:
+def test_the_number_of_lines_does_not_grow_with_the_states() -> None:
     few, many = (model_of(TUBE.replace("const N = 5", f"const N = {n}")) for n in (8, 40))
     for make in (generate, document, lambda m: "\n".join(map(str, mathml.balances(m)))):
         assert make(few).count("\n") == make(many).count("\n")
@@ -213,7 +213,7 @@ def test_other_forms_of_the_model() -> None:
     assert "jacobian(t [1], x [17]" in code
 
 
-def test_an_index_that_is_not_linear_stays_written_out() -> None:
+def test_a_nonlinear_index_stays_written_out() -> None:
     model = model_of("model m\nstate c[1..4]\nc[i]' = -c[(i - 2)^2 + 1 - (i - 3)*0] \nc[5] = 0\nobserve c\n")
     assert [family.vector for family in model.families] == ["channels"]
     check_agreement(model, point(model, 1), 1)

@@ -1,4 +1,4 @@
-"""The C of a model, compiled and compared."""
+"""The C code of a model, compiled and compared."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def test_networks_in_c(model: Any, tmp_path: Path) -> None:
 
 
 @needs_a_compiler
-def test_a_fit_of_every_shipped_model_in_c(tmp_path: Path) -> None:
+def test_a_fit_of_every_bundled_model_in_c(tmp_path: Path) -> None:
     for name, path in sorted(shipped_models().items()):
         cls = load_module(load_model(path, Findings()))
         (tmp_path / name).mkdir()
         check(cls.random(1) if cls.networks else cls(), tmp_path / name)
 
 
-def test_the_comment_says_what_is_what() -> None:
+def test_the_comment_describes_arguments_and_components() -> None:
     model = dataclasses.replace(clinic(), title="ends */ here")
     text = c_code(load_module(model).random(0))
     comment = text.partition("*/")[0]

@@ -1,4 +1,4 @@
-"""The casadi evaluator against solutions known in closed form and against published ones."""
+"""The casadi evaluator compared with closed-form and published solutions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.backends.examples import clinic, reactor
 
 
 def evaluator(*balances: Any, **parts: Any) -> Evaluator:
-    """A model without unknowns in the states x, y, z (as many as there are balances)."""
+    """A model without unknowns in the states x, y, z (one per balance)."""
     states = tuple(State(name) for name in "xyz"[: len(balances)])
     channels = (Channel("x", value=symbol("x"), state=0),)
     return Evaluator(load_module(Model(name="known", states=states, balances=balances, channels=channels, **parts))())
@@ -88,14 +88,14 @@ def test_doses_arrive_after_the_measurement_with_fraction_and_lag(method: str) -
     assert run([0.0], times, doses=(events,), **options)[:, 0] == pytest.approx([0.0, 0.0, 2.0, 2.0, 3.0])
 
 
-def test_stiff_problems_are_handed_to_bdf() -> None:
+def test_stiff_problems_switch_to_bdf() -> None:
     """Robertson's kinetics; the reference is that of Hairer and Wanner, Solving ODEs II, at t = 40."""
     robertson = evaluator(-0.04 * x + 1e4 * y * z, 0.04 * x - 1e4 * y * z - 3e7 * y**2, 3e7 * y**2)
     found = robertson.integrate([1.0, 0.0, 0.0], [0.0, 40.0], scales=[1.0, 1e-5, 1.0])[-1]
     assert found == pytest.approx([0.7158270688, 9.185534765e-6, 0.2841637457], rel=1e-8)
 
 
-def test_a_blow_up_says_where() -> None:
+def test_a_blow_up_reports_time_and_state() -> None:
     explosion = evaluator(x**2)
     with pytest.raises(ComputationError) as caught:
         explosion.integrate([1.0], [0.0, 0.25, 0.5, 0.75, 1.5])
@@ -103,8 +103,8 @@ def test_a_blow_up_says_where() -> None:
     assert caught.value.remedy
 
 
-def test_a_start_that_is_not_finite_is_refused() -> None:
-    with pytest.raises(ComputationError, match="start"):
+def test_an_initial_state_that_is_not_finite_is_rejected() -> None:
+    with pytest.raises(ComputationError, match="initial state"):
         evaluator(-x).integrate([np.nan], [0.0, 1.0])
 
 
@@ -142,7 +142,7 @@ def test_a_network_is_integrated_like_any_other_function() -> None:
     assert np.abs(found - reference.y.T).max() < 1e-10
 
 
-def test_many_points_are_each_point() -> None:
+def test_many_points_agree_with_single_points() -> None:
     model = Evaluator(load_module(clinic()).random(1))
     generator = np.random.default_rng(0)
     times, states, inputs = generator.uniform(size=9), generator.uniform(size=(9, 3)), generator.uniform(size=(9, 1))
@@ -169,7 +169,7 @@ def test_jacobian_by_differences() -> None:
 
 
 def test_casadi_functions_take_symbols() -> None:
-    """What continuation needs: the constants as one more input, and derivatives by any input."""
+    """Continuation needs the constants as a further input, and derivatives with respect to any input."""
     model = evaluator(-a * x + u, conditions=(Condition("u"),), learnables=(Learnable("a", start=2.0),))
     arguments = model.rhs.mx_in()
     by_constants = casadi.Function("d", arguments, [casadi.jacobian(model.rhs(*arguments), arguments[4])])

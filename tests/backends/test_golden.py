@@ -1,4 +1,4 @@
-"""The text of generated modules, as far as it depends on the model. `UPDATE_GOLDEN=1 pytest ...` writes it anew."""
+"""The model-dependent part of the text of generated modules. `UPDATE_GOLDEN=1 pytest ...` regenerates it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The typeset page: names, balanced text, and equations that a renderer of LaTeX's mathematics accepts."""
+"""The LaTeX document: names, balanced text, and equations that a renderer of LaTeX's mathematics accepts."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_golden() -> None:
 
 
 @pytest.mark.parametrize("model", sorted(shipped_models()))
-def test_shipped_models_are_well_formed(model: str) -> None:
+def test_bundled_models_are_well_formed(model: str) -> None:
     page = document(load_model(shipped_models()[model], Findings()))
     assert page == backends()["latex"].emit(load_model(shipped_models()[model], Findings()))
     bare = re.sub(r"\\[{}]", "", page)
@@ -78,5 +78,5 @@ def test_shipped_models_are_well_formed(model: str) -> None:
     ]
     assert lines
     for line in lines:
-        if r"\begin" not in line:  # matplotlib knows no cases
+        if r"\begin" not in line:  # matplotlib does not support cases
             parser.parse(f"${line.replace('&', '').strip()}$")

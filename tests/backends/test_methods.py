@@ -1,4 +1,4 @@
-"""Every method by every backend: the same numbers, the order that it has, exact derivatives; and one more method."""
+"""Every method in every backend: same numbers, the stated order, exact derivatives; also for an additional method."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ RALSTON = Explicit(
     source="Ralston (1962), Math. Comp. 16, 431",
     help="Ralston's, of order 3",
 )
-"""A method that is not in the table: no node of it is the end of the step."""
+"""A method that is not in the table; none of its nodes is the end of the step."""
 EULER = Explicit("euler", 1, a=((),), b=(_F(1),), source="Euler (1768)", help="Euler's, of order 1")
 EVERY = [*METHODS, RALSTON.name, EULER.name]
 FEWER = [*METHODS, RALSTON.name]
-"""For what takes longer; Euler's says nothing there that Ralston's does not."""
+"""The methods for slow tests; Euler's would add nothing to Ralston's."""
 
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Two methods more, by an entry each; the native compiler does not optimise, which takes most of its time."""
+    """Adds two methods by an entry each. Kernels are cached per test."""
     for method in (RALSTON, EULER):
         monkeypatch.setitem(METHODS, method.name, method)
     monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
@@ -77,7 +77,7 @@ def needs_a_compiler() -> None:
 
 
 def close(found: Any, wanted: Any, bound: float = 1e-12) -> None:
-    """Relative to the largest entry."""
+    """Asserts agreement relative to the largest entry."""
     found, wanted = np.asarray(found, dtype=np.float64), np.asarray(wanted, dtype=np.float64)
     assert found.shape == wanted.shape and np.isfinite(wanted).all() and wanted.size
     assert np.abs(found - wanted).max() <= bound * np.abs(wanted).max()
@@ -85,17 +85,17 @@ def close(found: Any, wanted: Any, bound: float = 1e-12) -> None:
 
 # ------------------------------------------------------------------------------------------------ one step
 @pytest.mark.parametrize("name", EVERY)
-def test_the_module_says_by_what_it_steps(name: str) -> None:
+def test_the_module_names_its_method(name: str) -> None:
     model = model_of(EVERYTHING)
     text = generate(model, METHODS[name])
     assert f'    solver = "{name}"  # the method that takes the steps\n' in text
     assert f"\nSolver      {name}: {METHODS[name].help}\n" in text
-    assert f"One step ({name.upper()}) of state'" in text and f"A step of size h ({name.upper()}) from t" in text
+    assert f"One step ({name.upper()}) of state'" in text and f"a step of size h from t ({name.upper()})" in text
     assert load_module(model, METHODS[name]).solver == name
 
 
 def by_hand(method: Explicit, instance: Any, t: float, x: Array, h: float, condition: Array, inputs: Array) -> Array:
-    """A step as the tableau says it, with the inputs [nodes, n_inputs]."""
+    """A step computed from the tableau, with the inputs [nodes, n_inputs]."""
     slopes: list[Array] = []
     for row, c in zip(method.a, method.c, strict=True):
         ahead = x + h * sum((float(w) * k for w, k in zip(row, slopes, strict=False)), np.zeros_like(x))
@@ -141,7 +141,7 @@ def c_library(instance: Any, directory: Path) -> str:
     return str(directory / "model.so")
 
 
-def test_the_c_code_says_when_it_takes_the_inputs() -> None:
+def test_the_c_code_states_the_times_of_the_inputs() -> None:
     text = c_code(load_module(model_of(EVERYTHING), METHODS["rk38"]).random(1))
     assert "step: Kutta's 3/8 rule, of order 4 (`rk38`)" in text
     assert "inputs, u0, u1, u2, u3: F, G" in text
@@ -150,7 +150,7 @@ def test_the_c_code_says_when_it_takes_the_inputs() -> None:
 
 # ------------------------------------------------------------------------------------------------ solutions
 def dosed_data() -> Trajectories:
-    """No dose arrives within rounding of a row: which of both is first, the solvers then decide each for itself."""
+    """Asserts that no dose arrives within rounding of a row, where the solvers could order them differently."""
     data = many_data()
     items = [replace(i, doses=(i.doses[0], replace(i.doses[1], times=np.array([0.2, 0.65])))) for i in data.items]
     return replace(data, items=tuple(items))
@@ -162,8 +162,7 @@ CASES: dict[str, Case] = {
     "doses": (MANY, dosed_data, 1e3),
     "arrays": (COLUMN, column_data, 0.1),
 }
-"""Held and linear inputs; doses with learned lags, where a step is as long as it can be, so that all solvers take the
-same ones; arrays."""
+"""Held and linear inputs; doses with learned lags, with steps so long that all solvers take the same ones; arrays."""
 
 
 def solved_by_casadi(
@@ -251,7 +250,7 @@ def test_the_jacobian_is_that_of_automatic_differentiation(name: str, case: str)
     close(found, expected, 1e-10)
 
 
-def test_data_packed_for_another_method_are_refused() -> None:
+def test_data_packed_for_another_method_are_rejected() -> None:
     problem, _, _ = problem_of(model_of(EVERYTHING), everything_data(), 0.3)
     with pytest.raises(Defect, match="another method than `dopri5`"):
         replace(problem, module=load_module(problem.model, METHODS["dopri5"]).random(0))
@@ -272,7 +271,7 @@ observe x
 
 @pytest.mark.parametrize("name", EVERY)
 def test_the_order_is_measured(name: str) -> None:
-    """Where time and a changing input act, errors fall by 2^order as the step is halved."""
+    """Errors decrease by 2^order when the step is halved, with explicit time and a varying input."""
     method = METHODS[name]
     instance = load_module(model_of(DRIVEN), method)()
     start, times = [0.8, -0.3], [0.0, 1.0, 2.0]
@@ -299,6 +298,6 @@ class _Ramp:
         self.times, self.values = times, values
 
 
-def test_a_model_does_not_know_its_method() -> None:
+def test_a_model_does_not_depend_on_the_method() -> None:
     fields = {field for field in Model.__dataclass_fields__ if "solver" in field or "method" in field}
     assert not fields

@@ -1,4 +1,4 @@
-"""The generated module as its user sees it: standalone, checked weights, torch and casadi, batches, gradients."""
+"""The generated module from the user's side: standalone, checked weights, torch and casadi, batches, gradients."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ import sys
 class Refuse:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in ("gbspec", "sympy"):
-            raise ImportError(f"{name} is not to be imported")
+            raise ImportError(f"{name} must not be imported")
 
 sys.meta_path.insert(0, Refuse())
 from urp_gb2 import UrpGb2
@@ -55,7 +55,7 @@ def test_standalone(tmp_path: Path) -> None:
     assert casadi == pytest.approx(here, rel=1e-12)
 
 
-def test_one_class_a_text() -> None:
+def test_one_class_per_text() -> None:
     assert load_module(reactor()) is load_module(reactor())
     assert load_module(reactor()) is not load_module(clinic())
 
@@ -89,7 +89,7 @@ def test_a_run_directory_is_read_by_member(tmp_path: Path) -> None:
         cls.load(tmp_path, 2)
 
 
-def test_weights_that_do_not_fit_are_refused_with_all_reasons() -> None:
+def test_weights_that_do_not_fit_are_rejected_with_all_reasons() -> None:
     weights = load_module(reactor()).random(0).weights
     weights["network.phi.0.weight"] = np.zeros((8, 2))
     weights["network.phi.1.bias"] = np.full(8, np.nan)
@@ -100,11 +100,11 @@ def test_weights_that_do_not_fit_are_refused_with_all_reasons() -> None:
     text = str(caught.value)
     assert "`network.phi.0.weight` has the shape [8, 2] instead of [8, 3]" in text
     assert "`network.phi.1.bias` has entries that are not finite" in text
-    assert "`extra` belongs to no part" in text
+    assert "`extra` is not a weight of this model" in text
     assert "`constants` is missing" in text
 
 
-def test_what_training_keeps_beside_the_weights_is_accepted() -> None:
+def test_entries_that_training_stores_with_the_weights_are_accepted() -> None:
     cls = load_module(clinic())
     weights = cls.random(0).weights
     weights |= {"initial": np.zeros((4, 3)), "per_trajectory.lambda": np.ones(4), "network.q.input_low": np.zeros(1)}
@@ -134,15 +134,15 @@ ENTRY = {"dtype": "F64", "shape": [1], "data_offsets": [0, 8]}
         (header({}, length=2**60), "claims"),
         (header(b"{nonsense"), "cannot be read"),
         (header(b"\xff\xfe"), "cannot be read"),
-        (header(b"[]"), "no table"),
+        (header(b"[]"), "not a table"),
         (header(b'{"a": {}, "a": {}}'), "twice"),
-        (header({"__metadata__": {"info": 3}}), "no strings"),
+        (header({"__metadata__": {"info": 3}}), "not strings"),
         (header({"a": {**ENTRY, "dtype": "F99"}}, bytes(8)), "unknown type"),
         (header({"a": {"dtype": "F64"}}, bytes(8)), "incomplete"),
         (header({"a": 3}, bytes(8)), "incomplete"),
         (header({"a": {**ENTRY, "shape": 1}}, bytes(8)), "incomplete"),
-        (header({"a": {**ENTRY, "shape": [-1]}}, bytes(8)), "no whole numbers"),
-        (header({"a": {**ENTRY, "shape": [True]}}, bytes(8)), "no whole numbers"),
+        (header({"a": {**ENTRY, "shape": [-1]}}, bytes(8)), "not whole numbers"),
+        (header({"a": {**ENTRY, "shape": [True]}}, bytes(8)), "not whole numbers"),
         (header({"a": {**ENTRY, "shape": [2]}}, bytes(8)), "should have 16 bytes"),
         (header({"a": {**ENTRY, "data_offsets": [8, 16]}}, bytes(8)), "should have 8 bytes"),
         (header({"a": ENTRY, "b": ENTRY}, bytes(8)), "overlap"),
@@ -150,7 +150,7 @@ ENTRY = {"dtype": "F64", "shape": [1], "data_offsets": [0, 8]}
         (header({"__metadata__": {"info": "[1]"}, "constants": ENTRY}, bytes(8)), "safetensors"),
     ],
 )
-def test_malformed_weights_files_are_refused(tmp_path: Path, content: bytes, message: str) -> None:
+def test_malformed_weights_files_are_rejected(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "bad.safetensors"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=message):
@@ -173,7 +173,7 @@ def test_wrong_shapes_are_named() -> None:
         instance.rhs(0.0, [1.0, 2.0, 3.0], [0.3])
     with pytest.raises(ValueError, match="Da has no default"):
         instance.rhs(0.0, [1.0, 2.0])
-    with pytest.raises(ValueError, match="no constant is called gamma"):
+    with pytest.raises(ValueError, match="there is no constant gamma"):
         instance.rhs(0.0, [1.0, 2.0], [0.3], constants={"gamma": 1.0})
     with pytest.raises(ValueError, match="phi takes 3 arguments"):
         instance.functions["phi"](1.0, 2.0)
@@ -219,7 +219,7 @@ def test_simulate_converges_to_the_solution_with_linear_and_held_inputs() -> Non
         by_function = instance.simulate([3.0], [0.0, 0.4], inputs=lambda t: [1.0], max_step=0.01)
         if kind == "held":
             assert torch.allclose(by_function, found[0, :2], atol=1e-14)
-        with pytest.raises(ValueError, match="a row for each time"):
+        with pytest.raises(ValueError, match="one row per time"):
             instance.simulate([3.0], times, inputs=[[1.0]])
         with pytest.raises(ValueError, match="increase"):
             instance.simulate([3.0], [0.0, 0.0], inputs=[[1.0], [1.0]])
@@ -319,12 +319,12 @@ def test_floats_round_trip() -> None:
 @pytest.mark.parametrize(
     "name", ["path", "none", "any", "true", "mapping", "simple_namespace", "INTERFACE", "template"]
 )
-def test_class_names_that_the_module_needs(name: str) -> None:
+def test_class_names_that_the_module_uses(name: str) -> None:
     instance = load_module(dataclasses.replace(reactor(), name=name)).random(0)
     assert instance.rhs(0.0, [0.3, 1.2], [0.3]).shape == (2,)
 
 
-def test_texts_of_a_model_are_only_text() -> None:
+def test_texts_of_a_model_are_escaped() -> None:
     hostile = 'a """ \\ # {{class}}\nimport os; {x} "'
     model = dataclasses.replace(
         reactor(), title=hostile, states=(State("x1", description=hostile), State("x2", unit='m"', description="'"))

@@ -1,4 +1,4 @@
-"""The native kernel has the loss and gradient of the torch graph: shipped models, all constructs, random models."""
+"""The native kernel has the loss and gradient of the torch graph: bundled models, all constructs, random models."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem
 
 @pytest.fixture
 def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The compiler does not optimise, which takes most of its time."""
+    """Compiles without optimisation, which takes most of the compiler's time."""
     monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
     monkeypatch.setattr(compiling, "_flag_sets", lambda: [["-std=gnu11", "-O0", "-shared", "-fPIC"]])
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
@@ -104,7 +104,7 @@ SHIPPED = sorted(path.stem for path in (Path(__file__).parents[2] / "models").gl
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_models(name: str) -> None:
+def test_bundled_models(name: str) -> None:
     problem, parameters, theta = random_problem(gbspec.load(name).model, 1, 0.1)
     compare(problem, parameters, theta, ("float64", "float32"))
 
@@ -205,8 +205,8 @@ def test_any_cotangent(small: tuple[Problem, Parameters, np.ndarray, Kernel]) ->
     assert np.allclose(again.d_weights, 3 * own.d_weights, rtol=1e-12, atol=1e-12)
 
 
-def test_what_stops_the_thread_that_asks_stops_the_others() -> None:
-    """They read arrays that are its own."""
+def test_an_error_in_the_calling_thread_stops_the_others() -> None:
+    """The other threads read arrays that belong to it."""
     asking, raised, done = threading.get_ident(), threading.Event(), []
 
     def part(i: int) -> None:
@@ -227,7 +227,7 @@ def test_what_stops_the_thread_that_asks_stops_the_others() -> None:
 def test_memory_does_not_grow_with_the_length(
     small: tuple[Problem, Parameters, np.ndarray, Kernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Trajectories of which only a part of the activations is kept have the same gradient; no work space is large."""
+    """Trajectories with checkpointing have the same gradient, and the work space is bounded."""
     problem, parameters, theta, kernel = small
     assert kernel.work_bytes(100_000) < 8 * 2**20
     monkeypatch.setattr(sys.modules["gbspec.backends.native.kernel_text"], "KEPT_BYTES", 100_000)
@@ -250,7 +250,7 @@ observe x
 
 @pytest.mark.usefixtures("quick")
 def test_jacobians_of_intervals_longer_than_what_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a call that is made once for a whole interval, whose slopes every part of it needs."""
+    """The model has a call that is made once for a whole interval, and every checkpoint interval needs its slopes."""
     problem, parameters, theta = random_problem(model_of(INVARIANT), 3, step=0.02)
     compare_jacobians(problem, parameters, theta)
     monkeypatch.setattr(sys.modules["gbspec.backends.native.kernel_text"], "KEPT_BYTES", 20_000)
@@ -281,7 +281,7 @@ observe x
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("weight", [None, 0.0, 1.0])
 def test_an_overflow_that_no_measurement_sees(weight: float | None) -> None:
-    """An infinite state whose effect ends at a limit: what is measured stays finite, with resets of any weight."""
+    """An infinite state with bounded effect: the measured values stay finite, with resets of any weight."""
     problem, parameters, theta = random_problem(model_of(OVERFLOW.format(rate="1e90*z")), 2)
     if weight is not None:
         forcing = problem.forcing
@@ -296,7 +296,7 @@ def test_an_overflow_that_no_measurement_sees(weight: float | None) -> None:
 
 @pytest.mark.usefixtures("quick")
 def test_a_trajectory_that_has_ended_waits_for_longer_ones() -> None:
-    """Where its last state is so large that the rates' derivatives there are infinite, which nobody asks for."""
+    """Its last state is so large that the derivatives of the rates, which are not needed, are infinite there."""
     text = OVERFLOW.format(rate="c*z + k").replace("1/(1 + z)", "1/(1 + z^10)\ncondition c in [0, 1]")
     problem, parameters, theta = random_problem(model_of(text), 2, step=2.0)
     packed, weight = problem.packed, np.zeros_like(problem.forcing.weight)
@@ -313,7 +313,7 @@ def test_a_trajectory_that_has_ended_waits_for_longer_ones() -> None:
 
 
 # ---------------------------------------------------------------- compilation
-def test_arrays_that_the_c_would_misread_are_refused(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
+def test_arrays_that_c_would_misread_are_rejected(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:
     problem, _, _, kernel = small
     given = {"count": 2, "first": 0, "stride": 1, "gradient": 0, "order": np.arange(2), "cotangent": None}
     right, weights = kernel.library.struct, np.zeros(kernel.library.sizes["WEIGHTS"])
@@ -337,7 +337,7 @@ def test_arrays_that_the_c_would_misread_are_refused(small: tuple[Problem, Param
         right("Share", **given)
 
 
-def test_kernels_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_are_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
     text = "int answer(void) { return 42; }\n"
     assert compiled(text).answer() == 42
@@ -347,7 +347,7 @@ def test_kernels_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert compiled(text).answer() == 42
 
 
-def test_a_compiler_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_failure_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
     with pytest.raises(CompilerError, match="cannot compile"):
         compiled("this is no C\n")
@@ -357,7 +357,7 @@ def test_a_compiler_that_fails_is_told(tmp_path: Path, monkeypatch: pytest.Monke
 def test_no_instruction_set_is_assumed(
     small: tuple[Problem, Parameters, np.ndarray, Kernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Standard C, a vector being one number."""
+    """Standard C, where a vector is one number."""
     problem, parameters, theta, kernel = small
 
     def plain(model: Model, precision: Precision, method: Method) -> Source:

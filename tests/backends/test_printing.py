@@ -1,4 +1,4 @@
-"""The printer: texts of expressions, their value, safe names, and that no kind of node goes untested."""
+"""The printer: texts of expressions, their values, safe names; every kind of node is tested."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_numbers_without_symbols_are_evaluated_once() -> None:
             PYTHON.print(number)
 
 
-def test_what_has_no_rule_is_a_defect() -> None:
+def test_a_node_without_a_rule_is_a_defect() -> None:
     with pytest.raises(Defect, match="no rule prints the node besselj"):
         PYTHON.print(sympy.besselj(1, x))
     with pytest.raises(Defect, match="was not replaced"):
@@ -123,7 +123,7 @@ def test_what_has_no_rule_is_a_defect() -> None:
 def test_every_kind_of_node_that_is_printed_occurs_in_random_models() -> None:
     patterns = re.findall(r"^ +case (.+):", inspect.getsource(printer_module), flags=re.M)
     named = {getattr(sympy, name) for pattern in patterns for name in re.findall(r"sympy\.(\w+)\(\)", pattern)}
-    made_elsewhere = {sympy.Symbol, sympy.ITE}  # leaves, and what sympy makes of comparisons with a Piecewise
+    made_elsewhere = {sympy.Symbol, sympy.ITE}  # leaves, and sympy's form of comparisons with a Piecewise
     relations = {kind for kind in strategies.RELATIONS if kind.rel_op in RELATIONS}
     assert len(relations) == len(RELATIONS)
     printed = {*UNARY, *RECIPROCAL, *named, *relations} - made_elsewhere
@@ -141,7 +141,7 @@ def test_identifiers_are_safe_and_distinct(wishes: list[str]) -> None:
         assert name.isidentifier() and not keyword.iskeyword(name) and name not in ("math", "state", "cls", "self")
 
 
-def test_names_stay_as_they_are_where_they_can() -> None:
+def test_valid_names_are_unchanged() -> None:
     names = Names(("math",))
     assert [names.claim(symbol(name)) for name in ("x", "μ", "lambda", "math", "lambda_", "c[3]")] == [
         "x",
@@ -180,13 +180,13 @@ def program(
     return lines
 
 
-def test_what_occurs_twice_is_computed_once() -> None:
+def test_common_subexpressions_are_computed_once() -> None:
     assert program(a * sympy.exp(b), c * sympy.exp(b)) == ["s1 = math.exp(b)", "d0 = a*s1", "d1 = c*s1"]
     assert program(a / (b + c), b / (b + c)) == ["s1 = b + c", "d0 = a/s1", "d1 = b/s1"]
     assert program(2 * a + b, 2 * a - b, -a) == ["d0 = 2*a + b", "d1 = 2*a - b", "d2 = -a"]
 
 
-def test_intermediates_keep_their_names_and_the_unused_are_left_out() -> None:
+def test_intermediates_keep_their_names_and_unused_ones_are_omitted() -> None:
     lets = (
         Intermediate("p", value=a * b),
         Intermediate("unused", value=sympy.exp(a)),
@@ -195,9 +195,9 @@ def test_intermediates_keep_their_names_and_the_unused_are_left_out() -> None:
     assert program(symbol("q") ** 2, intermediates=lets) == ["p = a*b", "q = c + p", "d0 = q**2"]
 
 
-def test_a_circle_of_intermediates_is_a_defect() -> None:
+def test_cyclic_intermediates_are_a_defect() -> None:
     lets = (Intermediate("p", value=symbol("q") + 1), Intermediate("q", value=symbol("p") ** 2))
-    with pytest.raises(Defect, match="circle"):
+    with pytest.raises(Defect, match="cyclically"):
         program(symbol("q"), symbol("p"), intermediates=lets)
 
 
@@ -212,7 +212,7 @@ def test_networks_are_called_once_for_each_tuple_of_arguments() -> None:
     ]
     nested = program(f(g(a, b), b), networks=(network,))
     assert nested[0] == "_, g = net0(a, b)"
-    with pytest.raises(Defect, match="is no unknown"):
+    with pytest.raises(Defect, match="is not an unknown"):
         program(unknown_function("h")(a))
 
 

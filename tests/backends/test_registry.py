@@ -1,4 +1,4 @@
-"""Every registered backend writes every shipped model; a backend is a folder, and what it cannot express it says."""
+"""Every registered backend writes every bundled model or refuses with a reason; a backend is a folder."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ main(sys.argv[2:])
 
 
 @pytest.mark.parametrize("name", sorted(backends()))
-def test_every_shipped_model_can_be_written(name: str) -> None:
+def test_every_bundled_model_can_be_written(name: str) -> None:
     for path in shipped_models().values():
         model = load_model(path, Findings())
         backend = backends()[name]
@@ -51,19 +51,19 @@ def test_every_shipped_model_can_be_written(name: str) -> None:
         assert made == backend.emit(model, instance), "what it writes is reproducible"
 
 
-def test_numbers_are_asked_for() -> None:
+def test_numbers_are_required() -> None:
     with pytest.raises(Defect, match="without its numbers"):
         backends()["c"].emit(reactor())
 
 
-def test_what_is_registered_is_what_comes_out() -> None:
+def test_output_has_the_registered_type() -> None:
     with pytest.raises(Defect, match="emits bytes"):
         Backend("b", ".b", "", lambda model, instance, method: b"").emit(reactor())
     with pytest.raises(Defect, match="emits str"):
         Backend("b", ".b", "", lambda model, instance, method: "", binary=True).emit(reactor())
 
 
-def test_a_refusal_is_a_finding() -> None:
+def test_a_refusal_is_a_diagnostic() -> None:
     backend = Backend("b", ".b", "", lambda model, instance, method: Refusal("it has states", "take them out"))
     with pytest.raises(UserError) as caught:
         backend.emit(reactor())
@@ -73,7 +73,7 @@ def test_a_refusal_is_a_finding() -> None:
     assert finding.help == "take them out"
 
 
-def test_every_folder_is_a_form_but_what_backends_share_and_what_training_and_analysis_call() -> None:
+def test_every_folder_is_an_output_form_except_printing_and_casadi() -> None:
     folders = {path.parent.name for path in Path(gbspec.backends.__path__[0]).glob("*/__init__.py")}
     assert folders - set(backends()) == {"casadi", "printing"}
     assert all(backend.suffix.startswith(".") and backend.help for backend in backends().values())
@@ -81,7 +81,7 @@ def test_every_folder_is_a_form_but_what_backends_share_and_what_training_and_an
 
 @pytest.fixture
 def scratch(tmp_path: Path) -> Iterator[Path]:
-    """A folder beside which `gbspec/backends` holds: one more backend, that writes bytes."""
+    """A folder that is searched in addition to `gbspec/backends`, with a backend that writes bytes."""
     folder = tmp_path / "more" / "scratch"
     folder.mkdir(parents=True)
     (folder / "__init__.py").write_text("")
@@ -128,7 +128,7 @@ def test_a_folder_that_registers_something_else_is_a_defect(scratch: Path, monke
     (scratch / "scratch" / "backend.py").write_text("BACKEND = 1\n")
     monkeypatch.setattr(gbspec.backends, "__path__", [str(scratch)])
     backends.cache_clear()
-    with pytest.raises(Defect, match="no BACKEND that is called `scratch`"):
+    with pytest.raises(Defect, match="no BACKEND with the name `scratch`"):
         backends()
 
 

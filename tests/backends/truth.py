@@ -1,4 +1,4 @@
-"""The symbolic truth: a model's expressions at 30 digits by mpmath, its networks written out here once more."""
+"""The symbolic reference: a model's expressions at 30 digits by mpmath, with independently implemented networks."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Truth:
         return self._evaluate([c.value for c in self.model.channels], point)
 
     def initial(self, point: Point) -> list[Any]:
-        """The start with expressed starts put in, one after the other until none hangs on another."""
+        """The initial state with given initial values inserted, repeated until all dependencies are resolved."""
         found = list(point.x)
         for _ in self.model.states:
             at = Point(point.t, found, point.condition, point.inputs, point.constants)  # type: ignore[arg-type]
@@ -55,7 +55,7 @@ class Truth:
         return found
 
     def step(self, point: Point, h: float, method: Method = RK4) -> list[Any]:
-        """One step of a Runge-Kutta method, with all its Runge-Kutta stages."""
+        """One step of a Runge-Kutta method, by its tableau."""
         with mpmath.workdps(30):
             slopes: list[list[Any]] = []
             for row, c in zip(method.a, method.c, strict=True):
@@ -113,7 +113,7 @@ class Truth:
         return np.vectorize(mpmath.mpf, otypes=[object])(self.weights[f"network.{network.name}.{name}"])
 
     def _raw(self, network: Network, arguments: Sequence[Any]) -> list[Any]:
-        """The sums of the last layer."""
+        """The outputs of the last layer."""
         if network.layout is not None:
             raise NotImplementedError("networks with directions are compared in tests/contracts")
 
@@ -157,11 +157,11 @@ FUNCTIONS: Mapping[type[sympy.Basic], Callable[..., Any]] = {
     sympy.Not: lambda a: not a,
     sympy.ITE: lambda c, a, b: a if c else b,
 }
-"""The value of a node from those of its arguments, at mpmath's precision."""
+"""Functions from the values of a node's arguments to its value, at mpmath's precision."""
 
 
 def value_of(node: Any, table: Mapping[Any, Any], unknowns: Mapping[str, Callable[..., Any]]) -> Any:
-    """The value of an expression or condition; symbols from the table, only the branch that is taken evaluated."""
+    """The value of an expression or condition; only the branch that is taken is evaluated."""
     if node in table:
         return table[node]
     match node:

@@ -1,4 +1,4 @@
-"""Fits beside each other: the error that they are judged by, what peers start from, the table and the figure."""
+"""Comparison of fits: their error measure, the initial guesses of peers, the table and the figure."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_the_error_is_of_the_module_s_right_hand_side() -> None:
     np.testing.assert_allclose(truth, expected.numpy(), rtol=1e-12, atol=1e-12)
 
 
-def test_peers_start_from_what_was_measured_first() -> None:
+def test_peers_start_from_the_first_measurements() -> None:
     table = accuracy.data(3)
     work = prepared(table)
     for item, start in zip(table.items, work.start, strict=True):
@@ -96,7 +96,7 @@ def test_a_figure_has_a_panel_for_each_result(tmp_path: Path) -> None:
     assert (tmp_path / "made.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_readme_is_filled_between_its_marks(tmp_path: Path) -> None:
+def test_the_readme_is_replaced_between_its_marks(tmp_path: Path) -> None:
     readme = (plot.ROOT / "README.md").read_text()
     made = plot.fill(readme, "here")
     assert f"{plot.BEGIN}\nhere\n{plot.END}" in made
@@ -109,7 +109,7 @@ def test_the_readme_is_filled_between_its_marks(tmp_path: Path) -> None:
     assert text.endswith("(made.png)")
 
 
-def test_start_up_says_what_takes_how_long(tmp_path: Path) -> None:
+def test_start_up_table_has_all_times(tmp_path: Path) -> None:
     assert startup.told("print('noise'); print(0.25)") == 0.25
     with pytest.raises(RuntimeError, match="ZeroDivisionError"):
         startup.told("1 / 0")

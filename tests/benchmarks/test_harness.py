@@ -1,4 +1,4 @@
-"""How benchmarks are timed and written down."""
+"""Timing of benchmarks and the documents they write."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from benchmarks.harness import RESULTS, Timing, interleaved, markdown, peak_memory, pinned, write
 
 
-def test_every_run_is_timed_once_a_round_and_once_before() -> None:
+def test_every_run_is_timed_once_per_round_after_a_warm_up() -> None:
     calls: list[str] = []
     timings = interleaved({name: lambda name=name: calls.append(name) for name in "abc"}, 4)
     assert sorted(calls[:3]) == ["a", "b", "c"]
@@ -22,7 +22,7 @@ def test_every_run_is_timed_once_a_round_and_once_before() -> None:
     assert {name: len(timing.wall) for name, timing in timings.items()} == {"a": 4, "b": 4, "c": 4}
 
 
-def test_no_round_is_begun_when_the_time_is_over() -> None:
+def test_no_round_starts_after_the_time_limit() -> None:
     assert len(interleaved({"a": lambda: None}, 1000, seconds=0.0)["a"].wall) == 1
 
 
@@ -33,7 +33,7 @@ def test_median_and_quartiles() -> None:
     assert Timing([2.0]).quartiles == (2.0, 2.0)
 
 
-def test_a_run_is_pinned_and_let_go() -> None:
+def test_a_run_is_pinned_and_released() -> None:
     before = os.sched_getaffinity(0)
     with pinned():
         assert len(os.sched_getaffinity(0)) == 1

@@ -1,4 +1,4 @@
-"""Every variant computes the same loss and gradient; what does not is found out before it is timed."""
+"""All variants compute the same loss and gradient; disagreement is detected before timing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def work() -> Workload:
 
 def test_the_workload_is_packed_as_it_was_measured(work: Workload) -> None:
     packed = work.problem.packed
-    assert work.measured == int((packed.weights > 0).sum()) == packed.rows  # one channel a key time
+    assert work.measured == int((packed.weights > 0).sum()) == packed.rows  # one channel per key time
     assert work.substeps == packed.substeps
     assert work.interval.sum() == pytest.approx(work.h.sum())
     assert work.count.sum() == work.substeps
@@ -30,7 +30,7 @@ def test_the_workload_is_packed_as_it_was_measured(work: Workload) -> None:
     assert np.all(work.h <= 0.1 + 1e-12)
 
 
-# those left out compile for long where they are installed; the command holds all of them against the reference
+# the others take long to compile if they are installed; the command compares all of them with the reference
 @pytest.mark.parametrize("name", [name for name in VARIANTS if name not in ("jax", "diffrax", "diffrax-scan")])
 def test_a_variant_agrees_with_the_generated_module(name: str, work: Workload) -> None:
     library = LIBRARIES.get(name.partition("-")[0])
@@ -46,7 +46,7 @@ def test_a_variant_agrees_with_the_generated_module(name: str, work: Workload) -
     assert len(told) == len(made)
 
 
-def test_a_wrong_gradient_is_found_out(work: Workload) -> None:
+def test_a_wrong_gradient_is_detected(work: Workload) -> None:
     candidate = Candidate("torch", "float64", VARIANTS["torch"].build(work, "float64"))
     expected = reference(work)
     compare(candidate, candidate.gradient(work), expected)
@@ -62,11 +62,11 @@ def test_a_wrong_gradient_is_found_out(work: Workload) -> None:
         agree(work, [wrong])
 
 
-def test_a_missing_library_is_told(work: Workload, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_reported(work: Workload, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(VARIANTS, "torchdiffeq", replace(VARIANTS["torchdiffeq"], module="benchmarks.peers.none"))
     told: list[str] = []
     assert build(work, ["torchdiffeq"], ["float32", "float64"], told.append) == []
-    assert len(told) == 1 and "left out" in told[0] and "pip install .[benchmarks]" in told[0]
+    assert len(told) == 1 and "skipped" in told[0] and "pip install .[benchmarks]" in told[0]
 
 
 def test_a_step_is_measured_against_the_limit(work: Workload) -> None:
@@ -87,11 +87,11 @@ def test_peak_memory_grows_with_what_is_stored() -> None:
     found = step.memory_of("torch", "float32", size)
     if found is None:
         pytest.skip("this kernel does not tell the peak of memory")
-    stored = 4 * 2 * 64 * 4 * make(size, 20).substeps / 2**20  # both hidden layers' outputs in four stages, float32
+    stored = 4 * 2 * 64 * 4 * make(size, 20).substeps / 2**20  # outputs of both layers in four Runge-Kutta stages
     assert stored < found < 6 * stored
 
 
-def test_growth_leaves_out_what_would_take_too_long() -> None:
+def test_growth_skips_cases_that_would_take_too_long() -> None:
     size = Size(trajectories=3, span=1.0, width=8, states=4)
     found = growth.case(size, ["torch", "graph"], {"torch": 1.0}, 1, 6.0)
     assert set(found["timings"]) == {"graph"}

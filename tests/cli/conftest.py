@@ -1,4 +1,4 @@
-"""Fixtures of the command tests: the application in this process, and models to try it on."""
+"""Fixtures of the command tests: the application run in this process, and models."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def gbspec() -> Callable[..., Any]:
 
 @pytest.fixture
 def document(gbspec: Callable[..., Any]) -> Callable[..., Any]:
-    """Runs `gbspec ARGUMENTS --json` and returns the document; standard output holds nothing else."""
+    """Runs `gbspec ARGUMENTS --json` and returns the document; standard output must contain nothing else."""
 
     def run(*arguments: object) -> Any:
         return json.loads(gbspec(*arguments, "--json").stdout)

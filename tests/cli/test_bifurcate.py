@@ -1,4 +1,4 @@
-"""bifurcate on a shipped model, against published numbers."""
+"""bifurcate on a bundled model, compared with published numbers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_hopf_points_of_the_reactor(here: Path, gbspec: Run) -> None:
     assert "Hopf point" in Path("d.svg").read_text()
 
 
-def test_another_heat_of_reaction_moves_them(here: Path, document: Run) -> None:
+def test_another_heat_of_reaction_shifts_the_hopf_points(here: Path, document: Run) -> None:
     arguments = ("--over", "Da", "--range", 0.2, 0.5)
     moved = document("bifurcate", "urp_gb2", *arguments, "--set", "B=11.5")
     values = [point["value"] for point in moved["special"] if point["type"] == "hopf"]
@@ -51,7 +51,7 @@ def test_hopf_and_fold_curves_in_a_plane(here: Path, gbspec: Run) -> None:
 @pytest.mark.parametrize(
     "wrong", [("--and", "B"), ("--and-range", 8, 14), ("--and", "B", "--and-range", 8, 14, "--cycles")]
 )
-def test_options_of_a_plane_that_do_not_go_together(here: Path, gbspec: Run, wrong: tuple[object, ...]) -> None:
+def test_inconsistent_options_of_a_plane(here: Path, gbspec: Run, wrong: tuple[object, ...]) -> None:
     result = gbspec("bifurcate", "urp_gb2", "--over", "Da", "--range", 0.2, 0.5, *wrong)
     assert result.exit_code == 2
     assert "GB814" in result.stderr

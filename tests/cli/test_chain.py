@@ -1,4 +1,4 @@
-"""simulate, train, validate, eigen and plot, one after the other, as a user calls them."""
+"""simulate, train, validate, eigen and plot, run in sequence as by a user."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 # ------------------------------------------------------------------------------------------------------- simulate
-def test_simulate_writes_a_table_and_says_what_is_in_it(known: Path, document: Run) -> None:
+def test_simulate_writes_a_table_and_reports_its_content(known: Path, document: Run) -> None:
     arguments = ("--trajectories", 4, "--dt", 0.25, "--span", 2, "--channels", "0.5", "--noise", 0.01, "--seed", 7)
     made = document("simulate", known, "-o", "t.csv", *arguments)
     assert made["trajectories"] == 4
@@ -94,14 +94,14 @@ def test_an_unknown_without_a_truth_is_named(decay: Path, gbspec: Run) -> None:
     assert "`rate`" in result.stderr
 
 
-def test_output_that_cannot_be_written_is_said_before_the_work(known: Path, gbspec: Run) -> None:
+def test_output_that_cannot_be_written_is_reported_before_the_work(known: Path, gbspec: Run) -> None:
     result = gbspec("simulate", known, "-o", "no/such/place.csv")
     assert result.exit_code == 1
     assert "GB805" in result.stderr
 
 
 # ---------------------------------------------------------------------------------------------------------- train
-def test_a_run_holds_what_it_should(place: Path) -> None:
+def test_the_files_of_a_run(place: Path) -> None:
     run = place / "decay_run"
     assert {p.name for p in run.iterdir()} >= {"model.gb", "model.py", "fit.json", "history.csv", "members"}
     fit = json.loads((run / "fit.json").read_text())
@@ -128,7 +128,7 @@ def test_the_known_constant_is_found(place: Path) -> None:
     assert fit["constants"]["k"]["value"] == pytest.approx(0.8, rel=1e-3)
 
 
-def test_train_does_not_write_over_a_run(place: Path) -> None:
+def test_train_does_not_overwrite_a_run(place: Path) -> None:
     result = call("train", place / "known.gb", place / "known.csv", "-o", place / "known_run")
     assert result.exit_code == 1
     assert "GB806" in result.stderr
@@ -161,7 +161,7 @@ def test_an_interrupted_training_exits_130_and_can_be_resumed(place: Path, here:
     process = subprocess.Popen(slow, cwd=here, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     seen = ""
-    while "adam" not in seen.lower() and (line := process.stderr.readline()):  # until it ends, if it never says so
+    while "adam" not in seen.lower() and (line := process.stderr.readline()):  # or until the process ends
         seen += line
     process.send_signal(signal.SIGINT)
     _, rest = process.communicate(timeout=300)
@@ -181,19 +181,19 @@ def test_validate_json_has_the_keys_of_the_contract(place: Path) -> None:
 
 
 @pytest.mark.parametrize(("member", "status"), [("9", 1), ("first", 2)])
-def test_a_member_that_is_not_there(place: Path, member: str, status: int) -> None:
+def test_a_member_that_does_not_exist(place: Path, member: str, status: int) -> None:
     assert call("validate", place / "known_run", "--member", member).exit_code == status
 
 
 @pytest.mark.parametrize("command", [("validate",), ("plot", "fit", "-o", "f.png")])
-def test_a_directory_that_is_no_run(here: Path, command: tuple[str, ...]) -> None:
+def test_a_directory_that_is_not_a_run(here: Path, command: tuple[str, ...]) -> None:
     result = call(command[0], here, *command[1:])
     assert result.exit_code == 1
     assert "GB851" in result.stderr
 
 
 # ---------------------------------------------------------------------------------------------------------- eigen
-def test_eigenvalues_of_a_model_and_of_a_run_beside_its_truth(place: Path) -> None:
+def test_eigenvalues_of_a_model_and_of_a_run_with_its_truth(place: Path) -> None:
     made = json.loads(call("eigen", place / "known.gb", "--at", "A=1,B=0.5", "--json").stdout)
     (point,) = made["points"]
     assert list(point)[:5] == ["state", "condition", "rhs_norm", "eigenvalues", "truth"]
@@ -218,7 +218,7 @@ def test_figures_of_a_run_with_an_unknown(place: Path, here: Path, kind: str) ->
 
 
 @pytest.mark.parametrize(("suffix", "start"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
-def test_forms_of_a_figure(place: Path, here: Path, suffix: str, start: bytes) -> None:
+def test_file_formats_of_a_figure(place: Path, here: Path, suffix: str, start: bytes) -> None:
     for _ in range(2):
         result = call("plot", place / "known_run", "phase", "-o", f"figure.{suffix}", "--show", "2")
         assert result.exit_code == 0, result.stderr
@@ -236,7 +236,7 @@ def test_forms_of_a_figure(place: Path, here: Path, suffix: str, start: bytes) -
         ("decay_run", ("fit", "-o", "no/f.png"), "GB805"),
     ],
 )
-def test_figures_that_cannot_be(place: Path, here: Path, run: str, arguments: tuple[str, ...], code: str) -> None:
+def test_figures_that_cannot_be_drawn(place: Path, here: Path, run: str, arguments: tuple[str, ...], code: str) -> None:
     result = call("plot", place / run, *arguments)
     assert result.exit_code == 1, result.output
     assert code in result.stderr

@@ -39,7 +39,7 @@ def raising(error: BaseException) -> Callable[[], None]:
         (MemoryError(), 3, "memory"),
     ],
 )
-def test_every_way_out_has_its_status(
+def test_every_outcome_has_its_exit_status(
     error: BaseException, status: int, said: str, capsys: pytest.CaptureFixture[str], tmp_path: Any, monkeypatch: Any
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -50,7 +50,7 @@ def test_every_way_out_has_its_status(
     assert shown.out == ""
 
 
-def test_the_details_of_a_defect_are_kept_in_a_file(
+def test_the_details_of_a_defect_are_written_to_a_file(
     capsys: pytest.CaptureFixture[str], tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -129,7 +129,7 @@ def test_usage_errors_exit_2(bad: list[str]) -> None:
     assert invoke(sample, *(["a", *bad] if bad else [])).exit_code == 2
 
 
-def test_an_option_that_refuses_its_value_is_a_diagnostic() -> None:
+def test_an_invalid_option_value_is_a_diagnostic() -> None:
     result = invoke(sample, "a", "--dt", "0")
     assert result.exit_code == 2
     assert "GB814" in result.stderr
@@ -144,7 +144,7 @@ def test_json_has_no_nan_and_keeps_every_digit() -> None:
         jsonable(object())
 
 
-def test_quiet_leaves_results_and_errors(capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_keeps_results_and_errors(capsys: pytest.CaptureFixture[str]) -> None:
     output = Output(quiet=True)
     output.say("working")
     output.summary("summary")
@@ -153,7 +153,7 @@ def test_quiet_leaves_results_and_errors(capsys: pytest.CaptureFixture[str]) -> 
     assert (shown.out, shown.err) == ("result\n", "")
 
 
-def test_numbers_and_tables_line_up() -> None:
+def test_numbers_and_tables_are_aligned() -> None:
     assert [number(v) for v in (0.0, None, 1.23456, 1.2e-7, 123456.0, float("nan"))] == [
         *("0", "-", "1.235", "1.20e-07", "1.23e+05", "-"),
     ]

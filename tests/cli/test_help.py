@@ -1,4 +1,4 @@
-"""The help: every command has one, with examples that its own parser accepts."""
+"""Every command has help, with examples that its parser accepts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""predict: new trajectories from their first rows, with everything that is shared frozen."""
+"""predict: new trajectories from their first rows, with all shared parameters fixed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def call(*arguments: object) -> Any:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A run of a model with a hidden state, its training table, and a table of new trajectories."""
+    """A run of a model with an unmeasured state, its training table, and a table of new trajectories."""
     folder = tmp_path_factory.mktemp("predict")
     (folder / "hidden.gb").write_text(HIDDEN)
     for name, seed, count in (("old", 1, 4), ("new", 2, 3)):
@@ -49,7 +49,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     yield folder
 
 
-def test_the_start_is_estimated_from_the_window_and_the_rest_predicted(place: Path, here: Path) -> None:
+def test_the_initial_state_is_estimated_from_the_window_and_the_rest_predicted(place: Path, here: Path) -> None:
     result = call("predict", place / "run", place / "new.csv", "-o", "p.csv", "--window", 5, "--json")
     assert result.exit_code == 0, result.stderr
     made = json.loads(result.stdout)
@@ -64,18 +64,18 @@ def test_the_start_is_estimated_from_the_window_and_the_rest_predicted(place: Pa
     assert ((table["B_low"] < table["B"]) & (table["B"] < table["B_high"])).all()
 
 
-def test_what_comes_after_the_window_has_no_influence(place: Path, here: Path) -> None:
+def test_rows_after_the_window_have_no_influence(place: Path, here: Path) -> None:
     whole = pl.read_csv(place / "new.csv")
     late = pl.col("t") > whole["t"].unique().sort()[5]
     whole.with_columns(pl.when(late).then(pl.col("B") * 3 + 1).otherwise(pl.col("B")).alias("B")).write_csv("bent.csv")
     for name, data in (("a", place / "new.csv"), ("b", Path("bent.csv"))):
         assert call("predict", place / "run", data, "-o", f"{name}.csv", "--window", 4).exit_code == 0
     a, b = (pl.read_csv(f"{name}.csv") for name in "ab")
-    # The channel's spread over the table weighs residuals against the weak prior, so not the last digits
+    # Not to the last digits: the channel's standard deviation over the table weights residuals against the weak prior
     assert (a["A"] - b["A"]).abs().max() < 1e-3
 
 
-def test_a_longer_window_narrows_the_interval_of_the_hidden_state(place: Path, here: Path) -> None:
+def test_a_longer_window_narrows_the_interval_of_the_unmeasured_state(place: Path, here: Path) -> None:
     widths = []
     for rows in (1, 8):
         assert call("predict", place / "run", place / "new.csv", "-o", "w.csv", "--window", rows).exit_code == 0
@@ -84,7 +84,7 @@ def test_a_longer_window_narrows_the_interval_of_the_hidden_state(place: Path, h
     assert widths[1] < 0.5 * widths[0]
 
 
-def test_trajectories_of_the_training_are_known_by_content(place: Path, here: Path) -> None:
+def test_training_trajectories_are_recognised_by_content(place: Path, here: Path) -> None:
     table = pl.read_csv(place / "old.csv").with_columns(
         ("renamed" + pl.col("trajectory").cast(str)).alias("trajectory")
     )
@@ -103,7 +103,7 @@ def test_rows_without_measurements_are_predicted(place: Path, here: Path) -> Non
     assert math.isclose(last["B"], 0, abs_tol=1e-5)
 
 
-def test_a_single_member_is_said_to_know_too_little(place: Path, here: Path) -> None:
+def test_a_single_member_gives_a_warning_about_its_intervals(place: Path, here: Path) -> None:
     made = call("train", place / "hidden.gb", place / "old.csv", "-o", "one", "--effort", "low", "--quiet")
     assert made.exit_code == 0
     assert "too narrow" in call("predict", "one", place / "new.csv", "-o", "p.csv").stdout
@@ -128,7 +128,7 @@ def test_the_same_from_python(place: Path, here: Path) -> None:
 )
 def test_wrong_options(place: Path, here: Path, arguments: tuple[str, ...], code: str) -> None:
     result = call("predict", place / "run", place / "new.csv", *arguments)
-    # Options that do not go together are a usage error, a file that cannot be written is the user's input
+    # Inconsistent options are a usage error; a file that cannot be written is an input error
     assert result.exit_code == (2 if code == "GB814" else 1), result.output
     assert code in result.stderr
     assert not list(here.iterdir())

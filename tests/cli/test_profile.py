@@ -1,4 +1,4 @@
-"""profile: the interval of a constant with everything else fitted to it."""
+"""profile: the interval of a constant, with all other parameters refitted."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ def test_the_profile_of_a_linear_model_is_the_parabola_of_least_squares(place: P
     assert made["interval"] == pytest.approx([solution[1] - half, solution[1] + half], abs=0.02 * half)
     for point in made["points"]:
         assert point["deviance"] == pytest.approx(((point["value"] - solution[1]) / deviation) ** 2, rel=0.02, abs=0.02)
-        # With b held, a is the least-squares solution of what is left
+        # With b fixed, a is the least-squares solution for the remainder
         rest = float(t @ (x - START - point["value"] * u * t) / (t @ t))
         assert point["constants"]["a"] == pytest.approx(rest, abs=1e-3)
     assert Path("b.png").stat().st_size > 1000
 
 
-def test_what_the_data_do_not_bound_is_said_to_be_open(place: Path, here: Path) -> None:
+def test_an_end_that_the_data_do_not_bound_is_reported_as_open(place: Path, here: Path) -> None:
     text = FALL.replace("b*u", "b*u*0.0001")
     Path("weak.gb").write_text(text)
     made = call("train", "weak.gb", place / "fall.csv", "-o", "weak", "--effort", "low", "--quiet")
@@ -87,7 +87,7 @@ def test_what_the_data_do_not_bound_is_said_to_be_open(place: Path, here: Path) 
     assert any("do not bound" in note for note in found["notes"])
 
 
-def test_the_weights_are_fitted_anew(here: Path) -> None:
+def test_the_weights_are_refitted(here: Path) -> None:
     Path("bent.gb").write_text(
         'model bent "A rate partly unknown"\nstate x in [0, 2] = 1\nlearn k = 0.5 in [0, 3]\n'
         "unknown extra(x) by mlp(4)\nx' = -k*x + extra(x)\nobserve x\ntruth k = 0.5\ntruth extra(x) = 0.2*x^2\n"
@@ -96,12 +96,12 @@ def test_the_weights_are_fitted_anew(here: Path) -> None:
     assert call("simulate", "bent.gb", "-o", "bent.csv", *arguments).exit_code == 0
     assert call("train", "bent.gb", "bent.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
     found = json.loads(call("profile", "run", "k", "--points", 2, "--json").stdout)
-    # A free function of x makes up for any k: the data cannot tell them apart
+    # A free function of x compensates any k: the data cannot distinguish them
     assert max(point["deviance"] for point in found["points"]) < found["threshold"]
     assert found["interval"] == [None, None]
 
 
-def test_fits_that_had_not_come_to_rest_give_no_interval(here: Path) -> None:
+def test_fits_that_did_not_converge_give_no_interval(here: Path) -> None:
     Path("grow.gb").write_text(
         'model grow "Far from linear in its constants"\nstate x in [0, 3] = 0.1\nlearn r = 2 in [0.1, 5]\n'
         "learn K = 2 in [0.5, 5]\ninitial x = 0.1\nx' = r*x*(1 - x/K)\nobserve x\ntruth r = 1.5\ntruth K = 2\n"
@@ -126,7 +126,7 @@ def test_wrong_input(place: Path, here: Path, arguments: tuple[str, ...], code: 
     assert code in result.stderr
 
 
-def test_other_data_than_those_trained_on_are_refused(place: Path, here: Path) -> None:
+def test_data_other_than_the_training_data_are_rejected(place: Path, here: Path) -> None:
     shutil.copytree(place / "run", here / "run")
     Path("other.csv").write_text((place / "fall.csv").read_text() + "9,1.0,0.4,0.5\n")
     result = call("profile", "run", "b", "--data", "other.csv")
@@ -134,7 +134,7 @@ def test_other_data_than_those_trained_on_are_refused(place: Path, here: Path) -
     assert "GB859" in result.stderr
 
 
-def test_fits_are_kept_and_used_again(place: Path, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fits_are_stored_and_reused(place: Path, here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(place / "run", here / "run")
     for old in Path("run/members/0").glob("profile.*"):
         old.unlink()
@@ -149,6 +149,6 @@ def test_fits_are_kept_and_used_again(place: Path, here: Path, monkeypatch: pyte
     with monkeypatch.context() as patched:
         patched.setattr("gbspec.training.profile.likelihood.minimise", refuse)
         assert json.loads(call("profile", "run", "b", *data).stdout) == whole
-    # A kept file that is damaged is not trusted
+    # A damaged stored file is not used
     Path("run/members/0/profile.b.safetensors").write_bytes(b"nothing")
     assert json.loads(call("profile", "run", "b", *data).stdout) == whole

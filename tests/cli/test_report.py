@@ -1,4 +1,4 @@
-"""report: one page that needs nothing else, with every section that it promises."""
+"""report: one self-contained page with all sections."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def page(place: Path) -> str:
 
 
 class Reader(HTMLParser):
-    """Tags that are opened and closed in order, and everything that refers to something else."""
+    """Checks that tags are nested correctly, and collects all references to other resources."""
 
     def __init__(self) -> None:
         super().__init__(convert_charrefs=True)
@@ -112,7 +112,7 @@ def test_nothing_is_loaded_from_elsewhere(read: Reader) -> None:
         assert "url(" not in (attrs.get("style") or "")
 
 
-def test_what_users_write_is_escaped(page: str, read: Reader) -> None:
+def test_texts_of_users_are_escaped(page: str, read: Reader) -> None:
     assert "Predators <b>&</b> prey" in read.words
     assert not any(tag == "b" and not attrs for tag, attrs in read.tags[:4])
     assert "<b>&</b> prey" not in page.replace("\\u003c", "")
@@ -127,7 +127,7 @@ def test_equations_are_mathml_that_parses(page: str) -> None:
         assert name in text
 
 
-def test_the_plots_show_the_data_what_was_not_measured_and_the_truth(page: str) -> None:
+def test_the_plots_show_the_data_unmeasured_states_and_the_truth(page: str) -> None:
     (content,) = re.findall(r'<script type="application/json" id="charts">(.*?)</script>', page, flags=re.DOTALL)
     charts = json.loads(content)
     places = [int(n) for n in re.findall(r'data-chart="(\d+)"', page)]
@@ -141,13 +141,13 @@ def test_the_plots_show_the_data_what_was_not_measured_and_the_truth(page: str) 
     assert any(trace["type"] == "heatmap" for chart in charts for trace in chart["data"])
 
 
-def test_it_says_how_to_reproduce_the_run(read: Reader) -> None:
+def test_the_page_tells_how_to_reproduce_the_run(read: Reader) -> None:
     assert "gbspec train model.gb" in read.words
     assert "--method lm --epochs 3" in read.words
     assert "learn m = 0.5 in [0, 2]" in read.words
 
 
-def test_without_the_data_it_says_what_is_missing(place: Path, here: Path) -> None:
+def test_without_the_data_the_page_names_what_is_missing(place: Path, here: Path) -> None:
     shutil.copytree(place / "run", here / "run")
     fit = json.loads((here / "run" / "fit.json").read_text())
     fit["data"]["path"] = "gone.csv"
@@ -187,6 +187,6 @@ def test_a_browser_draws_it_without_a_script_error(place: Path, tmp_path: Path, 
     assert "Uncaught" not in made.stderr
     assert "CONSOLE" not in made.stderr, made.stderr[-2000:]
     shown = len(re.findall(r'class="chart[^"]*" data-chart', made.stdout))
-    hidden = 3 * len(("N", "P"))  # all trajectories but the first wait until they are chosen
+    hidden = 3 * len(("N", "P"))  # all trajectories but the first are hidden until they are selected
     assert made.stdout.count('data-drawn="yes"') == shown - hidden > 10
     assert made.stdout.count('class="main-svg"') >= shown - hidden

@@ -1,4 +1,4 @@
-"""--set on the commands that read a run: other values in place of what was learned, in the run and in its truth."""
+"""--set on the commands that read a run: other values replace learned ones, in the run and in its truth."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ def document(*arguments: object) -> Any:
     return json.loads(result.stdout)
 
 
-def test_validate_judges_the_value_that_was_set(place: Path) -> None:
+def test_validate_uses_the_value_that_was_set(place: Path) -> None:
     found = document("validate", place / "run", "--set", "k=2.5")
     assert found["channels"]["x"]["nrmse"] > 0.3
-    # The truth that it is compared with has the value too.
+    # The truth of the comparison has the value too.
     assert found["truth"]["constants"]["k"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_constant_of_each_trajectory_is_set_for_all_of_them(place: Path) -> None:
+def test_a_per_trajectory_constant_is_set_for_all_trajectories(place: Path) -> None:
     import gbspec
     from gbspec.operations import models
 
@@ -68,7 +68,7 @@ def test_a_constant_of_each_trajectory_is_set_for_all_of_them(place: Path) -> No
     assert gbspec.open_run(place / "run").member().weights["per_trajectory.own"].tolist() != [0.7] * 2
 
 
-def test_predictions_follow_it(place: Path, here: Path) -> None:
+def test_predictions_use_the_value(place: Path, here: Path) -> None:
     import polars as pl
 
     for name, more in (("a.csv", ()), ("b.csv", ("--set", "k=2.5"))):
@@ -77,7 +77,7 @@ def test_predictions_follow_it(place: Path, here: Path) -> None:
     assert b["x"][-1] < 0.7 * a["x"][-1]
 
 
-def test_figures_take_it(place: Path, here: Path) -> None:
+def test_figures_use_the_value(place: Path, here: Path) -> None:
     for name, more in (("a.svg", ()), ("b.svg", ("--set", "k=2.5"))):
         assert call("plot", place / "run", "fit", "-o", name, *more).exit_code == 0
     assert Path("a.svg").read_text() != Path("b.svg").read_text()

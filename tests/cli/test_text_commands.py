@@ -34,7 +34,7 @@ def test_check_imports_nothing_heavy(here: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_check_prints_states_starts_unknowns_and_learnables(gbspec: Run) -> None:
+def test_check_prints_states_initial_values_unknowns_and_learnables(gbspec: Run) -> None:
     result = gbspec("check", "urp_gb2")
     assert result.exit_code == 0, result.stderr
     for said in (
@@ -104,7 +104,7 @@ def test_a_directory_for_a_model_is_wrong_input(gbspec: Run, here: Path, command
 
 
 # ------------------------------------------------------------------------------------------------------------ new
-def test_new_writes_a_model_that_checks_strictly_and_is_in_form(gbspec: Run, here: Path) -> None:
+def test_new_writes_a_formatted_model_that_passes_strict_checks(gbspec: Run, here: Path) -> None:
     assert gbspec("new", "my_model").exit_code == 0
     result = gbspec("check", "--strict", "my_model.gb")
     assert result.exit_code == 0, result.stderr
@@ -120,7 +120,7 @@ def test_new_never_overwrites(gbspec: Run, decay: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["my-model", "2nd", "a b"])
-def test_new_refuses_names_that_no_module_can_have(gbspec: Run, here: Path, name: str) -> None:
+def test_new_rejects_names_that_no_module_can_have(gbspec: Run, here: Path, name: str) -> None:
     result = gbspec("new", name)
     assert result.exit_code == 1
     assert "GB807" in result.stderr
@@ -128,7 +128,7 @@ def test_new_refuses_names_that_no_module_can_have(gbspec: Run, here: Path, name
 
 
 # ------------------------------------------------------------------------------------------------------------ fmt
-def test_fmt_rewrites_check_tells_and_diff_shows(gbspec: Run, here: Path) -> None:
+def test_fmt_rewrites_check_reports_and_diff_shows(gbspec: Run, here: Path) -> None:
     path = here / "m.gb"
     rough = "model   m  # the name\nstate x=1\nx'=-2*x\nobserve   x\n"
     path.write_text(rough)
@@ -178,20 +178,20 @@ def test_compile_emits_the_intermediate_form(gbspec: Run, decay: Path) -> None:
     assert "rate" in Path("decay.ir").read_text()
 
 
-def test_compile_to_a_folder_that_is_not_there(gbspec: Run, decay: Path) -> None:
+def test_compile_to_a_folder_that_does_not_exist(gbspec: Run, decay: Path) -> None:
     result = gbspec("compile", decay, "-o", "no/such/decay.py")
     assert result.exit_code == 1
     assert "GB805" in result.stderr
 
 
-def test_compile_writes_what_there_is_after_each_stage_of_the_pipeline(gbspec: Run, document: Run, decay: Path) -> None:
+def test_compile_writes_the_result_of_each_stage_of_the_pipeline(gbspec: Run, document: Run, decay: Path) -> None:
     for stage in STAGES:
         said = document("compile", decay, "--emit", stage.name, "-o", "decay.txt")
         assert (said["model"], said["emit"], said["class"]) == ("decay", stage.name, None)
         assert Path("decay.txt").read_text() == after(stage.name, decay, Findings()).text
 
 
-def test_a_stage_needs_no_more_of_a_model_than_comes_before_it(gbspec: Run, here: Path) -> None:
+def test_a_stage_depends_only_on_earlier_stages(gbspec: Run, here: Path) -> None:
     (here / "wrong.gb").write_text("model wrong\nstate x = 1\nx' = -y\nobserve x\n")
     assert gbspec("compile", "wrong.gb", "--emit", "ast", "-o", "tree.txt").exit_code == 0
     assert "value (- y)" in Path("tree.txt").read_text()
@@ -201,7 +201,7 @@ def test_a_stage_needs_no_more_of_a_model_than_comes_before_it(gbspec: Run, here
     assert not Path("checked.txt").exists()
 
 
-def test_a_form_that_cannot_express_the_model_says_why(gbspec: Run, here: Path) -> None:
+def test_a_form_that_cannot_express_the_model_gives_the_reason(gbspec: Run, here: Path) -> None:
     arguments = ", ".join(["x"] * 40)
     formals = ", ".join(f"a{i}" for i in range(40))
     text = f"model wide\nstate x = 1\nunknown f({formals}) by mlp(4)\nx' = f({arguments})\nobserve x\n"

@@ -1,4 +1,4 @@
-"""`train --set`: the run keeps what it was computed with."""
+"""`train --set`: the run stores the values it was computed with."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_a_run_keeps_the_values_that_were_set(tmp_path: Path) -> None:
     assert made.run.model.text == kept.text
 
 
-def test_nothing_set_is_the_model_itself(tmp_path: Path) -> None:
+def test_without_set_the_model_is_unchanged(tmp_path: Path) -> None:
     (tmp_path / "m.gb").write_text(TEXT)
     model = frontend.load_model(tmp_path / "m.gb", Findings())
     assert models.specified(model, {}) is model

@@ -1,4 +1,4 @@
-"""Statements about data the whole way: simulated, trained and validated by the commands."""
+"""Statements about data in all commands: simulated, trained and validated."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_doses_are_simulated_learned_and_validated(here: Path, document: Run) ->
     assert all(abs(float(row["blood"])) < 1e-9 for row in rows("again.csv") if row["blood"])
 
 
-def test_stated_noise_conditional_starts_and_sparse_inputs_go_the_whole_way(here: Path, document: Run) -> None:
+def test_noise_conditional_initial_values_and_sparse_inputs_work_in_all_commands(here: Path, document: Run) -> None:
     Path("noisy.gb").write_text(NOISY)
     document("simulate", "noisy.gb", "-o", "full.csv", "--trajectories", 6, "--span", 4, "--noise", 0.05, "--seed", 2)
     table = rows("full.csv")

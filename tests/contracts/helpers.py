@@ -1,4 +1,4 @@
-"""Small models with one unknown and contracts on it, and weights of every size."""
+"""Small models with one unknown with contracts, and weights of every magnitude."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ learn k = 2 > 0
 
 
 def model_of(unknown: str, head: str = HEAD) -> Model:
-    """A model whose one unknown statement is given; raises `UserError` with what is wrong."""
+    """A model with the given unknown statement. Raises `UserError` for errors in it."""
     return whole_model(f"{head}{unknown}\nx' = -{_applied(unknown)}\nobserve x\n")
 
 
 def whole_model(text: str) -> Model:
-    """The model of a text, with its contracts; warnings are let pass."""
+    """The model of a text, with its contracts; warnings are ignored."""
     return load_model("m.gb", Findings(), lambda path: Source(str(path), text))
 
 
 def refused(unknown: str) -> list[Diagnostic]:
-    """The errors of a model whose unknown is refused."""
+    """The errors of a model whose unknown is rejected."""
     try:
         model_of(unknown)
     except UserError as error:
@@ -47,7 +47,7 @@ def _applied(unknown: str) -> str:
 
 
 def _split(text: str) -> list[str]:
-    """The arguments up to the closing parenthesis; commas inside of brackets do not separate."""
+    """The arguments up to the closing parenthesis; commas inside brackets do not separate."""
     parts, depth, part = [], 0, ""
     for character in text:
         if character == ")" and depth == 0:
@@ -62,7 +62,7 @@ def _split(text: str) -> list[str]:
 
 
 def weights(cls: Any, seed: int, kind: str = "random") -> dict[str, Any]:
-    """Weights of an instance: of every size (`random`), all zero, huge, or tiny; scales and centers at random too."""
+    """Weights of an instance: of random magnitude (`random`), all zero, huge, or tiny; random scales and centers."""
     rng = np.random.default_rng(seed)
     out = dict(cls.random(seed).weights)
     size = {"random": 10 ** rng.uniform(-2, 1.5), "zero": 0.0, "huge": 1e6, "tiny": 1e-9}[kind]
@@ -77,7 +77,7 @@ def weights(cls: Any, seed: int, kind: str = "random") -> dict[str, Any]:
 
 
 def points(model: Model, network: int, count: int, seed: int) -> torch.Tensor:
-    """Arguments [count, n]: within their ranges where the guarantee needs them, else of every size."""
+    """Arguments [count, n]: within their ranges if the guarantee needs these, else of every magnitude."""
     rng = np.random.default_rng(seed)
     forms = [u.form for u in model.unknowns if u.network == network]
     within = {name for form in forms if form is not None for name in form.within}

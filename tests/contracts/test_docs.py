@@ -1,4 +1,4 @@
-"""What docs/contracts.md shows compiles, and what it names exists."""
+"""The examples of docs/contracts.md compile, and the codes and files that it names exist."""
 
 from __future__ import annotations
 

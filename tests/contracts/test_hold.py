@@ -1,4 +1,4 @@
-"""Contracts hold for every weight: values and derivatives by AD, in torch, casadi and numpy."""
+"""Contracts hold for all weights: values and derivatives by AD, in torch, casadi and numpy."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def cases() -> list[str]:
 
 
 def check_values(model: Model, instance: Any, x: torch.Tensor) -> None:
-    """Every contract of every output at the points, by torch; values and gradients are finite."""
+    """Asserts every contract of every output at the points, by torch, with finite values and gradients."""
     for unknown in model.unknowns:
         names = [a.name for a in model.networks[unknown.network].arguments]
         function = instance.functions[unknown.name]
@@ -108,12 +108,12 @@ def check_values(model: Model, instance: Any, x: torch.Tensor) -> None:
                     there = x.detach().clone()
                     there[:, names.index(str(contract.argument))] = torch.tensor(at)
                     left = function(there if len(names) > 1 else there[:, 0]).detach().abs()
-                    # The place of the zero is rounded, here and in the module.
+                    # The argument of the zero is rounded, here and in the module.
                     assert left.max() <= size + 1e-13 * (slope.abs().max() * np.abs(at).max())
 
 
 def check_agreement(model: Model, instance: Any, x: torch.Tensor) -> None:
-    """Torch, casadi and numpy agree on values, torch and casadi on derivatives, to 1e-12 of the largest."""
+    """Asserts that values (torch, casadi, numpy) and derivatives (torch, casadi) agree, to 1e-12 of the largest."""
     for unknown in model.unknowns:
         x = x.detach().clone().requires_grad_()
         y = instance.functions[unknown.name](x if x.shape[1] > 1 else x[:, 0])
@@ -157,7 +157,7 @@ def test_libraries_agree(text: str) -> None:
 
 
 def test_steps_between_points_follow_the_direction() -> None:
-    """Not only derivatives: values at ordered arguments are ordered, through kinks and saturation."""
+    """Values at ordered arguments are ordered, also across kinks and in saturation, where derivatives do not tell."""
     model = model_of("unknown f(u, v) >= 0, zero at u = 0, increasing in u, decreasing in v by mlp(12, 12)")
     cls = load_module(model)
     grid = torch.cat([-torch.logspace(3, -3, 200), torch.zeros(1), torch.logspace(-3, 3, 200)]).double()
@@ -170,7 +170,7 @@ def test_steps_between_points_follow_the_direction() -> None:
             assert (y.diff() <= 1e-13 * (1 + y.abs().max())).all()
 
 
-def test_the_weakest_claim_is_made_where_a_pole_asks_for_ranges() -> None:
+def test_a_pole_weakens_the_guarantee_to_the_ranges() -> None:
     everywhere = model_of("unknown f(u in [0, 10]) >= 0 by mlp(8)").unknowns[0].form
     ranged = model_of("unknown f(u in [0, 10]) >= 0 = u/(K + u)*nn by mlp(8)").unknowns[0].form
     assert everywhere is not None and everywhere.scope == "everywhere"

@@ -1,4 +1,4 @@
-"""Kinds of units: who may feed whom, and that every layer has what it needs."""
+"""Kinds of units: permitted connections, and the kinds that every layer needs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_layers_have_their_widths_and_free_units_come_first(kinds: list[str], hi
             assert (block.shape == "free") == (not set(block.kind) & {"+", "-"})
 
 
-def test_a_kind_turned_round_needs_no_units_of_its_own() -> None:
+def test_a_reversed_kind_needs_no_separate_units() -> None:
     found = layout(["+-", "-+"], (12, 12), 0)
     assert found is not None
     assert {block.kind for layer in found.hidden for block in layer} == {"+-"}
@@ -45,7 +45,7 @@ def test_a_layer_must_hold_every_kind() -> None:
 
 
 def test_signs_of_weights_follow_the_kinds() -> None:
-    """From the free unit to the monotone one any weight, back none; the output rises with what rises."""
+    """Weights have the sign that a monotone argument requires, and any sign for an unconstrained one."""
     found = layout(["+*"], (6,), 0)
     assert found is not None
     (first, last) = _weight_forms(found.plain(), (2, 6, 1))
@@ -56,7 +56,7 @@ def test_signs_of_weights_follow_the_kinds() -> None:
         assert free[unit, 0] == 0
         assert (gain[unit, 0] != 0) == (kind == "+*")
         assert turned[unit] == (-1 if shape == "concave" else 1)
-        # A unit turned round is fed by turned weights, so that in all it rises with the argument.
+        # A reversed unit has reversed weights, so that the product increases with the argument.
         assert np.sign(gain[unit, 0]) == (turned[unit] if kind == "+*" else 0)
     free, gain, _, _ = last
     for unit, (kind, shape) in enumerate(kinds):

@@ -1,4 +1,4 @@
-"""Random combinations of contracts, postulates and ranges: either they hold, or they are refused with a reason."""
+"""Random combinations of contracts, postulates and ranges: either they hold, or they are rejected with a reason."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def statements(draw: st.DrawFn) -> str:
 @example(
     "unknown f(u, v in [0, 3]) in [0, 2], zero at u = 0 = u^2/(K^2 + u^2)*(nn + 1) by mlp(7, 9, activation=silu)", 0
 )
-def test_contracts_hold_or_are_refused(text: str, seed: int) -> None:
+def test_contracts_hold_or_are_rejected(text: str, seed: int) -> None:
     try:
         model = model_of(text)
     except UserError as error:

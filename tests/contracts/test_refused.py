@@ -1,4 +1,4 @@
-"""What is refused, with which code, and what is said."""
+"""Rejected contracts: codes and messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED)
-def test_what_cannot_be_kept_is_refused_with_its_reason(text: str) -> None:
+def test_contracts_that_cannot_be_kept_are_rejected_with_a_reason(text: str) -> None:
     code, words = REFUSED[text]
     found = refused(text)
     assert [d.code for d in found] == [code]
@@ -50,15 +50,15 @@ def test_what_cannot_be_kept_is_refused_with_its_reason(text: str) -> None:
     assert found[0].help
 
 
-def test_a_range_makes_the_proof() -> None:
+def test_a_range_makes_the_proof_possible() -> None:
     text = "unknown f(u{}) >= 0, increasing in u = u/(K + u)*nn"
     (missing,) = refused(text.format(""))
     assert "`u in [0, 10]`" in missing.help
     assert model_of(text.format(" in [0, 10]")).unknowns[0].form is not None
 
 
-def test_a_value_set_later_is_proved_anew() -> None:
-    """`--set` may take away what a proof rests on."""
+def test_a_value_set_later_is_checked_again() -> None:
+    """`--set` may invalidate a proof."""
     text = "model m\nstate x in [0, 9]\nconst c = 1\nunknown f(x) >= 0 = x/(c + x)*nn\nx' = -f(x)\nobserve x\n"
     model = whole_model(text)
     assert with_values(model, {"c": 2.0}).unknowns[0].form is not None
@@ -67,6 +67,6 @@ def test_a_value_set_later_is_proved_anew() -> None:
     assert [d.code for d in caught.value.diagnostics] == ["GB605"]
 
 
-def test_every_output_is_told_of() -> None:
+def test_every_output_is_reported() -> None:
     found = refused("unknown f, g(u) f in [2, 1], g increasing in u, g decreasing in u")
     assert sorted(d.subject or "" for d in found) == ["f", "g"]

@@ -1,4 +1,4 @@
-"""The prover: what it proves is true, and it proves what models need."""
+"""The prover of signs is sound, and proves what models need."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_decimal_coefficients_are_divided_without_a_remainder() -> None:
 
 
 def made(build: Any, *arguments: sympy.Expr) -> sympy.Expr:
-    """The expression, or 1 where it is no real number."""
+    """The expression, or 1 if it is not a real number."""
     try:
         result = build(*arguments)
     except (ValueError, TypeError, OverflowError):
@@ -125,8 +125,8 @@ ROWS = sample(30)
 
 @settings(max_examples=150, deadline=None)
 @given(expressions())
-def test_what_is_said_of_random_expressions_is_true(expression: sympy.Expr) -> None:
-    """Where an enclosure is given, or a sign proved, every finite value agrees."""
+def test_results_for_random_expressions_are_true(expression: sympy.Expr) -> None:
+    """All finite values agree with the enclosure or the proved sign."""
     prover = Prover(BOX)
     found, nonnegative, positive = (
         enclosure(expression, BOX),
@@ -149,12 +149,12 @@ def test_what_is_said_of_random_expressions_is_true(expression: sympy.Expr) -> N
             assert value >= -tolerance
 
 
-def test_an_expression_may_be_any_number_where_nothing_is_known() -> None:
+def test_without_knowledge_an_expression_may_be_any_number() -> None:
     assert enclosure(n, BOX) == REAL
     assert enclosure(1 / (u - 3), BOX) is None
 
 
-def test_questions_end() -> None:
+def test_the_prover_terminates() -> None:
     """A claim that no step can settle costs a bounded number of steps."""
     hard = sum((sympy.sin(k * u + K) ** 2 / (1 + g**k) for k in range(1, 30)), sympy.Float(-1e-3))
     prover = Prover(BOX)

@@ -1,4 +1,4 @@
-"""How constrained networks begin: at the postulate, and where they can move."""
+"""Constrained networks before training: at the postulate, and not saturated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ U = torch.linspace(0.3, 10, 40, dtype=torch.float64)
 
 
 def silent(cls: Any, center: float, scale: float) -> Any:
-    """An instance whose network says nothing: all its last weights give raw outputs of 0."""
+    """An instance whose last layer gives raw outputs of 0."""
     weights = dict(cls.random(0).weights)
     network = cls.networks[0]
     last = len(network["sizes"]) - 2
@@ -39,14 +39,14 @@ def silent(cls: Any, center: float, scale: float) -> Any:
         (">= -1, decreasing in u = -u/(K + u) + nn", 0.0, lambda u: -u / (1 + u)),
     ],
 )
-def test_a_silent_network_is_the_postulate(text: str, center: float, known: Any) -> None:
+def test_a_zero_network_is_the_postulate(text: str, center: float, known: Any) -> None:
     instance = silent(load_module(model_of(f"unknown f(u in [0, 10]) {text} by mlp(8, 8)")), center, 0.3)
     np.testing.assert_allclose(instance.functions["f"](U).numpy(), known(U).numpy(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("text", [">= 0", "<= 9", "in [0, 9]", "in [0, 9], increasing in u", "in [-K, 5*k]"])
-def test_a_silent_network_is_its_center(text: str) -> None:
-    """Bounds leave the center where it is, so the data's mean is where training begins."""
+def test_a_zero_network_is_its_center(text: str) -> None:
+    """Bounds do not move the center, so that training begins at the mean of the data."""
     instance = silent(load_module(model_of(f"unknown f(u) {text} by mlp(8, 8)")), 2.0, 1.0)
     np.testing.assert_allclose(instance.functions["f"](U).numpy(), 2.0, rtol=1e-12)
 
@@ -64,7 +64,7 @@ CASES = [
 
 @pytest.mark.parametrize("text", CASES)
 def test_nothing_is_saturated_at_the_start(text: str) -> None:
-    """At random starts every layer matters, within four orders of magnitude: no unit is dead, no output flat."""
+    """With random weights the gradients of all layers are within four orders of magnitude: no unit is saturated."""
     cls = load_module(model_of(f"unknown f(u in [0, 10], v in [0, 5]) {text} by mlp(24, 24)"))
     generator = torch.Generator().manual_seed(0)
     x = torch.rand(100, 2, generator=generator, dtype=torch.float64) * torch.tensor([10.0, 5.0])

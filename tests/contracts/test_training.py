@@ -56,7 +56,7 @@ def problem_of(text: str) -> tuple[Context, Parameters]:
 
 @pytest.mark.parametrize("contracts", CONTRACTS)
 def test_the_jacobian_is_exact(contracts: str) -> None:
-    """Through transformed weights, two evaluations and extra outputs: as automatic differentiation has it."""
+    """With transformed weights, two evaluations and extra outputs, compared with automatic differentiation."""
     arguments = ", X" if "X" in contracts else ""
     context, parameters = problem_of(GROWTH.format(contracts=contracts, arguments=arguments))
     problem = context.problem()
@@ -76,7 +76,7 @@ def test_the_jacobian_is_exact(contracts: str) -> None:
 
 # ---------------------------------------------------------------------- fits
 def fitted(unknown: str, truth: Any, ranges: list[tuple[float, float]], iterations: int) -> float:
-    """Levenberg-Marquardt on values of a function at random points; the error is relative to the values' deviation."""
+    """Fits values of a function at random points; the error is relative to the values' standard deviation."""
     places = ", ".join("x" for _ in ranges)
     model = whole_model(f"model m\nstate x\nlearn K = 1 in [0.5, 2]\n{unknown}\nx' = -K*f({places})\nobserve x\n")
     instance = load_module(model).random(0)
@@ -147,7 +147,7 @@ MONOD = ("", lambda s, i: s / (0.5 + s) / (1 + i / 2), [(0, 5), (0, 5)])
     ],
 )
 def test_constrained_networks_fit(case: Any, unknown: str, worst: float) -> None:
-    """URP's rate, Haldane's and an inhibited Monod law, to the error asked of the plain network."""
+    """URP's rate, Haldane's and an inhibited Monod law, to the error required of the plain network."""
     _, truth, ranges = case
     error = fitted(unknown, truth, ranges, 30)
     assert error < worst

@@ -1,9 +1,9 @@
-"""Bifurcation diagrams over one parameter: all branches of steady states found, and the limit cycles that they lead to.
+"""Bifurcation diagrams over one parameter: branches of steady states, and branches of limit cycles.
 
-Steady states are sought from many starts at several values of the parameter; each that lies on no branch found so far
-starts another, and every branch point sends its other branches out. Cycles start at Hopf points and, where nothing
-found so far is stable, from what the flow settles to; where their period doubles, those of twice the period follow.
-Truth and fitted runs go through the same functions.
+Steady states are searched for from many initial guesses at several values of the parameter; each that is on no branch
+found so far starts a new branch, and the branches that cross at branch points are followed too. Branches of cycles
+start at Hopf points and, at parameters without a known stable solution, from the orbit to which the flow converges; at
+period doublings the cycles of twice the period are followed. Truth and fitted runs use the same functions.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from gbspec.diagnostics import Findings
 
 @dataclass(frozen=True)
 class BifurcationOptions:
-    """How a diagram is made: where steady states are sought, and how branches and cycles are followed."""
+    """Options of a diagram: for the search for steady states and the continuation of branches and cycles."""
 
     values: int = 9
-    """At how many values of the parameter, ends included, steady states are sought."""
+    """The number of parameter values, ends included, at which steady states are searched for."""
     starts: int = 64
     cycles: bool = True
     most_branches: int = 40
@@ -49,8 +49,8 @@ def bifurcate(
 ) -> Diagram:
     """The bifurcation diagram over `low` <= `over` <= `high`, everything else at the system's values.
 
-    Raises UserError where there is no such parameter (GB872), where the system depends on time (GB873) or lacks a
-    number (GB871), and where the range is none (GB875).
+    Raises UserError if there is no such parameter (GB872), if the system depends on time (GB873) or a number is missing
+    (GB871), and if the range is invalid (GB875).
     """
     options = options or BifurcationOptions()
     require_range(over, low, high)
@@ -75,7 +75,7 @@ def bifurcate(
 
 
 def require_range(name: str, low: float, high: float) -> None:
-    """Raises UserError (GB875) unless `low` and `high` are the ends of a range."""
+    """Raises UserError (GB875) unless `low` < `high` are valid ends of a range."""
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         findings = Findings()
         findings.error(
@@ -88,7 +88,7 @@ def require_range(name: str, low: float, high: float) -> None:
 
 
 class _Explorer:
-    """Finds branch after branch."""
+    """Finds and collects the branches of a diagram."""
 
     def __init__(self, curve: SteadyCurve, options: BifurcationOptions, progress: Callable[[str], None]) -> None:
         self.curve, self.options, self.progress = curve, options, progress
@@ -100,9 +100,9 @@ class _Explorer:
 
     # ------------------------------------------------------------------ steady states
     def steady(self) -> None:
-        """All branches of steady states that the starts lead to."""
+        """Finds all branches of steady states that are reached from the initial guesses."""
         family = self.curve.family
-        # Inner values first: a branch that crosses the range is then followed once, in both directions.
+        # Inner values first: a branch that crosses the whole range is then followed once, in both directions.
         order = sorted(self.values, key=lambda value: abs(value - (self.curve.low + self.curve.high) / 2.0))
         for value in order:
             seeds = np.array([points[len(points) // 2].y[:-1] * self.curve.scale[:-1] for points in self.followed])
@@ -126,7 +126,7 @@ class _Explorer:
         self._add(self.curve.follow(back), forward)
 
     def _add(self, backward: Followed, forward: Followed) -> None:
-        """Keeps a branch, its special points, and what leaves its branch points."""
+        """Adds a branch and its special points, and follows the branches that cross it."""
         if len(self.branches) >= self.options.most_branches:
             return
         points = backward.points[:0:-1] + forward.points
@@ -137,7 +137,7 @@ class _Explorer:
         found = backward.special + forward.special
         crossings = [point for kind, point in found if kind == "branch"]
         for kind, point in found:
-            # The side branch of a pitchfork turns where it crosses: that is its branch point, not a fold.
+            # The side branch of a pitchfork turns at the crossing: that is its branch point, not a fold.
             if kind == "fold" and any(np.max(np.abs(point.y - other.y)) < 1e-5 for other in crossings):
                 continue
             self._mark(kind, point, number)
@@ -147,7 +147,7 @@ class _Explorer:
                     self._leave(point, direction)
 
     def _leave(self, at: CurvePoint, tangent: Array) -> None:
-        """Follows a branch out of a branch point, unless it is known or leaves what is admissible at once."""
+        """Follows a branch from a branch point, unless it is known or its first point is not admissible."""
         point = self.curve.switch(at, tangent)
         if point is None or self.curve.on_branch(point.y, self.followed):
             return
@@ -157,7 +157,7 @@ class _Explorer:
             self._add(Followed([point], end="branch point"), followed)
 
     def _mark(self, kind: str, point: CurvePoint, branch: int) -> None:
-        """Keeps a special point once; of a Hopf point with its criticality."""
+        """Adds a special point unless it is known; a Hopf point with its criticality."""
         state, value = self.curve.unscaled(point.y)
         if not self.curve.family.system.admissible(state):
             return
@@ -173,7 +173,7 @@ class _Explorer:
 
     # ------------------------------------------------------------------ cycles
     def cycles_from_hopf(self) -> None:
-        """The cycles born at each Hopf point, unless another's branch of cycles ends there."""
+        """Follows the cycles born at each Hopf point, unless another branch of cycles ends there."""
         curve = CycleCurve(self.curve.family, self.curve.low, self.curve.high, self.options.cycle)
         for point in [one for one in self.special if one.kind == "hopf"]:
             if self._ends_at(point):
@@ -197,7 +197,7 @@ class _Explorer:
         return False
 
     def cycles_from_flow(self) -> None:
-        """Cycles at values of the parameter where nothing found is stable, from what the flow settles to."""
+        """Follows cycles from the orbits to which the flow converges, at parameters without a known stable solution."""
         curve = CycleCurve(self.curve.family, self.curve.low, self.curve.high, self.options.cycle)
         for value in self.values[1:-1]:
             if self._something_stable(float(value)):
@@ -218,7 +218,7 @@ class _Explorer:
             self.progress(f"cycles from the flow at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
 
     def _something_stable(self, value: float) -> bool:
-        """Whether a stable steady state or cycle is known on both sides of a value, close to it."""
+        """Whether stable steady states or cycles are known on both sides of a value, close to it."""
         near = 0.6 * (self.values[1] - self.values[0])
         for branch in self.branches:
             for a, b in zip(branch.points[:-1], branch.points[1:], strict=True):
@@ -233,7 +233,7 @@ class _Explorer:
         return False
 
     def _start(self, value: float) -> Array:
-        """A point from which to follow the flow: off an unstable steady state, else the middle of the box."""
+        """An initial state for the flow: next to an unstable steady state, else the middle of the box."""
         low, high = self.curve.family.system.start_box
         for branch in self.branches:
             values = branch.values
@@ -243,7 +243,7 @@ class _Explorer:
         return np.asarray((low + high) / 2.0)
 
     def _keep(self, curve: CycleCurve, branch: CycleBranch, doubled: int = 0) -> None:
-        """Keeps a branch of cycles and what was passed on it, then what doubles from it; it was `doubled` so often."""
+        """Adds a branch of cycles with its special points, then those of twice the period (`doubled`: how often)."""
         number = len(self.cycles)
         self.cycles.append(branch)
         for kind, cycle in branch.found:

@@ -2,11 +2,11 @@
 
 On each of N mesh intervals of s = t/T in [0, 1] the orbit is a polynomial of degree m through m + 1 equidistant nodes
 and satisfies x' = T f(x, p) at the m Gauss points, as in AUTO and COLSYS (de Boor and Swartz, SIAM J. Numer. Anal. 10,
-1973; Doedel, Keller and Kernevez, Int. J. Bifurcation Chaos 1, 1991). Nodes inside the intervals are eliminated, which
-leaves the transfer matrix G_j of every interval: the product of the G_j is the monodromy matrix.
+1973; Doedel, Keller and Kernevez, Int. J. Bifurcation Chaos 1, 1991). Elimination of the nodes inside
+the intervals leaves the transfer matrix G_j of every interval: the product of the G_j is the monodromy matrix.
 
-All states are scaled (divided by `scale`), the period enters as log T and the parameter as p/width, so that one step
-length means the same for all of them.
+All states are scaled (divided by `scale`), the period enters as log T and the parameter as p/width, so that a step
+length has the same meaning for all of them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Basis:
     weights: Array
     points: Array
     leading: Array
-    """Coefficients [m+1] that give the m-th derivative from the nodes' values."""
+    """Coefficients [m+1] of the m-th derivative in terms of the nodes' values."""
 
 
 @cache
 def basis(degree: int) -> Basis:
-    """The basis of one degree."""
+    """The basis of the given degree."""
     points, weights = np.polynomial.legendre.leggauss(degree)
     points, weights = (points + 1.0) / 2.0, weights / 2.0
     values, derivatives = lagrange(degree, points)
@@ -94,7 +94,7 @@ class Orbit:
         return np.asarray(np.einsum("pk,pkn->pn", values, self.local[interval]))
 
     def twice(self) -> Orbit:
-        """The same curve passed twice, as one of twice the period."""
+        """The same curve traversed twice, as one of twice the period."""
         mesh = np.concatenate([self.mesh / 2.0, 0.5 + self.mesh[1:] / 2.0])
         return replace(self, mesh=mesh, nodes=np.tile(self.nodes, (2, 1)), log_period=self.log_period + np.log(2.0))
 
@@ -153,7 +153,7 @@ def phase(reference: Orbit) -> Functional:
 
 
 PARAMETER_FIXED = Functional(np.zeros((1, 1, 1)), 0.0, 1.0)
-"""Keeps the parameter where it is (its node coefficients broadcast)."""
+"""The functional whose value is the parameter (its node coefficients broadcast)."""
 
 
 class Collocation:
@@ -164,7 +164,7 @@ class Collocation:
         self.size = family.size
 
     def linearise(self, orbit: Orbit) -> tuple[Array, Array, Array, Array]:
-        """Residuals [N, mn] and their derivatives by local nodes [N, mn, (m+1)n], log T and parameter [N, mn]."""
+        """Residuals [N, mn] and their derivatives in local nodes [N, mn, (m+1)n], log T and parameter [N, mn]."""
         form, n, count = basis(DEGREE), self.size, orbit.intervals
         local = orbit.local
         x = (form.values @ local).reshape(-1, n) * self.scale
@@ -188,14 +188,14 @@ class Collocation:
     def newton_step(
         self, orbit: Orbit, conditions: tuple[Functional, Functional], values: tuple[float, float]
     ) -> Orbit:
-        """The change after which the equations vanish to first order, and at which the two functionals are `values`."""
+        """The Newton step: the linearised equations vanish after it, and the functionals of it are `values`."""
         residual, blocks, by_period, by_parameter = self.linearise(orbit)
         return solve_condensed(orbit, self.size, residual, blocks, by_period, by_parameter, conditions, values)
 
     def correct(
         self, guess: Orbit, conditions: tuple[Functional, Functional], iterations: int = 10, tolerance: float = 1e-9
     ) -> tuple[Orbit, int] | None:
-        """Newton from `guess` with both functionals kept; the orbit and how many iterations, or None."""
+        """Newton's method from `guess` with both functionals fixed: the orbit and the number of iterations, or None."""
         orbit = guess
         targets = [condition(guess) for condition in conditions]
         for iteration in range(1, iterations + 1):
@@ -230,12 +230,12 @@ class Collocation:
         )
 
     def multipliers(self, orbit: Orbit) -> ComplexArray:
-        """Floquet multipliers by falling modulus; one of them is 1, along the orbit."""
+        """Floquet multipliers by decreasing modulus; the trivial one, along the orbit, is 1."""
         values = product_eigenvalues(self._responses(orbit)[:, -self.size :, :])
         return values[np.lexsort((-values.imag, -np.round(np.abs(values), 12)))]
 
     def flip(self, orbit: Orbit) -> Orbit:
-        """The unit direction, on the orbit passed twice, of the multiplier closest to -1: it changes sign each time."""
+        """The unit direction of the multiplier closest to -1 on the orbit traversed twice; it alternates in sign."""
         responses, n = self._responses(orbit), self.size
         monodromy = np.eye(n)
         for matrix in responses[:, -n:, :]:
@@ -252,7 +252,7 @@ class Collocation:
         return replace(direction, nodes=direction.nodes / np.sqrt(inner(direction, direction)))
 
     def _responses(self, orbit: Orbit) -> Array:
-        """How the nodes of every interval but its first follow the first, to first order [N, mn, n]."""
+        """Derivatives of all nodes of an interval with respect to its first node [N, mn, n]."""
         _, blocks, _, _ = self.linearise(orbit)
         n = self.size
         return np.asarray(-np.linalg.solve(blocks[:, :, n:], blocks[:, :, :n]), dtype=float)
@@ -261,9 +261,9 @@ class Collocation:
 def product_eigenvalues(matrices: Array) -> ComplexArray:
     """Eigenvalues of the product G_N ... G_1 of matrices [N, n, n].
 
-    Where they differ by many orders of magnitude, forming the product loses the small ones in rounding; then they come
-    from simultaneous iteration, G_j Q_(j-1) = Q_j R_j around the orbit until the subspaces repeat: diagonal blocks of
-    the R_j multiply without mixing.
+    If they differ by many orders of magnitude, the small ones are lost to rounding in the product; they are then
+    computed by simultaneous iteration, G_j Q_(j-1) = Q_j R_j around the orbit until the subspaces repeat: the
+    eigenvalues are those of the products of the diagonal blocks of the R_j.
     """
     product = np.eye(matrices.shape[1])
     for matrix in matrices:
@@ -284,7 +284,7 @@ def product_eigenvalues(matrices: Array) -> ComplexArray:
 
 
 def _block_eigenvalues(turn: Array, upper: Array) -> ComplexArray:
-    """Eigenvalues of turn @ upper, `upper` triangular and `turn` nearly block diagonal with blocks of one or two."""
+    """Eigenvalues of turn @ upper: `upper` is triangular, `turn` nearly block diagonal with blocks of size 1 or 2."""
     values: list[complex] = []
     i, n = 0, len(turn)
     while i < n:
@@ -357,7 +357,7 @@ def _solve_bordered(transfer: Array, columns: Array, rows: Array, corner: Array,
     matrix = csc_matrix((_flat(value), (_flat(row), _flat(column))), shape=(inner_size + 2, inner_size + 2))
     try:
         return np.asarray(splu(matrix, permc_spec="NATURAL").solve(right))
-    except RuntimeError as error:  # SuperLU's word for an exactly singular matrix
+    except RuntimeError as error:  # SuperLU's error for an exactly singular matrix
         raise np.linalg.LinAlgError(str(error)) from error
 
 
@@ -367,7 +367,7 @@ def _flat(parts: list[Array]) -> Array:
 
 # ---------------------------------------------------------------------- mesh
 def monitor(orbit: Orbit) -> Array:
-    """The size [N] of the (m+1)-th derivative on every interval, from jumps of the m-th (de Boor's estimate)."""
+    """The magnitude [N] of the (m+1)-th derivative on every interval, from jumps of the m-th (de Boor's estimate)."""
     steps = np.diff(orbit.mesh)
     highest = np.einsum("k,jkn->jn", basis(DEGREE).leading, orbit.local) / steps[:, None] ** DEGREE
     before, after = np.roll(steps, 1), np.roll(steps, -1)
@@ -383,10 +383,10 @@ def error_estimate(orbit: Orbit) -> float:
 
 
 def adapted_mesh(orbit: Orbit, intervals: int) -> Array:
-    """A mesh of so many intervals that spreads the local error evenly."""
+    """A mesh with the given number of intervals that equidistributes the local error."""
     density = monitor(orbit) ** (1.0 / (DEGREE + 1))
     density = density + 0.1 * float(np.mean(density)) + 1e-12
-    # A running mean keeps neighbouring intervals alike in length.
+    # A running mean keeps neighbouring intervals similar in length.
     density = (np.roll(density, 1) + 2.0 * density + np.roll(density, -1)) / 4.0
     total = np.concatenate([[0.0], np.cumsum(density * np.diff(orbit.mesh))])
     mesh = np.interp(np.linspace(0.0, total[-1], intervals + 1), total, orbit.mesh)

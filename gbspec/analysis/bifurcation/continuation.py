@@ -22,9 +22,9 @@ Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus
 
 @dataclass(frozen=True)
 class SteadyPoint:
-    """A steady state [n] at one value of the parameter, with the Jacobian's eigenvalues by falling real part.
+    """A steady state [n] at one value of the parameter, with the Jacobian's eigenvalues by decreasing real part.
 
-    `outside` names what lies outside of its trained (else plausible) range there.
+    `outside` names the quantities outside their trained (else plausible) ranges.
     """
 
     value: float
@@ -34,16 +34,16 @@ class SteadyPoint:
 
     @property
     def stable(self) -> bool:
-        """Whether every eigenvalue lies in the left half plane."""
+        """Whether all eigenvalues are in the left half plane."""
         return bool(np.all(self.eigenvalues.real < 0.0))
 
 
 @dataclass(frozen=True)
 class SpecialPoint:
-    """A point at which the picture changes, located on its branch; `state` is [n] (of a cycle: a point on it).
+    """A bifurcation point located on its branch; `state` is [n] (for a cycle: a point on it).
 
-    Of a Hopf point: `frequency` (the critical eigenvalue's imaginary part), `period` of the cycles born there, the
-    first Lyapunov coefficient `l1` and with it the criticality. `branch` counts the branch it lies on.
+    For a Hopf point: `frequency` (the critical eigenvalue's imaginary part), `period` of the cycles born there, the
+    first Lyapunov coefficient `l1` and the criticality that follows from it. `branch` is the index of its branch.
     """
 
     kind: Kind
@@ -59,7 +59,7 @@ class SpecialPoint:
 
 @dataclass(frozen=True)
 class Branch:
-    """A branch of steady states in the order in which it was followed, and why it ends at either side."""
+    """A branch of steady states in the order of continuation, and the reasons for its two ends."""
 
     points: tuple[SteadyPoint, ...]
     ends: tuple[str, str] = ("", "")
@@ -77,7 +77,7 @@ class Branch:
 
 @dataclass
 class Followed:
-    """One direction of a branch, as it is followed: points, special points and the reason for its end."""
+    """One direction of a branch during continuation: points, special points and the reason for its end."""
 
     points: list[CurvePoint] = field(default_factory=list)
     special: list[tuple[Kind, CurvePoint]] = field(default_factory=list)
@@ -101,7 +101,7 @@ class SteadyCurve:
         return balanced(*self._raw(y))
 
     def _raw(self, y: Array) -> tuple[Array, Array]:
-        """F and DF without the balancing of rows."""
+        """F and DF without row scaling."""
         n = self.family.size
         f, jacobian, slope = self.family.linear((y * self.scale)[:n], y[n] * self.scale[n])
         return f, np.column_stack([jacobian.reshape(n, n), slope]) * self.scale
@@ -116,7 +116,7 @@ class SteadyCurve:
         return np.asarray(np.append(state, value) / self.scale)
 
     def eigenvalues(self, y: Array) -> ComplexArray:
-        """Eigenvalues of the Jacobian, by falling real part."""
+        """Eigenvalues of the Jacobian, by decreasing real part."""
         state, value = self.unscaled(y)
         n = self.family.size
         return ordered_eigenvalues(self.family.linear(state, value)[1].reshape(n, n))
@@ -134,7 +134,7 @@ class SteadyCurve:
         return None if corrected is None else corrected[0]
 
     def start(self, state: Array, value: float, forward: bool) -> CurvePoint | None:
-        """A point to follow the curve from, its tangent to larger (or smaller) values of the parameter."""
+        """The first point of a continuation, with its tangent towards larger (or smaller) values of the parameter."""
         y = self.solve(state, value)
         if y is None:
             return None
@@ -145,7 +145,7 @@ class SteadyCurve:
 
     # ------------------------------------------------------------------ following
     def follow(self, start: CurvePoint, most: int = 4000) -> Followed:
-        """Follows the curve from a point along its tangent to a stated end."""
+        """Follows the curve from a point along its tangent; the result states why it ended."""
         result = Followed([start])
         before = start
         unstable = self._unstable(start)
@@ -225,11 +225,11 @@ class SteadyCurve:
 
     # ------------------------------------------------------------------ other branches
     def crossing_tangents(self, at: CurvePoint) -> list[Array]:
-        """Unit tangents of the branches through a branch point other than the one it was found on.
+        """Unit tangents of the other branches through a branch point.
 
         They solve the algebraic branching equation a r^2 + 2 b r s + c s^2 = 0 on the two-dimensional null space of
-        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF. These are left
-        undivided by the step: the ratio r : s does not change when a, b and c have a factor in common.
+        DF (Kuznetsov, section 10.2.4), second derivatives by central differences of the exact DF. The
+        differences are not divided by the step: a common factor of a, b and c does not change the ratio r : s.
         """
         left, _, right = np.linalg.svd(at.derivative)
         psi, null = left[:, -1], right[-2:]
@@ -256,7 +256,7 @@ class SteadyCurve:
         return [tangent for tangent in tangents if abs(tangent @ at.tangent) < 0.999]
 
     def switch(self, at: CurvePoint, tangent: Array) -> CurvePoint | None:
-        """A point on the branch that leaves a branch point along `tangent`."""
+        """A point on the branch through a branch point in the direction `tangent`."""
         length = 5e-3
         while length > 1e-5:
             point = self.curve.point(at.y + length * tangent, tangent)

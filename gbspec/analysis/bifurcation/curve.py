@@ -24,7 +24,7 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class Steps:
-    """Lengths of steps along the curve, in scaled variables, and the turn of the tangent that one step may make."""
+    """Bounds on step lengths along the curve, in scaled variables, and on the rotation of the tangent in one step."""
 
     first: float = 0.005
     least: float = 1e-8
@@ -34,12 +34,12 @@ class Steps:
 
 
 def row_sizes(derivative: Array) -> Array:
-    """The largest entry [m] of each row of DF [m, m+1], to divide by."""
+    """The largest absolute entry [m] of each row of DF [m, m+1], for row scaling."""
     return np.asarray(np.maximum(np.abs(derivative).max(axis=1), 1e-300))
 
 
 def balanced(f: Array, derivative: Array) -> tuple[Array, Array]:
-    """F [m] and DF [m, m+1] with rows of the same size: one fast state must not decide what Newton calls small."""
+    """F [m] and DF [m, m+1] with rows scaled to equal size, so that no fast state dominates Newton's tolerance."""
     sizes = row_sizes(derivative)
     return f / sizes, derivative / sizes[:, None]
 
@@ -62,7 +62,7 @@ class Curve:
         return np.asarray(vector / size, dtype=float) if np.isfinite(size) and size > 0 else None
 
     def correct(self, guess: Array, normal: Array, iterations: int = 8) -> tuple[Array, Array, int] | None:
-        """Newton from `guess` within the hyperplane through it with this normal: y, DF there, number of iterations."""
+        """Newton's method from `guess` in the hyperplane through it with this normal: y, DF there, and iterations."""
         y = guess.copy()
         for iteration in range(1, iterations + 1):
             f, derivative = self.evaluate(y)
@@ -81,7 +81,7 @@ class Curve:
         return None
 
     def point(self, guess: Array, along: Array) -> CurvePoint | None:
-        """The point of the curve nearest to `guess` in the hyperplane across `along`, with its tangent."""
+        """The point of the curve near `guess` in the hyperplane orthogonal to `along`, with its tangent."""
         corrected = self.correct(guess, along)
         if corrected is None:
             return None
@@ -90,7 +90,7 @@ class Curve:
         return None if tangent is None else CurvePoint(y, tangent, derivative)
 
     def walk(self, start: CurvePoint, steps: Steps) -> Iterator[tuple[CurvePoint, float]]:
-        """Points after `start` along its tangent, each with the step that led to it; ends where no step converges."""
+        """Yields points after `start` along its tangent, each with its step length, until no step converges."""
         here, length = start, steps.first
         while True:
             corrected = self.correct(here.y + length * here.tangent, here.tangent)
@@ -111,7 +111,7 @@ class Curve:
     def locate(
         self, a: CurvePoint, length: float, test: Callable[[CurvePoint], float], tolerance: float = 1e-13
     ) -> CurvePoint | None:
-        """Where `test` vanishes within the step of this length from `a`, by Brent's method along the curve."""
+        """The zero of `test` within the step of this length from `a`, by Brent's method along the curve."""
         from scipy.optimize import brentq
 
         seen: dict[float, CurvePoint] = {}

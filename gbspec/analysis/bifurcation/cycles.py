@@ -1,8 +1,9 @@
-"""Limit cycles over one parameter: from Hopf points or from what the flow settles to, with period and multipliers.
+"""Limit cycles over one parameter, with period and multipliers, from Hopf points or from stable orbits of the flow.
 
-Pseudo-arclength continuation of the collocation equations; the mesh is adapted as the cycle changes shape. Folds of
-cycles are passed; they, period doublings and torus points are located by Brent's method along the curve. At a period
-doubling the branch of cycles of twice the period is a pitchfork's: it leaves along the mode of the multiplier -1.
+Pseudo-arclength continuation of the collocation equations; the mesh is adapted as the cycle changes shape. The
+continuation passes folds of cycles; they, period doublings and torus points are located by Brent's method along the
+curve. At a period doubling, the cycles of twice the period branch off as at a pitchfork, along the mode of the
+multiplier -1.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CycleOptions:
-    """How cycles are followed: step lengths in scaled variables, mesh intervals, and where to stop."""
+    """Options of the continuation of cycles: step lengths in scaled variables, mesh intervals, and limits."""
 
     first: float = 0.01
     least: float = 1e-5
@@ -47,9 +48,9 @@ class CycleOptions:
     accuracy: float = 1e-5
     points: int = 400
     doublings: int = 1
-    """How often a cycle may double: 1 follows the cycles of twice the period, 2 those of four times too."""
+    """How often a period may double: 1 follows the cycles of twice the period, 2 also those of four times."""
     longest: float = 30.0
-    """The period, in periods of the cycle it began with, beyond which a cycle counts as approaching a homoclinic."""
+    """The period, relative to that of the first cycle, above which a cycle counts as approaching a homoclinic orbit."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,10 @@ class Place:
 
 @dataclass(frozen=True)
 class CycleBranch:
-    """Cycles in the order in which they were followed, what was passed on the way, and why it ends.
+    """Cycles in the order of continuation, the special points among them, and the reason for the end of the branch.
 
-    `found` holds (kind, cycle) of folds of cycles, period doublings and torus points; `start` says where it began;
-    `doublings` are the places from which `CycleCurve.from_doubling` goes on.
+    `found` holds (kind, cycle) of folds of cycles, period doublings and torus points; `start` describes its origin;
+    `doublings` are the points from which `CycleCurve.from_doubling` continues.
     """
 
     cycles: tuple[Cycle, ...]
@@ -97,12 +98,12 @@ class CycleCurve:
         return self._leave(centre, direction, phase(direction), "hopf")
 
     def from_doubling(self, at: Place) -> CycleBranch:
-        """The branch of cycles of twice the period that is born where a multiplier passes -1."""
+        """The branch of cycles of twice the period that begins where a multiplier passes -1."""
         centre = at.orbit.twice()
         return self._leave(centre, self.equations.flip(at.orbit), phase(centre), "period doubling")
 
     def _leave(self, centre: Orbit, direction: Orbit, kept: Functional, origin: str) -> CycleBranch:
-        """The branch that leaves a bifurcation at `centre` along `direction`, the phase fixed by `kept` at first."""
+        """The branch from a bifurcation at `centre` in `direction`; `kept` fixes the phase of its first cycle."""
         length = self.options.first
         while length > self.options.least:
             guess = centre.moved(direction, length)
@@ -137,7 +138,7 @@ class CycleCurve:
                 break
             orbit = orbit.remeshed(adapted_mesh(orbit, min(self.options.most_intervals, int(1.5 * orbit.intervals))))
         if _apart(orbit) < 1e-4:
-            # Near a period doubling the flow settles so slowly that two rounds may have passed for one.
+            # Near a period doubling the flow converges so slowly that two rounds may have been taken for one.
             return self.at(period / 2.0, states[: len(states) // 2], value)
         upward = Orbit(orbit.mesh, np.zeros_like(orbit.nodes), 0.0, 1.0)
         tangent = self.equations.tangent(orbit, upward, phase(orbit))
@@ -210,7 +211,7 @@ class CycleCurve:
         return Place(corrected[0], here.tangent, self.equations.multipliers(corrected[0]))
 
     def _remeshed(self, place: Place) -> Place:
-        """The same cycle on a mesh that fits it, with more intervals where the error asks for it."""
+        """The same cycle on an adapted mesh, with more intervals if the error requires them."""
         count, error = place.orbit.intervals, error_estimate(place.orbit)
         if error > self.options.accuracy:
             growth = min(1.5, max(1.05, (error / self.options.accuracy) ** (1.0 / (DEGREE + 1))))
@@ -231,9 +232,9 @@ class CycleCurve:
         return ""
 
     def _vanishes(self, a: Place, b: Place, changes: list[tuple[Kind, Place]]) -> bool:
-        """Whether what sets the halves of a cycle apart passes zero, which ends the branch: Hopf point or doubling.
+        """Whether the difference of the halves of a cycle passes zero (Hopf point or doubling), which ends the branch.
 
-        The curve of cycles goes on beyond it, through the same cycles half a period later, so the parameter turns.
+        Beyond it the curve continues through the same cycles shifted by half a period, so the parameter turns back.
         """
         if a.tangent.parameter * b.tangent.parameter >= 0.0:
             return False
@@ -244,7 +245,7 @@ class CycleCurve:
 
     # ------------------------------------------------------------------ special points
     def _changes(self, a: Place, b: Place, length: float) -> list[tuple[Kind, Place]]:
-        """The special points within one step; a fold at no amplitude is the Hopf point at which the branch ends."""
+        """The special points within one step; a fold at zero amplitude is the Hopf point at which the branch ends."""
         found: list[tuple[Kind, Place]] = []
         if a.tangent.parameter * b.tangent.parameter < 0.0:
             self._locate(a, length, "cycle_fold", lambda place: place.tangent.parameter, found)
@@ -266,7 +267,7 @@ class CycleCurve:
         test: Callable[[Place], float],
         found: list[tuple[Kind, Place]],
     ) -> None:
-        """Adds the place within a step from `a` where `test` vanishes, if it can be found."""
+        """Adds the zero of `test` within a step from `a`, if it can be found."""
         from scipy.optimize import brentq
 
         seen: dict[float, Place] = {0.0: a}
@@ -306,7 +307,7 @@ def _amplitude(orbit: Orbit) -> float:
 def _apart(orbit: Orbit) -> float:
     """Half of the largest distance of a cycle from itself half a period later, in scaled variables.
 
-    It vanishes where the amplitude does, and where a cycle is another one of half the period passed twice.
+    It vanishes if the amplitude does, and if the cycle is one of half the period traversed twice.
     """
     s = np.arange(8 * orbit.intervals) / (16.0 * orbit.intervals)
     return float(np.max(np.abs(orbit.at(s + 0.5) - orbit.at(s)))) / 2.0
@@ -317,7 +318,7 @@ def _count(multipliers: ComplexArray, which: Callable[[ComplexArray], Mask]) -> 
 
 
 def _trustworthy(multipliers: ComplexArray) -> bool:
-    """Whether the small multipliers mean anything: near a homoclinic orbit rounding drowns them."""
+    """Whether the small multipliers are accurate: near a homoclinic orbit they are lost to rounding."""
     return bool(np.min(np.abs(multipliers - 1.0)) < 1e-3 and np.abs(multipliers[0]) < 1e10)
 
 
@@ -330,5 +331,5 @@ def _beyond_minus_one(multipliers: ComplexArray) -> Mask:
 
 
 def _flip(multipliers: ComplexArray) -> float:
-    """The product of (1 + multiplier) over those near -1 or beyond; it changes sign where one passes -1."""
+    """The product of (1 + multiplier) over the multipliers near or below -1; it changes sign where one passes -1."""
     return float(np.prod(1.0 + multipliers).real)

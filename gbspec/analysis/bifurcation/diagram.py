@@ -15,7 +15,7 @@ from gbspec.arrays import Array
 class Diagram:
     """A bifurcation diagram of `states` over `parameter` in `low`..`high`.
 
-    `trained` is the parameter's trained (else plausible) range, None where nothing is known of it.
+    `trained` is the parameter's trained (else plausible) range, None if unknown.
     """
 
     name: str
@@ -29,11 +29,11 @@ class Diagram:
     trained: tuple[float, float] | None = None
 
     def of_kind(self, *kinds: str) -> tuple[SpecialPoint, ...]:
-        """The special points of some kinds, by the parameter."""
+        """The special points of the given kinds, ordered by the parameter."""
         return tuple(point for point in self.special if point.kind in kinds)
 
     def drawn_at(self, point: SpecialPoint) -> Array:
-        """Where a special point is drawn [n]: at its state, or on the largest values of the cycle it belongs to."""
+        """The state [n] at which a special point is drawn: its own, or the largest values of its cycle."""
         if point.kind in ("cycle_fold", "period_doubling", "torus"):
             for kind, cycle in self.cycles[point.branch].found:
                 if (kind, cycle.value) == (point.kind, point.value):

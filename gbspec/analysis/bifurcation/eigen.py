@@ -1,4 +1,4 @@
-"""Eigenvalues of the Jacobian: at given points, along trajectories, at steady states; beside the truth's."""
+"""Eigenvalues of the Jacobian at given points, along trajectories and at steady states, compared with the truth's."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _pairs(values: ComplexArray) -> list[list[float]]:
 
 
 def format_eigenvalue(value: complex) -> str:
-    """An eigenvalue as people write it: `-0.5`, `0.12 + 2.3i`."""
+    """An eigenvalue as text: `-0.5`, `0.12 + 2.3i`."""
     if value.imag == 0.0:
         return f"{value.real:.5g}"
     return f"{value.real:.5g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.5g}i"
@@ -30,11 +30,11 @@ def format_eigenvalue(value: complex) -> str:
 
 @dataclass(frozen=True)
 class EigenPoint:
-    """The Jacobian's eigenvalues at one point, by falling real part, and the truth's at the same point.
+    """The Jacobian's eigenvalues at one point, by decreasing real part, and the truth's at the same point.
 
-    `kind` says what the point is: `given`; `data` (measured) or `predicted`, on a trajectory that `trajectory` and
-    `time` name; or a `steady` state of the model. `outside` names what lies outside of its trained (else plausible)
-    range there. `shares` [n, n] is how much of each mode (row) each state is, all measured by their ranges.
+    `kind` of the point: `given`; `data` (measured) or `predicted`, at `time` of the trajectory `trajectory`; or
+    `steady`, a steady state of the model. `outside` names the quantities outside their trained (else plausible) ranges.
+    `shares` [n, n] is the part of each state (column) in each mode (row), with states in units of their ranges.
     """
 
     state: Mapping[str, float]
@@ -49,7 +49,7 @@ class EigenPoint:
     shares: Array | None = field(default=None, repr=False)
 
     def to_json(self) -> dict[str, object]:
-        """Keys state, condition, rhs_norm, eigenvalues, truth, then where the point comes from."""
+        """Keys state, condition, rhs_norm, eigenvalues, truth, then the origin of the point."""
         document: dict[str, object] = {
             "state": dict(self.state),
             "condition": dict(self.condition),
@@ -75,17 +75,17 @@ class EigenPoint:
 
 
 FAST = 3.0
-"""A mode that falls to exp(-3), a twentieth, between two measurements leaves nothing for the second one to see."""
+"""A mode that decays to exp(-3), a twentieth, between two measurements counts as not visible in the second."""
 PART = 0.5
-"""A state belongs to a mode if its part in the eigenvector is at least so much of the largest one."""
+"""A state belongs to a mode if its part in the eigenvector is at least this fraction of the largest one."""
 
 
 @dataclass(frozen=True)
 class FastMode:
-    """A mode that dies out between two measurements, so that the data could not determine it.
+    """A mode that decays between two measurements, so that the data could not determine it.
 
-    `fastest` and `slowest` are the ends of its real part over the points; `decayed` is the time by which even the
-    slowest of them has fallen to a twentieth. `states` are those that dominate its eigenvector, largest first.
+    `fastest` and `slowest` are the smallest and largest real part over the points; `decayed` is the time within which
+    it falls to a twentieth even at the slowest. `states` are those that dominate its eigenvector, largest first.
     """
 
     rank: int
@@ -95,11 +95,11 @@ class FastMode:
 
     @property
     def decayed(self) -> float:
-        """The time by which it has fallen to a twentieth everywhere."""
+        """The time within which the mode falls to a twentieth at every point."""
         return -FAST / self.slowest
 
     def to_json(self) -> dict[str, object]:
-        """Rank (from 0, by falling real part), real parts, the time of decay and the states that dominate it."""
+        """Rank (from 0, by decreasing real part), real parts, the time of decay and the states that dominate it."""
         return {
             "rank": self.rank,
             "fastest": self.fastest,
@@ -114,14 +114,14 @@ class FastMode:
 
 @dataclass(frozen=True)
 class Eigen:
-    """Eigenvalues at several points; `interval` is the usual time between measurements, where there are data."""
+    """Eigenvalues at several points; `interval` is the median time between measurements, if there are data."""
 
     points: tuple[EigenPoint, ...] = field(default=())
     interval: float | None = None
 
     @property
     def fast_modes(self) -> tuple[FastMode, ...]:
-        """The modes that die out between two measurements at every point; none without data."""
+        """The modes that decay between two measurements at every point; none without data."""
         if self.interval is None or not self.points:
             return ()
         rates = np.array([point.eigenvalues.real for point in self.points])
@@ -138,7 +138,7 @@ class Eigen:
         return tuple(names[i] for i in np.argsort(-parts, kind="stable") if parts[i] >= PART * parts.max())
 
     def to_json(self) -> dict[str, object]:
-        """The document of `eigen --json`: points, the interval between measurements, and the modes it cannot show."""
+        """The document of `eigen --json`: points, time between measurements, and the modes that decay within it."""
         return {
             "points": [point.to_json() for point in self.points],
             "interval": self.interval,
@@ -187,11 +187,11 @@ def eigen(
 ) -> Eigen:
     """Eigenvalues at the points `at`, along measured trajectories, and at steady states.
 
-    With `steady`, steady states are sought at every entry of `at` (which then need name no states), else at the
+    With `steady`, steady states are searched for at every entry of `at` (which then need not name states), else at the
     default of every condition, or at five values across the range of the one condition without a default. Along data,
     the points are the rows at which every state is measured as a channel of its own, or with `predicted` (one for each
-    trajectory) all rows, at the predicted states where some state is not measured. Raises UserError for points that
-    name what the model does not have or leave out what it needs (GB870, GB871), GB874 for data that measure too little.
+    trajectory) all rows, at the predicted states where some state is not measured. Raises UserError
+    for points with unknown or missing names (GB870, GB871), and for data that measure too little (GB874).
     """
     findings = Findings()
     points: list[EigenPoint] = []
@@ -211,11 +211,11 @@ def eigen(
 
 
 def _settings(system: System, at: Sequence[Mapping[str, float]], findings: Findings) -> Iterable[System]:
-    """The systems whose steady states are asked for."""
+    """The systems whose steady states are requested."""
     if at:
         settings = []
         for point in at:
-            # The states of the point do not matter here, but a misspelt name does.
+            # The states of the point are not used, but their names are checked.
             states = {name: point.get(name, 0.0) for name in system.states}
             place = state_at(system, {**states, **point}, findings)
             if place is not None:
@@ -229,7 +229,7 @@ def _settings(system: System, at: Sequence[Mapping[str, float]], findings: Findi
 
 
 def usual_interval(data: Trajectories) -> float | None:
-    """The median time between two rows of a trajectory; None where no trajectory has two."""
+    """The median time between two rows of a trajectory; None if no trajectory has two."""
     intervals = np.concatenate([np.diff(item.times) for item in data.items])
     return float(np.median(intervals)) if len(intervals) else None
 
@@ -237,7 +237,7 @@ def usual_interval(data: Trajectories) -> float | None:
 def _along(
     system: System, data: Trajectories, predicted: Sequence[Prediction], truth: System | None
 ) -> Iterable[EigenPoint]:
-    """The rows of a table: measured states where all of them are, else predicted ones."""
+    """The rows of a table: the measured states where all states are measured, else the predicted ones."""
     missing = [name for name in system.states if name not in data.channels]
     if missing and not predicted:
         findings = Findings()

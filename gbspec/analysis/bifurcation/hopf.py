@@ -1,4 +1,4 @@
-"""Hopf points: the first Lyapunov coefficient, and with it whether the cycles born there are stable.
+"""Hopf points: the first Lyapunov coefficient, whose sign tells whether the cycles born there are stable.
 
 Kuznetsov, Elements of Applied Bifurcation Theory (3rd ed.), equation (5.62), with A q = i w q, A^T p = -i w p,
 <q, q> = 1, <p, q> = 1 and exact second and third derivatives B and C:
@@ -20,7 +20,7 @@ from gbspec.arrays import Array, ComplexArray
 
 @dataclass(frozen=True)
 class Hopf:
-    """What a Hopf point says of the cycles born there: frequency w, critical eigenvector q [n], and l1."""
+    """The normal form of a Hopf point: frequency w, critical eigenvector q [n], and l1."""
 
     frequency: float
     vector: ComplexArray
@@ -28,7 +28,7 @@ class Hopf:
 
     @property
     def period(self) -> float:
-        """The period of infinitely small cycles."""
+        """The period of the cycles in the limit of zero amplitude."""
         return 2.0 * np.pi / self.frequency
 
     @property
@@ -64,7 +64,7 @@ def normal_form(
     second: Callable[[Array, Array], Array],
     third: Callable[[Array, Array, Array], Array],
 ) -> Hopf:
-    """The same from the Jacobian [n, n] and the derivatives B(u, v) and C(u, v, w) of real vectors [n]."""
+    """The coefficient from the Jacobian [n, n] and the derivatives B(u, v) and C(u, v, w) of real vectors [n]."""
     frequency, q, p = critical_pair(jacobian)
 
     def bilinear(u: ComplexArray, v: ComplexArray) -> ComplexArray:

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cycle:
-    """A limit cycle at one value of the parameter: period, extremes [n] and Floquet multipliers by falling modulus.
+    """A limit cycle at one value of the parameter: period, extremes [n] and Floquet multipliers by decreasing modulus.
 
-    `times` [P] of one period and `states` [P, n] draw it; `stable` leaves the multiplier 1 along the cycle out;
-    `outside` names what leaves its trained (else plausible) range on it.
+    `times` [P] over one period and `states` [P, n] sample it; `stable` ignores the trivial multiplier 1; `outside`
+    names the quantities that leave their trained (else plausible) ranges on it.
     """
 
     value: float
@@ -33,7 +33,7 @@ class Cycle:
 
     @property
     def stable(self) -> bool:
-        """Whether every multiplier but the trivial one lies within the unit circle."""
+        """Whether all multipliers except the trivial one are inside the unit circle."""
         return bool(np.all(np.abs(others(self.multipliers)) < 1.0))
 
 
@@ -70,7 +70,7 @@ def extremes(orbit: Orbit, parts: int = 16) -> tuple[Array, Array]:
     before, after = np.roll(values, 1, axis=0), np.roll(values, -1, axis=0)
     back = np.diff(np.concatenate([[fine[-1] - 1.0], fine]))[:, None]
     ahead = np.diff(np.concatenate([fine, [1.0 + fine[0]]]))[:, None]
-    # Newton's form of the parabola through three neighbours, at its vertex where that lies between them.
+    # Newton's form of the parabola through three neighbours, at its vertex if that is between them.
     slope = ((values - before) / back * ahead + (after - values) / ahead * back) / (back + ahead)
     bend = ((after - values) / ahead - (values - before) / back) / (back + ahead)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Diagrams of all members of an ensemble: where they agree on a special point, the interval that they span."""
+"""Diagrams of all members of an ensemble: for each special point that all have, the interval of its values."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from gbspec.analysis.bifurcation.diagram import Diagram
 
 
 def with_intervals(diagrams: Sequence[Diagram]) -> Diagram:
-    """The first diagram with an interval on each fold and Hopf point: the range of the closest ones of all members.
+    """The first diagram with an interval for each fold and Hopf point: the range of the closest points of all members.
 
-    A point that not every other member has keeps None: the members disagree on whether it is there.
+    The interval stays None if some member has no such point: the members then disagree on its existence.
     """
     first, others = diagrams[0], diagrams[1:]
     special = []

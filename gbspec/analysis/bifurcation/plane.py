@@ -1,4 +1,4 @@
-"""Hopf and fold curves in a plane of two parameters, with the points at which they change their kind.
+"""Hopf and fold curves in a plane of two parameters, with their codimension-two points.
 
 Both are zero sets of extended systems, followed by the same pseudo-arclength continuation with exact Jacobians:
 
@@ -29,9 +29,9 @@ Kind = Literal["bautin", "bogdanov_takens", "cusp"]
 
 @dataclass(frozen=True)
 class PlanePoint:
-    """A point of a curve: the two parameters, the state [n]; on a Hopf curve the frequency and l1.
+    """A point of a curve: the two parameters, the state [n]; on a Hopf curve also the frequency and l1.
 
-    `outside` names what lies outside of its trained (else plausible) range there.
+    `outside` names the quantities outside their trained (else plausible) ranges.
     """
 
     values: tuple[float, float]
@@ -43,7 +43,7 @@ class PlanePoint:
 
 @dataclass(frozen=True)
 class PlaneCurve:
-    """A Hopf or fold curve, the codimension-two points on it, and why it ends at either side."""
+    """A Hopf or fold curve, the codimension-two points on it, and the reasons for its two ends."""
 
     kind: Literal["hopf", "fold"]
     parameters: tuple[str, str]
@@ -79,7 +79,7 @@ class PlaneFamily:
     def __init__(self, system: System, first: str, second: str) -> None:
         low, _ = system.range(second)
         placeholder = system.values.get(second, low if np.isfinite(low) else 1.0)
-        # A family in the first parameter checks the names and that nothing else is missing.
+        # A family in the first parameter checks the names and that no other number is missing.
         self.family = Family(system.with_values({second: placeholder}), first)
         Family(system.with_values({first: system.values.get(first, 1.0)}), second)
         self.system, self.names, self.size = system, (first, second), system.size
@@ -164,7 +164,7 @@ class PlaneFamily:
 
 
 def _with_jacobian(name: str, equations: Any, *symbols: Any) -> Compiled:
-    """The equations and their Jacobian by all symbols, side by side."""
+    """The equations and their Jacobian with respect to all symbols, concatenated."""
     import casadi
 
     jacobian = casadi.horzcat(*(casadi.jacobian(equations, symbol) for symbol in symbols))
@@ -187,8 +187,8 @@ def fold_curve(
         return family.point(y * scale)
 
     def cusp(point: CurvePoint) -> float:
-        # Along the curve both parameters' components of the tangent vanish at a cusp: their projection on the side
-        # from which the curve came changes sign there.
+        # Along the curve both parameters' components of the tangent vanish at a cusp: their projection on the
+        # previous tangent changes sign there.
         return float(point.tangent[-2:] @ tracer.heading)
 
     return tracer.both_ways("fold", np.concatenate([state, null, values]) / scale, describe, (("cusp", cusp),))
@@ -203,7 +203,7 @@ def hopf_curve(
     jacobian = family.at(values[1]).linear(state, values[0])[1].reshape(n, n)
     frequency, q, _ = critical_pair(jacobian)
     reference = q.real / float(q.real @ q.real)
-    # q is turned so that <q0, Re q> = 1 and <q0, Im q> = 0 hold at the start.
+    # q is rotated so that <q0, Re q> = 1 and <q0, Im q> = 0 hold at the start.
     q = q / complex(reference @ q)
     function = family.hopf(reference)
     scale = np.concatenate([system.scale, np.ones(2 * n), [frequency], _widths(boxes)])
@@ -243,7 +243,7 @@ def _widths(boxes: tuple[Box, Box]) -> list[float]:
 
 
 class _Takens:
-    """Bogdanov-Takens points, at which a Hopf curve ends: its frequency passes through zero there.
+    """Bogdanov-Takens points, at which a Hopf curve ends since its frequency passes through zero.
 
     `reference` [n] is the vector q0 of the extended system, `scale` [3n + 3] that of the curve's variables.
     """
@@ -257,7 +257,7 @@ class _Takens:
         return bool(a.y[3 * self.size] * b.y[3 * self.size] <= 0.0)
 
     def between(self, a: CurvePoint, b: CurvePoint) -> PlanePoint | None:
-        """The point between two points of the curve; None where Newton's iteration does not find it."""
+        """The point between two points of the curve; None if Newton's iteration does not converge."""
         n = self.size
         z = (b if abs(b.y[3 * n]) < abs(a.y[3 * n]) else a).y * self.scale
         guess = np.concatenate([z[: 2 * n], z[2 * n : 3 * n] / z[3 * n], z[-2:]])
@@ -344,7 +344,7 @@ class _Tracer:
         return points, special, "no step converged"
 
     def _edge(self, before: CurvePoint, point: CurvePoint, length: float) -> CurvePoint | None:
-        """Where a step leaves the box, None where it stays inside."""
+        """The point at which a step leaves the box, or None if it stays inside."""
         size = len(self.scale)
         for i, (low, high) in zip((size - 2, size - 1), self.boxes, strict=True):
             value = point.y[i] * self.scale[i]
@@ -357,5 +357,5 @@ class _Tracer:
 
 
 def _beyond(index: int, end: float, point: CurvePoint) -> float:
-    """How far a variable of a point is beyond an end."""
+    """The distance of a variable of a point beyond an end."""
     return float(point.y[index] - end)

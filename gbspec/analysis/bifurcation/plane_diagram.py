@@ -1,7 +1,7 @@
 """Bifurcation diagrams over two parameters: all Hopf and fold curves in a box of the plane.
 
-Diagrams over either parameter at several values of the other give Hopf points and folds; each that lies on no curve
-found so far starts another. Where a Hopf curve ends in a Bogdanov-Takens point, the fold curve through it is followed.
+Diagrams over either parameter at several values of the other give Hopf points and folds; each that is on no curve
+found so far starts a new curve. If a Hopf curve ends in a Bogdanov-Takens point, the fold curve through it is followed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from gbspec.analysis.systems import Box, System
 from gbspec.arrays import Array
 
 LINES = 5
-"""At how many values of either parameter diagrams over the other are made."""
+"""The number of values of either parameter at which diagrams over the other are computed."""
 ACROSS = BifurcationOptions(values=3, starts=32, cycles=False)
-"""How these diagrams are made."""
+"""Options of these diagrams."""
 ON_CURVE = 2e-3
-"""A point closer than this to a curve, in parts of the box and of the states' scale, lies on it: steps along a curve
-are at most 0.02 long and turn by at most 0.2, so their chords are off it by a quarter of this at most."""
+"""A point closer than this to a curve, relative to the box and the states' scale, counts as on it: steps along a curve
+are at most 0.02 long and rotate the tangent by at most 0.2, so the error of chords is at most a quarter of this."""
 
 KINDS = {"bautin": "Bautin point", "bogdanov_takens": "Bogdanov-Takens point", "cusp": "cusp"}
 
@@ -31,7 +31,7 @@ KINDS = {"bautin": "Bautin point", "bogdanov_takens": "Bogdanov-Takens point", "
 class PlaneDiagram:
     """The Hopf and fold curves of a system in a box of the plane of two parameters.
 
-    `trained` holds both parameters' trained (else plausible) ranges, None where nothing is known of one.
+    `trained` holds both parameters' trained (else plausible) ranges, None for an unknown one.
     """
 
     name: str
@@ -83,14 +83,14 @@ def bifurcation_plane(
     boxes: tuple[Box, Box],
     progress: Callable[[str], None] | None = None,
 ) -> PlaneDiagram:
-    """All Hopf and fold curves that diagrams along `LINES` lines in either direction lead to.
+    """All Hopf and fold curves that are found from diagrams along `LINES` lines in either direction.
 
-    Raises UserError where there is no such parameter (GB872), where the system depends on time (GB873) or lacks a
-    number (GB871), and where a range is none (GB875).
+    Raises UserError if there is no such parameter (GB872), if the system depends on time (GB873) or a number is missing
+    (GB871), and if a range is invalid (GB875).
     """
     for name, box in zip(names, boxes, strict=True):
         require_range(name, *box)
-    PlaneFamily(system, *names)  # says what is wrong with the names before anything is computed
+    PlaneFamily(system, *names)  # reports errors in the names before anything is computed
     search = _Search(system, names, boxes, progress or (lambda text: None))
     for along in (0, 1):
         low, high = boxes[1 - along]
@@ -102,7 +102,7 @@ def bifurcation_plane(
 
 
 class _Search:
-    """Finds curve after curve."""
+    """Finds and collects the curves of a diagram."""
 
     def __init__(
         self, system: System, names: tuple[str, str], boxes: tuple[Box, Box], progress: Callable[[str], None]
@@ -121,7 +121,7 @@ class _Search:
         self.progress(f"{self.names[1 - along]} = {other:.6g}: {len(self.curves)} curves so far")
 
     def follow(self, kind: str, state: Array, values: tuple[float, float]) -> None:
-        """Follows a curve through a point, unless it lies on one that is known."""
+        """Follows the curve through a point, unless the point is on a known one."""
         if any(curve.kind == kind and self._on(curve, state, values) for curve in self.curves):
             return
         trace = hopf_curve if kind == "hopf" else fold_curve

@@ -1,4 +1,4 @@
-"""What the flow settles to: the first guess of a stable limit cycle, by integration and its returns."""
+"""A first guess of a stable limit cycle: the orbit to which the flow converges, by integration and return times."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ Field = Callable[[float, Array], Array]
 
 TOLERANCE = 1e-8
 ROUNDS = 8
-"""How often the time for settling is doubled before the flow counts as not periodic."""
+"""How often the transient time is doubled before the flow counts as not periodic."""
 CLOSED = 2e-3
-"""An orbit counts as closed when it comes back within this part of its own extent."""
+"""An orbit counts as closed when it returns to within this fraction of its extent."""
 
 
 @dataclass(frozen=True)
 class Settled:
-    """A nearly closed orbit: its period and states [P, n] at P equal parts of it, the end left out."""
+    """A nearly closed orbit: its period and states [P, n] at P equidistant times, without the end."""
 
     period: float
     states: Array
 
 
 def settle(family: Family, value: float, start: Array, samples: int = 400) -> Settled | None:
-    """The periodic orbit that the flow settles to from `start` [n]; None where it finds none.
+    """The periodic orbit to which the flow converges from `start` [n]; None if none is found.
 
-    The time scale comes from the Jacobian at the start; the time for settling grows until the orbit comes back to
-    where it was. The period is the time between two passages of a hyperplane across the flow, after as many passages
-    as it takes to come back to the same place.
+    The time scale comes from the Jacobian at `start`; the transient time grows until the orbit returns to a previous
+    point. The period is the time between two crossings of a hyperplane transverse to the flow, after as many crossings
+    as it takes to return to the same point.
     """
     from scipy.integrate import solve_ivp
 
@@ -62,14 +62,14 @@ def settle(family: Family, value: float, start: Array, samples: int = 400) -> Se
 
 
 def _time_scale(jacobian: Array) -> float:
-    """The time of the slowest mode, leaving out those that hardly move."""
+    """The time scale of the slowest mode, except modes that are nearly constant."""
     rates = np.abs(np.linalg.eigvals(jacobian))
     largest = float(rates.max()) or 1.0
     return float(1.0 / np.min(rates[rates > 1e-4 * largest], initial=largest))
 
 
 def _returned(rhs: Field, jacobian: Field, x: Array, span: float, scale: Array, samples: int) -> Settled | None:
-    """The orbit from `x` if it comes back to it within the span."""
+    """The orbit from `x` if it returns to `x` within the span."""
     from scipy.integrate import solve_ivp
     from scipy.optimize import brentq
 

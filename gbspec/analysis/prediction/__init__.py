@@ -1,4 +1,4 @@
-"""Predictions of fitted models, and the initial states that they start from."""
+"""Predictions of fitted models, and their initial states."""
 
 import lazy_loader
 

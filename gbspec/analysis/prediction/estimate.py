@@ -1,10 +1,10 @@
-"""Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
+"""Initial states and per-trajectory constants of new trajectories: least squares with the learned parameters fixed.
 
-Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are those of `gbspec.ir.residual` at all measured values, in units of the
-standard deviation of the channel's data; what is known beforehand, from the trajectories of the training, pulls towards
-its centre: as strongly as the noise says where that is known, else just enough to keep what the data do not determine
-from running away.
+The unknowns are the initial values that are neither given by the model nor measured in the first row, and the
+learnables that each trajectory has for itself. The residuals are those of `gbspec.ir.residual` at all measured values,
+in units of the standard deviation of the channel's data. A prior from the training trajectories adds a penalty on the
+distance from its centre: weighted according to the noise if that is known, else just strong enough to bound what the
+data do not determine.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ if TYPE_CHECKING:
 
 
 PULL = 1e-3
-"""Least weight of the pull towards what was known beforehand, in units of its standard deviation."""
+"""Least weight of the penalty towards the prior's center, with distances in units of its standard deviation."""
 TOLERANCE = 1e-6
-"""Relative tolerance of the solutions while a start is sought."""
+"""Relative tolerance of the solutions during the estimation."""
 TRIALS = 8
-"""Starts that are tried before the best one is polished."""
+"""Initial guesses that are compared before the best one is refined."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of starts before a trajectory is looked at: centre and standard deviation [n] of the states."""
+    """The prior of initial states: center and standard deviation [n] of the states."""
 
     centre: Array
     sd: Array
 
 
 def prior_of(member: GeneratedModule, model: Model) -> Prior:
-    """From the learned starts of the training data; where there are none, from declared guesses and ranges."""
+    """The prior from the learned initial states of the training data, else from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
         sd = learned.std(axis=0)
@@ -69,9 +69,9 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
 def predictions(
     evaluator: Evaluator, model: Model, trajectories: Trajectories, data: DataRecord | None = None
 ) -> list[Prediction]:
-    """The predictions of one member for a table: from learned starts on training data, else known or estimated ones.
+    """The predictions of one member for a table, from learned initial states if possible, else known or estimated ones.
 
-    `data` is what `fit.json` says of the training data, where there is one.
+    `data` is the entry of `fit.json` about the training data, if there is one.
     """
     estimator = Estimator(evaluator, model, deviations(model, trajectories))
     positions = learned_positions(evaluator.instance, trajectories, data)
@@ -83,8 +83,8 @@ def predictions(
 
 
 class Estimator:
-    """Least squares for the start of one trajectory. `scales` [C] are the residuals' (see `deviations`); `noise` [C],
-    where it is known, is the standard deviation of measurements in the same units (of logarithms, if log-normal)."""
+    """Least squares for the initial state of one trajectory. `scales` [C] are those of residuals (see `deviations`);
+    `noise` [C], if known, is the standard deviation of measurements in these units (of logarithms, if log-normal)."""
 
     def __init__(self, evaluator: Evaluator, model: Model, scales: Array, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.scales = evaluator, model, scales
@@ -98,7 +98,7 @@ class Estimator:
         self.low, self.high = np.array(ends, dtype=float).reshape(-1, 2).T
 
     def _sd_of_own(self) -> Array:
-        """The standard deviation, over the training's trajectories, of each constant that these have for themselves."""
+        """The standard deviation over the training trajectories of each per-trajectory constant."""
         centre = np.abs(np.asarray(self.evaluator.constants, dtype=float)[list(self.own)])
         found = [
             self.evaluator.instance.weights.get(f"per_trajectory.{n}") for n in self.evaluator.instance.per_trajectory
@@ -107,7 +107,7 @@ class Estimator:
         return np.where(np.array(sd) > 0, sd, np.maximum(centre, 1e-3))
 
     def start(self, item: Trajectory) -> Start:
-        """The start of a trajectory: known, or estimated from its data; `failed` where no start can be integrated."""
+        """The start of a trajectory: known, or estimated from its data; `failed` if none can be integrated."""
         free = needed(self.model, item)
         state = measured_start(self.model, item, self._nearest(item))
         constants = np.array(self.evaluator.constants, dtype=float)
@@ -116,12 +116,12 @@ class Estimator:
         return self._estimate(item, state, constants, free)
 
     def start_sd(self, item: Trajectory) -> Array:
-        """How uncertain each state's start [n] is before the trajectory is fitted: less where it was recognised."""
+        """The prior standard deviation [n] of each initial value; smaller if a recognition network gives it."""
         found = recognised(self.evaluator.instance.weights, self.model, item)
         return self.prior.sd if found is None else np.minimum(self.prior.sd, found[1])
 
     def _nearest(self, item: Trajectory) -> Array:
-        """The prior's centre, or what a recognition network says; with early measurements of states put in."""
+        """The prior's center or the recognition network's output, with early measurements of states inserted."""
         found = recognised(self.evaluator.instance.weights, self.model, item)
         state = (self.prior.centre if found is None else found[0]).copy()
         early = max(3, len(item.times) // 10)
@@ -154,16 +154,16 @@ class Estimator:
             return np.concatenate([error[measured], self.pull * z])
 
         trials = self._trials(len(scale))
-        with np.errstate(over="ignore"):  # squares of a solution that runs away: its cost is infinite
+        with np.errstate(over="ignore"):  # squares of a diverging solution: its cost is infinite
             costs = [float(np.sum(errors(z) ** 2)) for z in trials]
             best = trials[int(np.argmin(costs))]
             if min(costs) >= float(np.sum(worst**2)):
-                return Start(state, constants, "failed", "no start was found from which it can be integrated")
+                return Start(state, constants, "failed", "no initial state was found from which it can be integrated")
             solution = least_squares(errors, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
         return moved(np.asarray(solution.x, dtype=float))
 
     @staticmethod
     def _trials(size: int) -> list[Array]:
-        """The guess itself and points around it, in units of the standard deviation."""
+        """The guess and points around it, in units of the standard deviation."""
         around = 3.0 * spread_points(TRIALS, size) - 1.5
         return [np.zeros(size), *around]

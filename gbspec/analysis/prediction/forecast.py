@@ -1,7 +1,7 @@
-"""Predictions on new trajectories: what is per trajectory is estimated from their first rows, the rest is predicted.
+"""Predictions of new trajectories: their own parameters are estimated from the first rows, the other rows predicted.
 
-The weights, and the constants that all trajectories share, stay as they were learned. Of each trajectory only the rows
-of its window are looked at; what was measured later is compared with what was predicted, never used.
+The weights, and the constants that all trajectories share, stay as learned. Only the rows in the window of a trajectory
+are used; later measurements are only compared with the predictions.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 Use = Literal["training", "window", "predicted"]
-"""What a row was to the prediction: seen in training, used to estimate the start, or neither."""
+"""The use of a row: in training, in the estimation of the initial state, or none."""
 
 SHARE, LEAST = 3, 3
-"""Without `--window`, the first third of the measured rows is the window, and at least three of them."""
+"""The default window: one third (1/`SHARE`) of the measured rows, but at least `LEAST`."""
 NUDGE = 1e-4
-"""The step of the differences by which an estimated start's uncertainty is propagated, in units of its prior standard
-deviation."""
+"""The step of the finite differences that propagate the uncertainty of an estimated initial value, in units of its
+prior standard deviation."""
 
 
 @dataclass(frozen=True)
 class PredictedTrajectory:
-    """One trajectory: at its R rows the mean, and the standard deviation of a new measurement, of V variables.
+    """One trajectory: the mean of V variables at its R rows, and the standard deviation of a new measurement.
 
-    `used` says of each row what it was to the prediction; `outside` names what lies beyond the trained range there;
-    `in_logarithms` [V] says whose intervals reach by factors.
+    `used` gives the use of each row; `outside` names the quantities outside their trained ranges in it;
+    `in_logarithms` [V] marks the variables whose intervals are multiplicative.
     """
 
     label: str
@@ -72,7 +72,7 @@ class PredictedTrajectory:
 
 @dataclass(frozen=True)
 class Errors:
-    """Of `n` measurements that were not used; `covered` is the share of them inside of the intervals."""
+    """Errors at the `n` measurements that were not used; `covered` is the fraction of them inside the intervals."""
 
     n: int
     rmse: float
@@ -80,13 +80,13 @@ class Errors:
     covered: float
 
     def to_json(self) -> dict[str, object]:
-        """Numbers that do not exist are null."""
+        """The errors as JSON; undefined numbers are null."""
         return {"n": self.n, **{name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}}
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predictions of a run for a table. `variables` are the channels, then the states that are no channel."""
+    """The predictions of a run for a table. `variables` are the channels, then the states that are not channels."""
 
     variables: tuple[str, ...]
     channels: tuple[str, ...]
@@ -96,7 +96,7 @@ class Forecast:
     warnings: tuple[str, ...] = ()
 
     def errors(self) -> dict[str, Errors]:
-        """Of each channel that was measured in rows which were not used."""
+        """The errors of each channel with measurements in rows that were not used."""
         found = {}
         for j, name in enumerate(self.channels):
             parts = [(item, [use == "predicted" for use in item.used]) for item in self.items if not item.failure]
@@ -138,7 +138,7 @@ class Forecast:
         for name, one in self.errors().items():
             lines.append(
                 f"{name}: {one.n} measurements that were not used; rmse {one.rmse:.4g}, {one.nrmse:.3g} of their "
-                f"standard deviation, {100 * one.covered:.0f} % inside of the 90 % intervals"
+                f"standard deviation, {100 * one.covered:.0f} % inside the 90 % intervals"
             )
         for origin, words in ORIGINS.items():
             of_it = [item for item in self.items if item.start.origin == origin]
@@ -150,10 +150,10 @@ class Forecast:
 
 
 ORIGINS = {
-    "learned": "seen in training, starts from its learned initial state",
+    "learned": "part of the training data: predicted from the learned initial state",
     "known": "the initial state is given by the first row and the model",
     "estimated": "the initial state was estimated from the first rows, with all shared parameters held fixed",
-    "failed": "no initial state was found from which it could be solved",
+    "failed": "no initial state was found from which it can be solved",
 }
 
 
@@ -164,12 +164,12 @@ def _count(number: int) -> str:
 def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None) -> Forecast:
     """Predictions of all members for every row of a table.
 
-    `window` is the number of measured rows, from the first, that the start of a new trajectory is estimated from
-    (None: a third of them, at least three). A trajectory of the training data, recognised by content, starts as it was
-    learned. The interval is of a new measurement: it holds the standard deviation over the members, the uncertainty of
-    what was estimated (linearised), and the noise that the fit found.
+    `window` is the number of measured rows from which the initial state of a new trajectory is estimated (None: a
+    third of them, at least three). A trajectory of the training data, recognised by content, has its learned initial
+    state. The interval is that of a new measurement: it includes the variance over the members, the
+    (linearised) uncertainty of the estimates, and the noise that the fit estimated.
 
-    Raises ComputationError where no trajectory can be solved.
+    Raises ComputationError if no trajectory can be solved.
     """
     from gbspec.backends import Evaluator
 
@@ -181,7 +181,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         first = items[0]
         raise ComputationError(
             f"no trajectory can be predicted: {first.failure}", where=f"trajectory {first.label}",
-            remedy="give a longer `--window`, or look at `gbspec validate` on the training data",
+            remedy="give a longer `--window`, or run `gbspec validate` on the training data",
         )  # fmt: skip
     hidden = hidden_states(run.model)
     return Forecast(
@@ -195,7 +195,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
 
 def hidden_states(model: Model) -> tuple[int, ...]:
-    """The states that no channel is called after."""
+    """The states whose names are not names of channels."""
     named = {channel.name for channel in model.channels}
     return tuple(i for i, state in enumerate(model.states) if state.name not in named)
 
@@ -216,7 +216,7 @@ def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
 
 @dataclass(frozen=True)
 class _View:
-    """One member's prediction of one trajectory: mean [R, V] and the variance [R, V] that its start brings."""
+    """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start."""
 
     prediction: Prediction
     variables: Array
@@ -224,7 +224,7 @@ class _View:
 
 
 class _MemberPredictions:
-    """One member over a table."""
+    """The predictions of one member for a table."""
 
     def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Array) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
@@ -249,10 +249,10 @@ class _MemberPredictions:
         return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
 
     def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> Array:
-        """The variance [R, V] that the estimate's own covariance brings: J (J'WJ + P)^-1 J' by differences.
+        """The variance [R, V] from the covariance of the estimate: the diagonal of J (J'WJ + P)^-1 J', by differences.
 
-        W is the precision of the window's measurements (the fit's noise, or their misfit where that is larger), P that
-        of what was known of starts before.
+        W is the precision of the window's measurements (from the fit's noise, or their misfit if that is larger), P
+        that of the prior.
         """
         free = [*needed(self.model, seen)]
         own = list(self.estimator.own)
@@ -279,13 +279,13 @@ class _MemberPredictions:
 
 
 def first_rows(item: Trajectory, rows: int) -> Trajectory:
-    """The trajectory as it was known after its first `rows` rows."""
+    """The trajectory truncated to what its first `rows` rows contain."""
     kept = {name: getattr(item, name)[:rows] for name in ("times", "values", "counts", "sd")}
     return replace(item, **kept)
 
 
 def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -> int:
-    """How many rows [of all] the start of a new trajectory is estimated from; the first alone where it says it all."""
+    """The number of rows up to the end of the window; only the first if it determines the initial state."""
     measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
     if not len(measured):
         return 0
@@ -298,7 +298,7 @@ def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -
 def _joined(
     each: Sequence[_MemberPredictions], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
 ) -> PredictedTrajectory:
-    """The members' predictions of a trajectory joined."""
+    """The combined prediction of a trajectory by all members."""
     model, item = each[0].model, each[0].trajectories.items[index]
     own = bool(each[0].estimator.own)
     trained = each[0].positions[index] is not None
@@ -331,7 +331,7 @@ def _joined(
 def _outside(
     model: Model, item: Trajectory, states: Array, ranges: Mapping[str, tuple[float, float]]
 ) -> tuple[tuple[str, ...], ...]:
-    """At each row the states and conditions beyond what the unknowns were trained on, a hundredth of the width off."""
+    """For each row the states and conditions outside their trained ranges by more than a hundredth of the width."""
     values: dict[str, Array] = {
         **{state.name: states[:, i] for i, state in enumerate(model.states)},
         **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},

@@ -1,7 +1,7 @@
-"""The noise of measurement that a fit found, at predicted values, and the intervals that follow from it.
+"""The measurement noise that a fit estimated, at predicted values, and the intervals that follow from it.
 
-A channel with lognormal noise has it in its logarithms: there the deviation is in proportion to what is measured, and
-an interval reaches as far by a factor upwards as downwards.
+The noise of a lognormal channel is that of its logarithm: its standard deviation is proportional to the measured value,
+and an interval extends by the same factor upwards and downwards.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 NORMAL_90 = 1.6448536269514722
-"""Half of the width of a normal distribution's 90 % interval, in standard deviations."""
+"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
 
 
 def noise_at(run: Run, values: Array) -> Array:
@@ -28,7 +28,7 @@ def noise_at(run: Run, values: Array) -> Array:
 
 
 def interval(mean: Array, sd: Array, in_logarithms: Mask | bool) -> tuple[Array, Array]:
-    """The 90 % interval around `mean`: both ends, of the same shape; by a factor where the noise is of logarithms."""
+    """The 90 % interval around `mean`: both ends, of the same shape; multiplicative for noise of logarithms."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         factor = np.exp(NORMAL_90 * sd / np.abs(mean))
         by_factor = in_logarithms & np.isfinite(factor)

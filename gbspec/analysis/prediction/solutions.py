@@ -1,6 +1,6 @@
-"""Predictions from initial states: where each trajectory starts, and the adaptive solution from there.
+"""Predictions from initial states: the start of each trajectory, and the adaptive solution from it.
 
-Nothing here uses the training's step: solutions come from the evaluator's CVODES.
+Nothing here uses the step of the training: solutions come from the evaluator's CVODES.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from gbspec.runs import DataRecord
 
 Origin = Literal["learned", "known", "estimated", "failed"]
-"""Where an initial state comes from: learned in training; known (expressed by the model, or measured at the first row);
-estimated from the trajectory's own data; or none could be found."""
+"""The origin of an initial state: learned in training; known (given by the model, or measured in the first row);
+estimated from the trajectory's own data; or failed, if none was found."""
 
 RTOL = 1e-8
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where a trajectory starts: state [n], the constants [K] that hold for it, and where that comes from."""
+    """The start of a trajectory: initial state [n], its values of the constants [K], and their origin."""
 
     state: Array
     constants: Array
@@ -40,9 +40,9 @@ class Start:
 
 @dataclass(frozen=True)
 class Prediction:
-    """The solution of one trajectory at its rows: states [R, n] and channels [R, C]; NaN from where it failed.
+    """The solution of one trajectory at its rows: states [R, n] and channels [R, C]; NaN from the row where it failed.
 
-    `failure` says why there is none; empty where there is one.
+    `failure` is the reason for a failure, or empty.
     """
 
     label: str
@@ -54,7 +54,7 @@ class Prediction:
 
 
 def needed(model: Model, item: Trajectory) -> tuple[int, ...]:
-    """The states whose start neither the model expresses nor the first row measures."""
+    """The states whose initial value is neither given by the model nor measured in the first row."""
     measured = {
         channel.state
         for j, channel in enumerate(model.channels)
@@ -71,7 +71,7 @@ def needed(model: Model, item: Trajectory) -> tuple[int, ...]:
 
 
 def measured_start(model: Model, item: Trajectory, otherwise: Array) -> Array:
-    """The state [n] with what the first row measures put into `otherwise` [n]."""
+    """The state `otherwise` [n], with the entries replaced that the first row measures."""
     state = otherwise.copy()
     if len(item.times) and item.times[0] == item.start:
         for j, channel in enumerate(model.channels):
@@ -81,10 +81,10 @@ def measured_start(model: Model, item: Trajectory, otherwise: Array) -> Array:
 
 
 def learned_positions(member: GeneratedModule, trajectories: Trajectories, data: DataRecord | None) -> list[int | None]:
-    """Where each trajectory stands in the training data of a member, by content; None where it is new.
+    """The index of each trajectory in the training data of a member, found by content; None for a new one.
 
-    The member's remarks hold the fingerprints of its trajectories; failing that, a table with the same SHA-256 as the
-    one trained on (`data` of `fit.json`) is the same in order.
+    The member's `info` holds the fingerprints of its trajectories; without them, a table with the same SHA-256 as the
+    training data (`data` of `fit.json`) has the same trajectories in the same order.
     """
     known = member.info.get("fingerprints")
     count = len(member.weights.get("initial", ()))
@@ -97,7 +97,7 @@ def learned_positions(member: GeneratedModule, trajectories: Trajectories, data:
 
 
 def learned_start(evaluator: Evaluator, position: int, item: Trajectory) -> Start:
-    """The start that training found for the trajectory at this position of its data."""
+    """The learned start of the trajectory at this index of the training data."""
     member = evaluator.instance
     constants = own_constants(evaluator, position)
     state = np.array(member.weights["initial"][position], dtype=float)
@@ -105,7 +105,7 @@ def learned_start(evaluator: Evaluator, position: int, item: Trajectory) -> Star
 
 
 def own_constants(evaluator: Evaluator, position: int) -> Array:
-    """The constants [K] of one training trajectory: the shared ones, and its own where each has one."""
+    """The constants [K] of one training trajectory: the shared ones, and its own values of per-trajectory constants."""
     member = evaluator.instance
     constants = np.array(evaluator.constants, dtype=float)
     for name in member.per_trajectory:
@@ -155,7 +155,7 @@ def input_values(model: Model, item: Trajectory, times: Array) -> Array:
 
 
 def mean_prediction(predictions: Sequence[Prediction]) -> Prediction:
-    """The mean of several members' predictions of one trajectory; a failure of any is one of the mean."""
+    """The mean of several members' predictions of one trajectory; it fails if one of them does."""
     first = predictions[0]
     if len(predictions) == 1:
         return first

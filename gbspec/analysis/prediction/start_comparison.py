@@ -1,9 +1,9 @@
-"""Initial states beside each other: as training learned them, bred, and of the truth; along fast and slow directions.
+"""Comparison of initial states: learned in training, bred, and true, along fast and slow directions.
 
-What training learns under teacher forcing has to serve the first rows alone. Bred are the starts from which the learned
-dynamics, held as they are, follow the whole trajectory best; true are those from which the truth does. Differences are
-split into the modes of the Jacobian at the start: an error along a fast direction dies out before it is seen, so the
-data say little of it, while one along a slow direction stays.
+Under teacher forcing, the learned initial states only have to fit the first rows. Bred initial states are those from
+which the learned dynamics, kept fixed, fit the whole trajectory best; true ones are those from which the truth does.
+Differences are decomposed into the modes of the Jacobian at the initial state: an error along a fast direction decays
+before it is measured, so that the data hardly determine it, while an error along a slow direction persists.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class InitialState:
-    """The starts [n] of one trajectory, at `time`, and the learned Jacobian's eigenvalues [n] there, slowest first.
+    """The initial states [n] of one trajectory, at `time`, and the learned Jacobian's eigenvalues [n], slowest first.
 
-    `learned_off` and `bred_off` [n] are the parts of their differences from the true start (of `learned_off`, from the
-    bred one where there is no truth) that lie in each mode, as norms in units of the states' ranges; both modes of a
-    complex pair carry the norm of their common part.
+    `learned_off` and `bred_off` [n] are the components of their differences from the true initial state in each mode
+    (without a truth, of the learned from the bred one), as norms in units of the states' ranges; both modes of a
+    complex pair have the norm of their common component.
     """
 
     trajectory: str
@@ -66,15 +66,15 @@ class InitialState:
 
 @dataclass(frozen=True)
 class InitialStates:
-    """The starts of several trajectories in the `states` of a model."""
+    """The initial states of several trajectories, in the `states` of a model."""
 
     states: tuple[str, ...]
     items: tuple[InitialState, ...]
 
     @property
     def reference(self) -> str:
-        """What the differences are from."""
-        return "the bred start" if self.items[0].true is None else "the true start"
+        """The reference of the differences, in words."""
+        return "the bred initial state" if self.items[0].true is None else "the true initial state"
 
     @property
     def rates(self) -> Array:
@@ -98,7 +98,7 @@ class InitialStates:
                     places = (f"{name} = {value:.6g}" for name, value in zip(self.states, values, strict=True))
                     lines.append(f"  {word:<8} " + ", ".join(places))
         count = len(self.items)
-        lines.append(f"off {self.reference}, in parts of the states' ranges (median over {count} trajectories)")
+        lines.append(f"distance from {self.reference}, in units of the states' ranges (median of {count} trajectories)")
         for rank, rate in enumerate(self.rates):
             shown = [f"learned {_median([item.learned_off[rank] for item in self.items]):.2e}"]
             bred = [item.bred_off[rank] for item in self.items if item.bred_off is not None]
@@ -120,10 +120,10 @@ def initial_states(
     truth: Evaluator | None = None,
     indices: Sequence[int] | None = None,
 ) -> InitialStates:
-    """Compares the starts of the trajectories `indices` (all) of a table that a run was trained on.
+    """Compares the initial states of trajectories (default: all, else `indices`) of a table that a run was trained on.
 
-    `evaluator` and `truth` are those of a member and of the model's truth, `system` that of the member, `trained_on`
-    what `fit.json` says of the data. Raises UserError (GB876) where there is nothing to compare.
+    `evaluator` and `truth` are those of a member and of the model's truth, `system` is that of the member, `trained_on`
+    the entry of `fit.json` about the data. Raises UserError (GB876) if there is nothing to compare.
     """
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
@@ -164,12 +164,12 @@ def initial_states(
 
 
 def _modes(jacobian: Array, scale: Array) -> tuple[ComplexArray, Callable[[Array], Array]]:
-    """The eigenvalues [n], slowest first, and a function: the norm [n] of a difference's part in each mode."""
+    """The eigenvalues [n], slowest first, and a function: the norm [n] of a difference's component in each mode."""
     ordered, right = ordered_modes(jacobian * scale / scale[:, None])
 
     def split(difference: Array) -> Array:
         parts = right * np.linalg.lstsq(right, (difference / scale).astype(complex), rcond=None)[0]
-        # The two of a complex pair add up to one real part.
+        # The two components of a complex pair add up to a real one.
         whole = np.where(ordered.imag != 0.0, 2.0 * parts.real, parts.real)
         return np.asarray(np.linalg.norm(whole, axis=0))
 
@@ -179,10 +179,10 @@ def _modes(jacobian: Array, scale: Array) -> tuple[ComplexArray, Callable[[Array
 def _refuse(trained: bool) -> None:
     findings = Findings()
     if trained:
-        message = "no initial state of these trajectories was learned: the model gives them, or the table measures them"
+        message = "no initial states of these trajectories were learned: the model or the table gives them"
         help = "leave the first measurement out, or let a state be learned: `initial x learn`"
     else:
-        message = "none of these trajectories is one that the run was trained on"
-        help = "give the table of the training"
+        message = "the run was not trained on any of these trajectories"
+        help = "give the table of training data"
     findings.error("GB876", message, None, help=help)
     findings.raise_if_failed()

@@ -1,4 +1,4 @@
-"""Data simulated from models."""
+"""Simulation of data from models."""
 
 import lazy_loader
 

@@ -1,7 +1,6 @@
-"""Designs of simulated experiments: starts, conditions, inputs, and what is measured when.
+"""Designs of simulated experiments: initial states, conditions, inputs, and the measurement times of each channel.
 
-Everything random comes from a generator that belongs to one trajectory, so that a trajectory does not change with how
-many others are made or drawn again.
+Each trajectory has its own random generator, so that it does not depend on how many others are drawn or drawn again.
 """
 
 from __future__ import annotations
@@ -17,16 +16,15 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import Model, Range
 
 SHAPE = 4.0
-"""Shape of the gamma distribution of intervals (standard deviation: half of the mean)."""
+"""Shape of the gamma distribution of intervals (standard deviation: half the mean)."""
 PIECES = 5
-"""How many values a random input takes in a trajectory, on average."""
+"""The mean number of values of a random input in a trajectory."""
 
 
 @dataclass(frozen=True)
 class Boxes:
-    """Where starts, conditions and inputs are drawn from: low and high ends, [n, 2] each, in the model's order.
-
-    A start that the model expresses has NaN here.
+    """The boxes from which initial states, conditions and inputs are drawn: low and high ends, [n, 2] each, in the
+    model's order. An initial value that the model gives has NaN.
     """
 
     states: Array
@@ -36,10 +34,10 @@ class Boxes:
 
 @dataclass(frozen=True)
 class Plan:
-    """One trajectory before it is solved: start, conditions, inputs and doses, and which channels are measured when.
+    """One trajectory before it is solved: initial state, conditions, inputs, doses, and measurement times.
 
-    It is solved from `start` and recorded from `begins`. `x0` [n] where the model expresses no start; `times` [T]
-    increase, `mask` [T, channels] says what is measured.
+    It is solved from time `start` and recorded from `begins`. `x0` [n] is used for states whose initial value the model
+    does not give; `times` [T] increase, `mask` [T, channels] marks what is measured.
     """
 
     label: str
@@ -57,10 +55,10 @@ class Plan:
 
 
 def boxes(model: Model, options: SimulateOptions, findings: Findings, given: bool = False) -> Boxes:
-    """The boxes that the options and the declared ranges make.
+    """The boxes from the options and the declared ranges.
 
-    Reports names that are unknown (GB751), starts that the model expresses (GB752), and what has no range (GB753).
-    `given`: conditions and inputs come from a table, so that they need no range.
+    Reports unknown names (GB751), initial values that the model gives (GB752), and quantities without a range (GB753).
+    `given`: conditions and inputs come from a table and need no range.
     """
     starts = {s.name: _declared(s.range, s.start) for s in model.states if s.initial.kind != "expression"}
     expressed = {state.name for state in model.states if state.initial.kind == "expression"}
@@ -94,7 +92,7 @@ def boxes(model: Model, options: SimulateOptions, findings: Findings, given: boo
 
 
 def _declared(range: Range | None, value: float | None) -> Box | None:
-    """A declared range where it is bounded, else a single value, else nothing."""
+    """A declared range if it is bounded, else a single value, else nothing."""
     if range is not None and range.bounded:
         return (range.low, range.high)
     return None if value is None else (value, value)
@@ -130,7 +128,7 @@ def _known(
 
 
 def _array(names: Sequence[str], declared: Mapping[str, Box | None], chosen: Mapping[str, Box]) -> Array:
-    """Ends of the boxes, [names, 2]; NaN where there is none."""
+    """Ends of the boxes, [names, 2]; NaN for names without a box."""
     nothing = (np.nan, np.nan)
     return np.array([chosen.get(name) or declared.get(name) or nothing for name in names], dtype=float).reshape(-1, 2)
 
@@ -139,12 +137,12 @@ def _array(names: Sequence[str], declared: Mapping[str, Box | None], chosen: Map
 
 
 def draw(box: Array, random: np.random.Generator) -> Array:
-    """A point drawn evenly from a box [n, 2]; NaN stays NaN."""
+    """A point drawn from the uniform distribution on a box [n, 2]; NaN stays NaN."""
     return box[:, 0] + (box[:, 1] - box[:, 0]) * random.random(len(box))
 
 
 def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random: np.random.Generator) -> Plan | None:
-    """Draws one trajectory; None where fewer than two times fell into the span."""
+    """Draws one trajectory; None if fewer than two times are in the span."""
     start = model.time.start or 0.0
     times, mask = measurement_times(options, tuple(channel.name for channel in model.channels), start, random)
     if len(times) < 2:
@@ -157,7 +155,7 @@ def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random:
     x0, condition = draw(box.states, random), draw(box.conditions, random)
     doses = tuple(drawn_doses(options.dose.get(dose.state), start, end, random) for dose in model.doses)
     first = min([float(times[0]), *(events.times[0] for events in doses if len(events.times))])
-    # A start that the model expresses is the state at `start`, so that the table must begin there.
+    # An initial value that the model gives holds at time `start`, so that the table must begin there.
     fixed = model.time.start is not None or any(state.initial.kind == "expression" for state in model.states)
     begins = start if fixed else first
     return Plan(label, start, begins, x0, condition, inputs, doses, times, mask)
@@ -176,9 +174,9 @@ def drawn_doses(text: str | None, start: float, end: float, random: np.random.Ge
 def plan_like(
     item: Trajectory, model: Model, options: SimulateOptions, box: Boxes, random: np.random.Generator
 ) -> Plan:
-    """Times, conditions, inputs and doses of a trajectory of a table; what the options name of them is drawn anew.
+    """Times, conditions, inputs and doses of a trajectory of a table, except those that the options draw.
 
-    What was measured in the table is measured here; everything at every time if nothing was.
+    The same values are measured as in the table; if it measures nothing, all channels at all times.
     """
     mask = item.counts > 0
     if not mask.any():
@@ -204,9 +202,9 @@ def plan_like(
 
 
 def random_signal(interpolation: str, ends: Array, start: float, end: float, random: np.random.Generator) -> Signal:
-    """An input that takes values drawn evenly from its range, for gamma-distributed times of a fifth of the span.
+    """An input with values drawn uniformly from its range, at gamma-distributed intervals (mean: span/5).
 
-    A held input steps from one to the next, a linear one runs through them.
+    A held input steps from one value to the next; a linear one interpolates them.
     """
     if ends[0] == ends[1]:
         return Signal(np.array([start]), np.array([ends[0]]))
@@ -221,10 +219,11 @@ def random_signal(interpolation: str, ends: Array, start: float, end: float, ran
 def measurement_times(
     options: SimulateOptions, channels: tuple[str, ...], start: float, random: np.random.Generator
 ) -> tuple[Array, Mask]:
-    """When each channel is measured: times [T] and mask [T, channels].
+    """The measurement times [T] and mask [T, channels].
 
-    All channels share their times, unless each has its own clock (regular clocks then begin anywhere within their first
-    interval, or at the start if intervals are given by channel). At the start everything is measured, if it is kept.
+    All channels share their times, unless each has its own clock (regular clocks then begin at a random time within
+    their first interval, or at the start if intervals are given per channel). At the start, if it is recorded, all
+    channels are measured.
     """
     if options.channels == "own-clock":
         own = [_clock(options, options.clock.get(name, options.dt), random, not options.clock) for name in channels]
@@ -244,7 +243,7 @@ def measurement_times(
 
 
 def _clock(options: SimulateOptions, interval: float, random: np.random.Generator, phase: bool) -> Array:
-    """The ticks of one clock after zero and up to the span; with `phase` the first is anywhere in an interval."""
+    """The ticks of one clock after zero and up to the span; with `phase` the first is random within an interval."""
     if options.sampling == "regular":
         offset = random.random() * interval if phase else interval
         count = int(np.floor((options.span - offset) / interval + 1e-9)) + 1

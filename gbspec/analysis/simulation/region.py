@@ -14,12 +14,12 @@ from gbspec.diagnostics import Findings, Source
 from gbspec.ir import Model
 
 CONDITIONS = (sympy.core.relational.Relational, sympy.logic.boolalg.BooleanFunction, sympy.logic.boolalg.BooleanAtom)
-"""What a condition is in sympy (whose symbols count as conditions too, and are none here)."""
+"""The types of conditions in sympy (except symbols, which sympy counts as conditions)."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Where a condition of the user's holds. `text` is what was written."""
+    """The region in which a user's condition holds; `text` is its source."""
 
     text: str
     holds: Callable[..., Any]
@@ -32,7 +32,7 @@ class Region:
 
 
 def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Region, ...]:
-    """Reads conditions on the model's time, states, conditions, inputs and constants; reports what is wrong in them."""
+    """Parses conditions on the model's time, states, conditions, inputs and constants; errors go to `findings`."""
     from gbspec.lower import lower_expression
     from gbspec.syntax import parse_expression
 

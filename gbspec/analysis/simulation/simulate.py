@@ -1,7 +1,7 @@
 """Simulated measurements from a model's truth or from a fitted run: what `gbspec simulate` writes.
 
-Solutions come from the evaluator's adaptive solver at a relative tolerance of 1e-10, never from the Runge-Kutta step
-that training uses.
+Solutions come from the evaluator's adaptive solver at a relative tolerance of 1e-10, not from the fixed steps of the
+training.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ __all__ = ["SimulateOptions", "Solver", "simulate", "solve"]
 
 TOLERANCE = 1e-10
 DENSE = 400
-"""In how many points over its span a trajectory is looked at for regions to reject."""
+"""The number of points over its span at which a trajectory is tested for rejected regions."""
 ATTEMPTS = 200
-"""How often one trajectory is drawn at most."""
+"""Most draws for one trajectory."""
 
 
 class Solver(Protocol):
-    """What simulation needs of an evaluator: numbers of constants, starts, solutions and channels."""
+    """The part of an evaluator that simulation needs: constants, initial states, solutions and channels."""
 
     @property
     def constants(self) -> Array:
         """The constants' values, in the model's order."""
 
     def initial(self, x0: Array, condition: Array) -> Array:
-        """The starts [n], with those that the model expresses put in."""
+        """The initial state [n], with the values that the model gives inserted."""
 
     def integrate(
         self,
@@ -65,14 +65,14 @@ class Solved:
 
 @dataclass
 class Tally:
-    """What was drawn and not used."""
+    """Counts of plans that were drawn and not used."""
 
     rejected: int = 0
     failed: int = 0
     reason: str = ""
 
     def reject(self, reason: str) -> None:
-        """Counts a plan that may not be used."""
+        """Counts a rejected plan."""
         self.rejected, self.reason = self.rejected + 1, reason
 
     def fail(self, reason: str) -> None:
@@ -89,12 +89,12 @@ def simulate(
 ) -> Trajectories:
     """Simulated measurements for `model`, whose right-hand side `evaluator` has.
 
-    With `like`, a table's times, conditions, inputs and doses are taken, one trajectory for each of its own. A
-    trajectory that enters a rejected region or cannot be solved is drawn again; `meta` says how many were. `progress`
-    is called with how many of how many are done.
+    With `like`, times, conditions, inputs and doses come from a table, whose trajectories are simulated one by one. A
+    trajectory that enters a rejected region or cannot be solved is drawn again; `meta` counts these. `progress` is
+    called with the numbers of trajectories done and in total.
 
-    Raises UserError where the options do not fit the model (GB751 to GB756), ComputationError where a trajectory was
-    drawn 200 times in vain.
+    Raises UserError if the options do not fit the model (GB751 to GB756), ComputationError if 200 draws of a trajectory
+    fail.
     """
     findings = Findings()
     options.check(findings)
@@ -118,7 +118,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Draws:
-    """Everything that trajectories are drawn from."""
+    """The design and generators from which trajectories are drawn."""
 
     evaluator: Solver
     model: Model
@@ -128,7 +128,7 @@ class _Draws:
     like: Trajectories | None
 
     def plan(self, index: int, random: np.random.Generator) -> Plan | None:
-        """One plan for trajectory `index`; None where fewer than two measurements fell into the span."""
+        """One plan for trajectory `index`; None if fewer than two measurement times are in the span."""
         if self.like is None:
             return plan(self.model, self.options, self.box, str(index + 1), random)
         return plan_like(self.like.items[index], self.model, self.options, self.box, random)
@@ -140,7 +140,7 @@ class _Draws:
         for _ in range(ATTEMPTS):
             drawn = self.plan(index, random)
             if drawn is None:
-                own.reject("fewer than two measurements fell into the span")
+                own.reject("fewer than two measurement times were in the span")
                 continue
             try:
                 solved = solve(self.evaluator, self.model, drawn, self.reject)
@@ -148,23 +148,23 @@ class _Draws:
                 own.fail(error.what)
                 continue
             if isinstance(solved, Region):
-                own.reject(f"`{solved.text}` came true")
+                own.reject(f"`{solved.text}` became true")
                 continue
             tally.rejected += own.rejected
             tally.failed += own.failed
             return solved
         raise ComputationError(
-            f"trajectory {index + 1} was drawn {ATTEMPTS} times, and none could be used: "
+            f"trajectory {index + 1} was drawn {ATTEMPTS} times without success: "
             f"{own.failed} could not be solved, {own.rejected} were rejected; the last: {own.reason}",
             where=f"trajectory {index + 1}",
-            remedy="narrow the box of starts with `--initial`, change `--span` or `--dt`, or reject less",
+            remedy="narrow the box of initial states with `--initial`, change `--span` or `--dt`, or reject less",
         )
 
 
 def true_starts(evaluator: Solver, model: Model, options: SimulateOptions) -> Array:
-    """The states [trajectories, n] in which the trajectories of `simulate` with the same options start.
+    """The initial states [trajectories, n] of the trajectories of `simulate` with the same options.
 
-    That is where the first row is, unless the model says when trajectories start. Raises as `simulate` does.
+    They hold at the first row, unless the model fixes the time at which trajectories start. Raises as `simulate` does.
     """
     findings = Findings()
     box, reject = boxes(model, options, findings), regions(options.reject, model, findings)
@@ -184,9 +184,9 @@ def true_starts(evaluator: Solver, model: Model, options: SimulateOptions) -> Ar
 
 
 def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ...] = ()) -> Solved | Region:
-    """The solution of a plan, or the region that it entered.
+    """The solution of a plan, or the rejected region that it entered.
 
-    Raises ComputationError where the solver fails or the solution is not finite.
+    Raises ComputationError if the solver fails or the solution is not finite.
     """
     end = float(drawn.times[-1])
     grid = np.linspace(drawn.start, end, DENSE) if reject else np.zeros(0)
@@ -209,7 +209,7 @@ def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ..
 
 
 def input_values(model: Model, signals: tuple[Signal, ...], times: Array) -> Array:
-    """The inputs' values [T, inputs] at `times` (at a jump: from there on)."""
+    """The inputs' values [T, inputs] at `times` (at a jump: the value after it)."""
     columns = [evaluate(s, item.interpolation, times) for s, item in zip(signals, model.inputs, strict=True)]
     return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
 
@@ -238,7 +238,7 @@ def _noisy(solved: list[Solved], model: Model, options: SimulateOptions) -> tupl
 
 
 def _trajectory(drawn: Plan, values: Array, model: Model) -> Trajectory:
-    """A trajectory as it would be read from its table: it starts at its first row, unless the model fixes the start."""
+    """A trajectory as read from its table: it starts at its first row, unless the model fixes the start."""
     end = float(drawn.times[-1])
     inputs = tuple(
         clipped(signal, item.interpolation, drawn.begins, end)

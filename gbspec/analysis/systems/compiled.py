@@ -1,4 +1,4 @@
-"""CasADi functions called from numpy through their buffers: about a microsecond a call instead of fifty."""
+"""CasADi functions called from numpy through their buffers: about one microsecond per call instead of fifty."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gbspec.arrays import Array
 class Compiled:
     """A casadi.Function as a numpy function.
 
-    Called with one array an argument (any shape of the right size; matrices column by column, as CasADi stores them);
-    returns a tuple with one new array a result: [rows] for a column, [rows, columns] otherwise. Not safe to share
-    between threads: the buffers are its own.
+    It takes one array per argument (any shape of the right size; matrices column by column, as CasADi stores them) and
+    returns a tuple with one new array per result: [rows] for a column, [rows, columns] otherwise. It must not be shared
+    between threads, since its buffers are reused.
     """
 
     def __init__(self, function: Any) -> None:

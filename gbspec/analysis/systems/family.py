@@ -1,4 +1,4 @@
-"""A system in which one number varies: x' = f(x, p), with exact derivatives up to the third."""
+"""A system with one varying parameter: x' = f(x, p), with exact derivatives up to the third."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gbspec.diagnostics import Findings
 
 
 class Family:
-    """x' = f(x, p) for the parameter `name` (a condition, input or constant), everything else at the system's values.
+    """x' = f(x, p) for the parameter `name` (a condition, input or constant), all others at the system's values.
 
-    Raises UserError if the system has no such parameter (GB872), depends on time explicitly (GB873) or if another
-    number is missing (GB871).
+    Raises UserError if the system has no such parameter (GB872), if it depends on time explicitly (GB873), or if
+    another number is missing (GB871).
     """
 
     def __init__(self, system: System, name: str) -> None:

@@ -1,8 +1,8 @@
-"""Steady states: damped Newton and pseudo-transient continuation from many starts, with exact Jacobians.
+"""Steady states: damped Newton and pseudo-transient continuation from many initial guesses, with exact Jacobians.
 
-Half of the starts take Newton steps cut to a part of the box (which find saddles and unstable foci as readily as stable
-points), half follow the flow with growing implicit Euler steps (pseudo-transient continuation: Kelley and Keyes, SIAM
-J. Numer. Anal. 35, 1998), which finds what attracts. All starts run as one batch.
+Half of the guesses take Newton steps whose length is limited to a part of the box; they find saddles and unstable foci
+as readily as stable points. The other half follow the flow with growing implicit Euler steps (pseudo-transient
+continuation: Kelley and Keyes, SIAM J. Numer. Anal. 35, 1998), which find attractors. All guesses run as one batch.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ Linear = Callable[[Array], tuple[Array, Array]]
 """States [N, n] -> right-hand sides [N, n] and Jacobians [N, n, n]."""
 
 CONVERGED = 1e-9
-"""A steady state is accepted when Newton's next step is below this part of the states' scale."""
+"""A steady state is accepted if Newton's next step is below this fraction of the states' scale."""
 DISTINCT = 1e-6
-"""Steady states closer than this part of the scale are one."""
+"""Steady states closer than this fraction of the scale count as one."""
 
 
 @dataclass(frozen=True)
 class SteadyState:
-    """One steady state [n], the norm of the right-hand side there, and the Jacobian's eigenvalues by real part.
+    """One steady state [n], the norm of the right-hand side, and the Jacobian's eigenvalues by decreasing real part.
 
-    `outside` names the states, conditions and inputs that lie outside of their plausible or trained range there.
+    `outside` names the states, conditions and inputs outside their trained (else plausible) ranges.
     """
 
     state: Array
@@ -40,25 +40,25 @@ class SteadyState:
 
     @property
     def stable(self) -> bool:
-        """Whether every eigenvalue lies in the left half plane."""
+        """Whether all eigenvalues are in the left half plane."""
         return bool(np.all(self.eigenvalues.real < 0.0))
 
 
 def ordered_eigenvalues(jacobian: Array) -> ComplexArray:
-    """Eigenvalues by falling real part; of a pair, the positive imaginary part first."""
+    """Eigenvalues by decreasing real part; in a pair, the positive imaginary part first."""
     values = np.linalg.eigvals(jacobian).astype(complex)
     return values[_order(values)]
 
 
 def ordered_modes(jacobian: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues [n] in that order, and unit eigenvectors, the columns of [n, n]."""
+    """Eigenvalues [n] in the order of `eigenvalues`, and unit eigenvectors, the columns of [n, n]."""
     values, vectors = np.linalg.eig(jacobian)
     order = _order(values)
     return values[order].astype(complex), vectors[:, order].astype(complex)
 
 
 def _order(values: ComplexArray) -> NDArray[np.intp]:
-    # Rounding the key keeps the two of a pair together, whose real parts may differ in the last bit.
+    # Rounding the key keeps pairs together, whose real parts may differ in the last bit.
     size = float(np.abs(values).max()) or 1.0
     return np.lexsort((-values.imag, -np.round(values.real / size, 12)))
 
@@ -78,7 +78,7 @@ def batch_solve(matrices: Array, right: Array) -> Array:
 
 
 def _newton(linear: Linear, x: Array, scale: Array, iterations: int, longest: float) -> Array:
-    """Newton steps, each no longer than `longest` of the scale in any state."""
+    """Takes Newton steps, each limited to the fraction `longest` of the scale in every state."""
     for _ in range(iterations):
         f, jacobian = linear(x)
         step = -batch_solve(jacobian, f)
@@ -91,7 +91,7 @@ def _newton(linear: Linear, x: Array, scale: Array, iterations: int, longest: fl
 
 
 def _pseudo_transient(linear: Linear, x: Array, scale: Array, iterations: int) -> Array:
-    """Implicit Euler steps that grow as the right-hand side shrinks (switched evolution relaxation)."""
+    """Takes implicit Euler steps that grow as the right-hand side shrinks (switched evolution relaxation)."""
     f, jacobian = linear(x)
     size = np.linalg.norm(f / scale, axis=1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -106,7 +106,7 @@ def _pseudo_transient(linear: Linear, x: Array, scale: Array, iterations: int) -
 
 
 def find_zeros(linear: Linear, starts: Array, scale: Array) -> Array:
-    """The distinct zeros [M, n] of a right-hand side found from starts [N, n], each verified by Newton's next step."""
+    """The distinct zeros [M, n] of a right-hand side found from guesses [N, n], each verified by Newton's next step."""
     half = len(starts) // 2
     with np.errstate(all="ignore"):
         candidates = _newton(linear, starts[half:], scale, 60, 0.2)
@@ -124,7 +124,7 @@ def find_zeros(linear: Linear, starts: Array, scale: Array) -> Array:
 
 
 def distinct(points: Array, scale: Array) -> Array:
-    """The points [M, n] that differ by more than `DISTINCT` of the scale, in lexical order."""
+    """The points [M, n] that differ by more than `DISTINCT` of the scale, in lexicographic order."""
     kept: list[Array] = []
     for point in points:
         if all(np.max(np.abs((point - other) / scale)) > DISTINCT for other in kept):
@@ -134,7 +134,7 @@ def distinct(points: Array, scale: Array) -> Array:
 
 
 def start_points(system: System, count: int, seed: int = 0, extra: Array | None = None) -> Array:
-    """Starts [N, n] spread over the box of starts, and `extra` ones (data, other branches)."""
+    """Guesses [N, n] distributed over the box of initial states, and `extra` ones (data, other branches)."""
     low, high = system.start_box
     points = low + (high - low) * spread_points(count, system.size, seed)
     return points if extra is None or not len(extra) else np.concatenate([points, extra])
@@ -143,10 +143,10 @@ def start_points(system: System, count: int, seed: int = 0, extra: Array | None 
 def steady_states(
     system: System, *, starts: int = 64, seed: int = 0, extra: Array | None = None
 ) -> tuple[SteadyState, ...]:
-    """All steady states found from many starts, with everything but the states at the system's values.
+    """The steady states found from many guesses, with all parameters at the system's values.
 
-    States below a declared lower bound that is zero or more (negative concentrations) are left out. Raises UserError
-    (GB871, GB873) where the system depends on time or lacks a number.
+    States below a declared lower bound that is zero or more (negative concentrations) are omitted. Raises UserError
+    (GB871, GB873) if a number is missing or the system depends on time.
     """
     require_autonomous(system, "steady states")
     fixed = (system.vector(system.conditions), system.vector(system.inputs), system.vector(system.constants))

@@ -1,7 +1,7 @@
-"""One dynamical system to analyse: a right-hand side of CasADi with the names and numbers of what enters it.
+"""A dynamical system to analyse: a CasADi right-hand side with the names and values of its parameters.
 
-A `System` comes from an evaluator (of a fitted run or of a model's truth alike) or straight from a casadi.Function, so
-that everything after it treats both in the same way. A `Family` is a system in which one number varies.
+A `System` is made from an evaluator (of a fitted run or of a model's truth) or directly from a casadi.Function, so that
+all analyses treat these in the same way. A `Family` is a system with one varying parameter.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ ANYTHING: Box = (-math.inf, math.inf)
 class System:
     """x' = rhs(t, x, c, u, k) with states x, conditions c, inputs u and constants k.
 
-    `rhs` is a casadi.Function of these five columns; `values` holds the known numbers of conditions, inputs and
-    constants by name (a name without one must be given wherever a point is needed); `ranges` holds the plausible or
-    trained ranges of states, conditions and inputs by name, of which `declared` are the user's own; `trained` says
-    where the training data lay; `starts` guesses where states begin; `interpolation` is that of each input.
+    `rhs` is a casadi.Function of these five columns. By name, `values` holds the known values of conditions, inputs and
+    constants (others must be given with a point), `ranges` the plausible or trained ranges of states, conditions and
+    inputs, of which those in `declared` are the user's; `trained` the ranges of the training data, and `starts` guesses
+    of initial values. `interpolation` is that of each input.
     """
 
     name: str
@@ -54,7 +54,7 @@ class System:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Everything that may be varied: conditions, inputs, constants."""
+        """The names of all parameters: conditions, inputs, constants."""
         return (*self.conditions, *self.inputs, *self.constants)
 
     @property
@@ -63,15 +63,15 @@ class System:
         return len(self.states)
 
     def range(self, name: str) -> Box:
-        """The range of a name; infinite where none is known."""
+        """The range of a name; infinite if unknown."""
         return self.ranges.get(name, ANYTHING)
 
     def with_values(self, values: Mapping[str, float]) -> System:
-        """The same system with other numbers for some conditions, inputs or constants."""
+        """The same system with other values of some conditions, inputs or constants."""
         return replace(self, values={**self.values, **{name: float(value) for name, value in values.items()}})
 
     def outside(self, x: Array) -> tuple[str, ...]:
-        """The states, conditions and inputs that lie outside of their trained (else plausible) range."""
+        """The states, conditions and inputs outside their trained (else plausible) ranges."""
         numbers = {**self.values, **dict(zip(self.states, map(float, x), strict=True))}
         names = (*self.states, *self.conditions, *self.inputs)
         return tuple(
@@ -90,7 +90,7 @@ class System:
 
     @cached_property
     def start_box(self) -> tuple[Array, Array]:
-        """Lower and upper ends [n] of where starts are looked for: the ranges, else around the guessed start."""
+        """Lower and upper ends [n] of the box of initial guesses: the ranges, else around the guesses."""
         ends = []
         for name in self.states:
             low, high = self.range(name)
@@ -107,12 +107,12 @@ class System:
 
     @property
     def scale(self) -> Array:
-        """The size [n] by which differences of states are judged: the width of the box of starts."""
+        """The scale [n] of the states: the width of the box of initial guesses."""
         low, high = self.start_box
         return np.where(high > low, high - low, 1.0)
 
     def symbolic_rhs(self, varied: Mapping[str, Any]) -> tuple[Any, Any]:
-        """MX symbols x and f(x), with `varied` in the places of some parameters and numbers in those of all others."""
+        """MX symbols x and f(x), with `varied` substituted for some parameters and numbers for all others."""
         import casadi
 
         x = casadi.MX.sym("x", self.size)
@@ -126,15 +126,15 @@ class System:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Conditions, inputs and constants that have no number yet."""
+        """Conditions, inputs and constants without a value."""
         return tuple(name for name in self.parameters if not math.isfinite(self.values.get(name, math.nan)))
 
     def vector(self, names: Iterable[str]) -> Array:
-        """The numbers of these names, in order; NaN where there is none."""
+        """The values of these names, in order; NaN for a name without one."""
         return np.array([self.values.get(name, math.nan) for name in names], dtype=float)
 
     def inputs_at(self, signals: Sequence[Signal], time: float) -> dict[str, float]:
-        """The inputs' values at a time of a trajectory that has these signals, one an input."""
+        """The inputs' values at a time of a trajectory with these signals, one per input."""
         return {
             name: float(evaluate(signal, interpolation, time))
             for name, signal, interpolation in zip(self.inputs, signals, self.interpolation, strict=True)
@@ -142,7 +142,7 @@ class System:
 
     @cached_property
     def depends_on_time(self) -> bool:
-        """Whether time stands in the right-hand side explicitly."""
+        """Whether the right-hand side depends on time explicitly."""
         return int(self.rhs.jac_sparsity(0, 0).nnz()) > 0
 
     @cached_property
@@ -155,7 +155,7 @@ class System:
         return Compiled(casadi.Function("linearised", [t, x, c, u, k], [f, casadi.jacobian(f, x)]))
 
     def linearise(self, x: Array, time: float | None = None) -> tuple[Array, Array]:
-        """The right-hand side [n] and its Jacobian [n, n] at state `x` [n], everything else at `values`."""
+        """The right-hand side [n] and its Jacobian [n, n] at state `x` [n], with all parameters at `values`."""
         f, jacobian = self.linearised(
             self.time if time is None else time,
             x,
@@ -167,7 +167,7 @@ class System:
 
 
 def system_of(evaluator: Evaluator, model: Model) -> System:
-    """The system of an evaluator: constants as they stand in its module, ranges declared or, failing that, trained."""
+    """The system of an evaluator: constants from its module, ranges as declared, else as trained."""
     module = evaluator.instance
     values: dict[str, float] = {}
     external: tuple[Condition | Input, ...] = (*model.conditions, *model.inputs)
@@ -198,14 +198,14 @@ def _box(declared: Range) -> Box:
 
 
 def _inside(value: float, box: Box) -> bool:
-    """Whether a number lies in a box, up to rounding."""
+    """Whether a number is in an interval, up to rounding."""
     low, high = box
     slack = 1e-6 * (high - low if math.isfinite(high - low) else max(1.0, abs(value)))
     return low - slack <= value <= high + slack
 
 
 def trained_ranges(model: Model, module: GeneratedModule) -> dict[str, Box]:
-    """Where the training data lay, kept with the weights, for each name that an unknown is applied to as it is."""
+    """The ranges of the training data, stored with the weights, for each name that is an argument of an unknown."""
     import sympy
 
     applications = {
@@ -226,7 +226,7 @@ def trained_ranges(model: Model, module: GeneratedModule) -> dict[str, Box]:
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
-    """A help line for an unknown name: the closest one that exists, or all that do."""
+    """A help line for an unknown name: the closest existing one, or all."""
     names = list(names)
     close = difflib.get_close_matches(name, names, n=1)
     if close:
@@ -235,10 +235,10 @@ def suggestion(name: str, names: Iterable[str]) -> str:
 
 
 def state_at(system: System, point: Mapping[str, float], findings: Findings) -> tuple[System, Array] | None:
-    """A point given by names: the system with its conditions, inputs and constants there, and the state [n].
+    """A point given by names: the system with the point's conditions, inputs and constants, and the state [n].
 
-    Every state must be given, and every condition or input without a default; constants may be. What is wrong goes to
-    `findings` (GB870 for a name the model does not have, GB871 for one that is missing), and None comes back.
+    Every state must be given, and every condition or input without a default; constants may be. Returns None after
+    errors, which go to `findings` (GB870 for an unknown name, GB871 for a missing one).
     """
     known = (*system.states, *system.parameters)
     unknown = [name for name in point if name not in known]
@@ -261,11 +261,11 @@ def state_at(system: System, point: Mapping[str, float], findings: Findings) -> 
 
 
 def require_autonomous(system: System, what: str) -> None:
-    """Raises UserError where `what` makes no sense: time in the right-hand side, or a number that is missing."""
+    """Raises UserError if `what` is not defined: the right-hand side depends on time, or a value is missing."""
     findings = Findings()
     if system.depends_on_time:
         findings.error(
-            "GB873", f"`{system.name}` depends on time explicitly, so it has no {what}", None,
+            "GB873", f"`{system.name}` depends on time explicitly and therefore has no {what}", None,
             help="replace time in the balances by a condition or an input that can be held",
         )  # fmt: skip
     if system.missing:

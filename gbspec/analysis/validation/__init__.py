@@ -1,1 +1,1 @@
-"""Errors of fits on data, at smaller steps, and against a truth."""
+"""Errors of fits: on data, at smaller steps, and against a truth."""

@@ -1,10 +1,10 @@
-"""Where a model is compared with its truth: the paper's test points, generalised to any model.
+"""Points at which a model is compared with its truth: the paper's test points, generalised to any model.
 
 Right-hand sides and functions are compared at `rhs_points` points, one on each of as many true trajectories drawn as
-in the sampling, at a time drawn evenly from `window`. Solutions are compared after `horizon`, from points on the
-attractor: for `conditions` sets of conditions, evenly over their ranges, the truth settles for `settle` and then gives
-`points` starts `spacing` apart. Where inputs, doses or time itself drive the model there is no attractor; then the
-first of the points above are the starts, and the inputs go on as they were.
+in the sampling, at a time drawn uniformly from `window`. Solutions are compared after `horizon`, from points on the
+attractor: for `conditions` sets of conditions, evenly over their ranges, the truth is integrated for `settle` and then
+gives `points` initial states `spacing` apart. A model that is driven by inputs, doses or time has no attractor; the
+first of the points above are then the initial states, and the inputs continue as drawn.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 
 RTOL = 1e-8
-"""Relative tolerance of the truth's solutions, from given starts."""
+"""Relative tolerance of the truth's solutions, from given initial states."""
 DRAWN = 1e-5
-"""Relative tolerance of the solutions that lead to a test point: where exactly it lies does not matter."""
+"""Relative tolerance of the solutions that lead to a test point, whose exact position does not matter."""
 ATTEMPTS = 200
 CHECKS = 32
-"""At how many times of a trajectory regions to reject are looked for."""
+"""The number of times at which a trajectory is tested for rejected regions."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class RhsPoints:
 
 @dataclass(frozen=True)
 class SolutionPoints:
-    """Starts of the truth [M, n] at times [M], with their conditions [M, c] and signals, and its ends [M, n]."""
+    """Initial states of the truth [M, n] at times [M], with conditions [M, c] and signals, and final states [M, n]."""
 
     times: Array
     starts: Array
@@ -59,7 +59,7 @@ class SolutionPoints:
 
 
 class Sampler:
-    """Draws trajectories of the truth. Raises UserError (GB751 to GB755) where the sampling does not fit the model."""
+    """Draws trajectories of the truth. Raises UserError (GB751 to GB755) if the sampling does not fit the model."""
 
     def __init__(self, evaluator: Evaluator, model: Model, sampling: SimulateOptions, options: MetricsOptions) -> None:
         self.evaluator, self.model = evaluator, model
@@ -75,7 +75,7 @@ class Sampler:
     def reach(
         self, random: np.random.Generator, after: Callable[[], float], condition: Array | None = None
     ) -> tuple[Plan, float, Array]:
-        """A drawn trajectory, a time `after` its start and the state [n] there; drawn again where it is rejected."""
+        """A drawn trajectory, a time `after` its start and the state [n] then; drawn again if it is rejected."""
         reason = "it has too few times"
         for _ in range(ATTEMPTS):
             drawn = plan(self.model, self.sampling, self.box, "", random)
@@ -93,13 +93,13 @@ class Sampler:
                 return drawn, time, states
             reason = "it enters a rejected region"
         raise ComputationError(
-            f"no trajectory of the truth could be used as a test: drawn {ATTEMPTS} times, the last time {reason}",
+            f"no test trajectory of the truth was found in {ATTEMPTS} draws; the last: {reason}",
             where="the points at which the model is compared with its truth",
-            remedy="narrow the box of starts in `cases.toml`, or reject less",
+            remedy="narrow the box of initial states in `cases.toml`, or reject less",
         )
 
     def _solve(self, drawn: Plan, time: float) -> Array | None:
-        """The state [n] at a time of a plan; None where the trajectory enters a rejected region before."""
+        """The state [n] at a time of a plan; None if the trajectory enters a rejected region before."""
         # Equal parts of the span have the same relative times, so one integrator serves all trajectories.
         parts = CHECKS if self.reject else 1
         times = drawn.start + (time - drawn.start) * np.arange(1, parts + 1) / parts
@@ -139,7 +139,7 @@ class Sampler:
         )
 
     def solution_points(self, rhs: RhsPoints) -> SolutionPoints:
-        """Starts on the attractor (or on trajectories, where inputs, doses or time drive the model) and their ends."""
+        """Initial states on the attractor (for a driven model, on trajectories) and the final states."""
         horizon = float(self.options.horizon or self.sampling.span / 2.0)
         driven = bool(self.model.inputs or self.model.doses) or self.evaluator.rhs.jac_sparsity(0, 0).nnz() > 0
         if driven:
@@ -168,7 +168,7 @@ class Sampler:
         return np.zeros(count), np.concatenate(starts), np.concatenate(conditions), ((),) * count
 
     def _conditions(self) -> Array:
-        """Sets of conditions [N, c]: evenly over the range of one, spread over the ranges of several."""
+        """Sets of conditions [N, c]: evenly spaced for one condition, quasirandom for several."""
         box, count = self.box.conditions, self.options.conditions
         if len(box) == 1:
             return np.linspace(box[0, 0], box[0, 1], count)[:, None]
@@ -185,7 +185,7 @@ def solve_ends(
     horizon: float,
     rtol: float = RTOL,
 ) -> Array:
-    """The states [M, n] a horizon after each start; NaN where the solution cannot be continued."""
+    """The states [M, n] one horizon after each initial state; NaN if the solution cannot be continued."""
     ends = np.full(starts.shape, np.nan)
     for i, (time, start, condition, inputs) in enumerate(zip(times, starts, conditions, signals, strict=True)):
         try:
@@ -198,7 +198,7 @@ def solve_ends(
 
 
 def sampling_for(model: Model, sampling: SimulateOptions, member: GeneratedModule) -> SimulateOptions:
-    """The sampling with boxes filled in, where neither it nor the model has any: from the trained starts and ranges."""
+    """The sampling, with boxes that neither it nor the model has taken from the trained initial states and ranges."""
     learned = member.weights.get("initial")
     initial, condition = dict(sampling.initial), dict(sampling.condition)
     for i, state in enumerate(model.states):

@@ -3,12 +3,12 @@
 The norms follow Appendix "Metrics Used" of the paper, in which N_n is the number of test points and N_v of variables:
 
     L1   = 1/(N_n N_v) sum_j sum_i |e_ij|
-    L2   = 1/(N_n N_v) sum_j sqrt(sum_i e_ij^2)          (the 1/N_v stands outside of the root, as printed)
+    L2   = 1/(N_n N_v) sum_j sqrt(sum_i e_ij^2)          (1/N_v is outside the root, as printed)
     Linf = 1/N_n sum_j max_i |e_ij|
 
 with e the difference between truth and prediction, each scaled per variable by the minimum and the maximum of the
-*truth* (as the text says; the printed formula for the prediction has a slip). A variable whose truth does not vary is
-divided by a fallback scale instead, and the result says so.
+*truth* (as the text says; the printed formula uses those of the prediction by mistake). A variable whose truth does not
+vary is divided by a fallback scale instead, and the result names it.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from gbspec.files import finite
 class Norms:
     """The appendix's three norms over `points` test points.
 
-    `failed` points could not be computed (the integration broke down): they are not in the norms, so a number above
-    zero makes the norms incomparable. `fallback` names the variables whose truth does not vary, scaled by the fallback.
+    `failed` points could not be computed (the integration broke down): they are excluded from the norms, which
+    are then not comparable. `fallback` names the variables whose truth does not vary, scaled by the fallback.
     """
 
     L1: float
@@ -40,7 +40,7 @@ class Norms:
     fallback: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, object]:
-        """Keys L1, L2, Linf, and then how many points they rest on."""
+        """Keys L1, L2, Linf, then the numbers of points."""
         document: dict[str, object] = {"L1": finite(self.L1), "L2": finite(self.L2), "Linf": finite(self.Linf)}
         document["points"] = self.points
         document["failed"] = self.failed
@@ -54,7 +54,7 @@ class Norms:
 
 
 def truth_scale(truth: Array, fallback: Array) -> tuple[Array, Mask]:
-    """Range of each variable of `truth` [N, V], and which variables take `fallback` [V] since theirs is zero."""
+    """Range of each variable of `truth` [N, V], and which variables use `fallback` [V] since their range is zero."""
     width = truth.max(axis=0) - truth.min(axis=0)
     reference = np.maximum(fallback, np.abs(truth).max(axis=0))
     flat = width <= FLAT * reference
@@ -64,7 +64,7 @@ def truth_scale(truth: Array, fallback: Array) -> tuple[Array, Mask]:
 def norms(truth: Array, predicted: Array, fallback: Array, names: Sequence[str]) -> Norms:
     """The norms of `truth` against `predicted`, both [N, V]; `fallback` [V] scales variables without a range.
 
-    Points (rows) at which either is not finite are counted as failed and left out.
+    Points (rows) at which either is not finite are counted as failed and excluded.
     """
     good = np.isfinite(truth).all(axis=1) & np.isfinite(predicted).all(axis=1)
     failed = int(np.sum(~good))
@@ -84,7 +84,7 @@ def norms(truth: Array, predicted: Array, fallback: Array, names: Sequence[str])
 
 
 def relative_errors(truth: Mapping[str, float], learned: Mapping[str, float]) -> dict[str, float]:
-    """|learned - truth| / |truth| of each constant; the plain difference where the truth is zero."""
+    """|learned - truth| / |truth| of each constant; the absolute difference if the truth is zero."""
     return {name: abs(learned[name] - value) / (abs(value) if value != 0.0 else 1.0) for name, value in truth.items()}
 
 
@@ -92,8 +92,8 @@ def relative_errors(truth: Mapping[str, float], learned: Mapping[str, float]) ->
 class ChannelErrors:
     """Errors of one channel over `n` measured values, in the channel's unit.
 
-    `nrmse` is the RMSE over the standard deviation of the measured values (their size, where they do not vary), so
-    that `r2 = 1 - nrmse**2`; `r2` is NaN where the values do not vary.
+    `nrmse` is the RMSE over the standard deviation of the measured values (their magnitude, if they do not vary),
+    so that `r2 = 1 - nrmse**2`; `r2` is NaN if the values do not vary.
     """
 
     n: int
@@ -103,7 +103,7 @@ class ChannelErrors:
     r2: float
 
     def to_json(self) -> dict[str, object]:
-        """Keys n, rmse, nrmse, mae, r2; null where there is no such number."""
+        """Keys n, rmse, nrmse, mae, r2; null for an undefined number."""
         return {
             "n": self.n,
             "rmse": finite(self.rmse),
@@ -114,7 +114,7 @@ class ChannelErrors:
 
 
 def channel_errors(measured: Array, predicted: Array) -> ChannelErrors:
-    """Errors of one channel; both arrays of the same shape, NaN where there is no value to compare."""
+    """Errors of one channel; both arrays of the same shape, NaN for values that are not compared."""
     compared = np.isfinite(measured) & np.isfinite(predicted)
     n = int(compared.sum())
     if n == 0:

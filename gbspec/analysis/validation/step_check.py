@@ -1,7 +1,7 @@
-"""Does the learned right-hand side hold without the step that it was trained with?
+"""Checks whether the learned right-hand side is independent of the step that it was trained with.
 
-A model trained through a Runge-Kutta step can come to depend on the step's own error (paper: case B). The same starts
-are solved with the training's step, with half of it, and adaptively; the differences say whether it does.
+A model trained through a Runge-Kutta step can depend on the error of that step (paper: case B). Trajectories are
+solved from the same initial states with the training's step, with half of it, and adaptively, and compared.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 
 
 DEPENDS = 0.01
-"""A difference above this part of the states' range means that the right-hand side depends on its step."""
+"""A difference above this fraction of the states' range means that the right-hand side depends on its step."""
 CONVERGED = 1e-4
-"""Where half the step changes less than this, it is not the step that the adaptive solution differs by."""
+"""If half the step changes less than this, the adaptive solution differs for another reason than the step."""
 LOOKED_AT = 24
-"""How many trajectories are solved again with fixed steps."""
+"""Most trajectories that are solved again with fixed steps."""
 STATES_LOOKED_AT = 600
-"""The same after a fit, as states of all of them together: a model with many of them gets fewer trajectories."""
+"""After a fit, the most states of all checked trajectories together: models with many states get fewer trajectories."""
 
 
 @dataclass(frozen=True)
 class StepCheck:
-    """Largest difference, over the states' ranges, to the solution with the training's step `step`.
+    """Largest differences, relative to the states' ranges, from the solution with the training's step `step`.
 
-    `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None where there is no step or
-    nothing to solve; infinite where the fixed step blows up. `unsolved`: trajectories that the training's step can
-    follow and the adaptive solver cannot.
+    `half_step`: of the solution with half the step; `adaptive`: of the adaptive one. None without a step or
+    trajectories; infinite if the fixed step diverges. `unsolved`: number of trajectories that the training's step can
+    solve and the adaptive solver cannot.
     """
 
     half_step: float | None
@@ -56,7 +56,7 @@ class StepCheck:
         return StepRecord(finite(self.half_step), finite(self.adaptive), self.step, self.trajectories, self.unsolved)
 
     def to_json(self) -> dict[str, object]:
-        """Keys half_step, adaptive, the step, how many trajectories they rest on, and unsolved."""
+        """Keys half_step, adaptive, the step, the number of trajectories, and unsolved."""
         document: dict[str, object] = encode(self.record())
         return document
 
@@ -87,7 +87,7 @@ class StepCheck:
 
 
 def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
-    """The check of each member of a run that was just fitted to `trajectories`, from the starts that it learned."""
+    """The check of each member of a run just fitted to `trajectories`, from its learned initial states."""
     from gbspec.analysis.prediction import learned_positions, learned_start, predict
     from gbspec.backends import Evaluator
 
@@ -108,7 +108,7 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
 def step_check(
     evaluator: Evaluator, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
 ) -> StepCheck:
-    """Solves up to 24 trajectories again with the training's step and with half of it, from the same starts."""
+    """Solves up to 24 trajectories again with the training's step and with half of it, from the same initial states."""
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
     if step is None:
         return StepCheck(None, None, step)

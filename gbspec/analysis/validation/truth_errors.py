@@ -27,10 +27,10 @@ LEARNED_RTOL = 1e-7
 
 @dataclass(frozen=True)
 class TruthErrors:
-    """Errors against the truth. `functions` has each unknown by name, and `all` of them as one vector.
+    """Errors against the truth. `functions` has each unknown by name, and under `all` the vector of them.
 
-    `constants` has the relative error of each learnable with a truth, and their mean as `all`; empty without any.
-    `protocol` says where the comparison was made.
+    `constants` has the relative error of each learnable with a truth, and their mean as `all`, or is empty.
+    `protocol` describes the points of the comparison.
     """
 
     solution: Norms
@@ -66,8 +66,8 @@ def truth_errors(
 ) -> TruthErrors:
     """Compares the mean of the members' `evaluators` with the truth of their model.
 
-    Raises UserError where the model has no truth (GB803) or the sampling does not fit it (GB751 to GB755), and
-    ComputationError where the truth itself cannot be solved.
+    Raises UserError if the model has no truth (GB803) or the sampling does not fit it (GB751 to GB755), and
+    ComputationError if the truth cannot be solved.
     """
     truth = truth_evaluator(model)
     known = truth_model(model)
@@ -92,18 +92,18 @@ def truth_errors(
 
 
 def has_reference(model: Model) -> bool:
-    """Whether there is a truth to compare with: every unknown has one, and something learned does."""
+    """Whether there is a truth to compare with: all unknowns have one, and at least one learned quantity does."""
     return model.has_truth and bool(model.truth_functions or model.truth_constants)
 
 
 def without_truth(model: Model) -> tuple[str, ...]:
-    """The learnables without a truth of their own: in the truth they stand at their start."""
+    """The learnables without a truth; the reference uses their starting values."""
     known = {item.name for item in model.truth_constants}
     return tuple(item.name for item in model.learnables if item.name not in known)
 
 
 def truth_model(model: Model) -> Model:
-    """The model with its truth in place of what is learned."""
+    """The model with the truth substituted for all learned quantities."""
     from gbspec.passes import with_truth
 
     return with_truth(model)
@@ -117,7 +117,7 @@ def truth_evaluator(model: Model) -> Evaluator:
 
 
 def _scales(model: Model, scales: Mapping[str, float]) -> Array:
-    """Fallback scales [n] of states whose truth does not vary: given, else the width of the range, else 1."""
+    """Fallback scales [n] for states whose truth does not vary: given, else the width of the range, else 1."""
     found = []
     for state in model.states:
         width = state.range.high - state.range.low if state.range is not None and state.range.bounded else 1.0
@@ -166,7 +166,7 @@ def _constants(model: Model, evaluators: Sequence[Evaluator]) -> dict[str, float
 
 # ---------------------------------------------------------------------- functions
 def _functions(model: Model, evaluators: Sequence[Evaluator], truth: Evaluator, at: RhsPoints) -> dict[str, Norms]:
-    """Each unknown at the arguments it is applied to, at every point; `all` of those applied once as one vector."""
+    """The errors of each unknown at its arguments at all points; under `all`, those applied once as one vector."""
     columns: dict[str, tuple[Array, Array]] = {}
     first: dict[str, tuple[Array, Array]] = {}
     for name, tables in _arguments(model, truth, at).items():
@@ -190,7 +190,7 @@ def _norms_of(names: Sequence[str], pairs: Sequence[tuple[Array, Array]]) -> Nor
 
 
 def _arguments(model: Model, truth: Evaluator, at: RhsPoints) -> dict[str, list[Array]]:
-    """Of every unknown that is applied, the arguments [N, a] of each application, with the truth at the points."""
+    """For every unknown that is applied, the arguments [N, a] of each application at the true points."""
     expressions = model.inlined([*model.balances, *(channel.value for channel in model.channels)])
     applied = {one for expression in expressions for one in expression.atoms(sympy.core.function.AppliedUndef)}
     functions = {unknown.name: unknown_function(unknown.name) for unknown in model.unknowns}
@@ -198,7 +198,7 @@ def _arguments(model: Model, truth: Evaluator, at: RhsPoints) -> dict[str, list[
         name: sorted((one for one in applied if one.func == function), key=sympy.default_sort_key)
         for name, function in functions.items()
     }
-    # All at once: an array's balances apply a function once an element, and a call for each would take the most time.
+    # All in one call: an array's balances apply a function once per element, and separate calls would be slow.
     values = iter(_values(model, [part for each in found.values() for one in each for part in one.args], truth, at))
     tables = {
         name: [np.stack([next(values) for _ in one.args], axis=1) for one in each] for name, each in found.items()
@@ -207,7 +207,7 @@ def _arguments(model: Model, truth: Evaluator, at: RhsPoints) -> dict[str, list[
 
 
 def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Evaluator, at: RhsPoints) -> list[Array]:
-    """Expressions of the model [N] each at the points; unknowns within them mean their truths."""
+    """Expressions of the model [N] each at the points; unknowns in them are replaced by their truths."""
     names = [
         model.time.symbol,
         *(item.symbol for item in (*model.states, *model.conditions, *model.inputs, *model.constants)),

@@ -1,4 +1,4 @@
-"""What a fitted run is worth: on data, against its training step, and against the truth where there is one."""
+"""Validation of a fitted run: on data, with other steps than in training, and against the truth if there is one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class TrajectoryError:
     """The NRMSE of one trajectory over all its measured values (each channel over its standard deviation in
     the whole data set).
 
-    `initial` says where its start came from; `failure` why it could not be solved, and then `nrmse` is NaN.
+    `initial` is the origin of its initial state; `failure` the reason why it could not be solved (`nrmse` is then NaN).
     """
 
     trajectory: str
@@ -37,7 +37,7 @@ class TrajectoryError:
     failure: str = ""
 
     def to_json(self) -> dict[str, object]:
-        """Keys trajectory, nrmse, initial, and failure where there is one."""
+        """Keys trajectory, nrmse, initial, and failure if there is one."""
         document: dict[str, object] = {
             "trajectory": self.trajectory,
             "nrmse": finite(self.nrmse),
@@ -48,9 +48,9 @@ class TrajectoryError:
 
 @dataclass(frozen=True)
 class Validation:
-    """What `gbspec validate` found. `channels` are errors of autoregressive predictions from the initial states.
+    """The result of `gbspec validate`. `channels` are errors of autoregressive predictions from the initial states.
 
-    Failed trajectories are named in `trajectories` and `warnings`, and are in no error.
+    Failed trajectories are named in `trajectories` and `warnings`, and excluded from all errors.
     """
 
     member: int | Literal["mean"]
@@ -67,7 +67,7 @@ class Validation:
         return tuple(item.trajectory for item in self.trajectories if item.failure)
 
     def warnings_after(self, known: Sequence[str]) -> list[str]:
-        """The warnings of a fit, then those of its validation that it does not say already."""
+        """The warnings of a fit (`fit.json`), then those of its validation that are not among them."""
         return [*known] + [warning for warning in self.warnings if not any(warning in one for one in known)]
 
     def to_json(self) -> dict[str, object]:
@@ -105,14 +105,14 @@ def validate(
     metrics: MetricsOptions | None = None,
     truth: bool = True,
 ) -> Validation:
-    """Errors of a run on data (where given), the check of its step, and its errors against the truth.
+    """Errors of a run on data (if given), the check of its step, and its errors against the truth.
 
-    Predictions run from each trajectory's initial state to its end without looking at the data again, solved by CVODES:
-    the initial state is the learned one on training data, the known one where the first row or the model gives it, and
-    else estimated from the trajectory itself. The mean of the members is the mean of their predictions. `sampling` and
-    `metrics` say where the truth is compared; without them, the model's case if it is a bundled one, else defaults.
+    Predictions are solved by CVODES from each trajectory's initial state to its end without using later data: the
+    initial state is the learned one on training data, the known one if the first row or the model gives it, and else
+    estimated from the trajectory itself. The mean of the members is the mean of their predictions. `sampling` and
+    `metrics` determine the comparison with the truth; default: the model's case if it is bundled, else general values.
 
-    Raises UserError where there is no such member.
+    Raises UserError if there is no such member.
     """
     from gbspec.backends import Evaluator
 
@@ -127,7 +127,7 @@ def validate(
         each = [predictions(one, run.model, trajectories, run.fit.data) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         channels, errors = _on_data(run.model, trajectories, predicted)
-        # The step is a matter of each right-hand side, so a mean of several is checked by its first member.
+        # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], run.max_step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
     if check.warning:
@@ -163,7 +163,7 @@ def _on_data(
 
 def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
     warnings = [
-        f"trajectory `{one.trajectory}` could not be solved and is in no error: {one.failure}"
+        f"trajectory `{one.trajectory}` could not be solved and is excluded from all errors: {one.failure}"
         for one in errors
         if one.failure
     ]
@@ -172,7 +172,7 @@ def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
         listed = ", ".join(f"`{label}`" for label in estimated[:5]) + (", ..." if len(estimated) > 5 else "")
         warnings.append(
             f"the initial states of {len(estimated)} trajectories that training did not see ({listed}) were estimated "
-            "from the same measurements that they are judged by"
+            "from the same measurements that the errors are computed from"
         )
     return warnings
 
@@ -184,7 +184,7 @@ def _against_truth(
     metrics: MetricsOptions | None,
     warnings: list[str],
 ) -> TruthErrors | None:
-    """The errors against the truth; None, and a warning, where the comparison cannot be made."""
+    """The errors against the truth; None, and a warning, if the comparison cannot be made."""
     from gbspec.data import MetricsOptions as Metrics
     from gbspec.data import SimulateOptions as Sampling
 
@@ -201,7 +201,7 @@ def _against_truth(
         found = truth_errors(model, evaluators, sampling, metrics)
     except UserError as error:
         warnings.append(
-            "the model was not compared with its truth, since it is not known where: "
+            "the model was not compared with its truth, since the points are not determined: "
             + "; ".join(diagnostic.message for diagnostic in error.diagnostics)
         )
         return None
@@ -210,12 +210,12 @@ def _against_truth(
         return None
     for name, norm in {"solution": found.solution, "right-hand side": found.rhs, **found.functions}.items():
         if norm.failed:
-            warnings.append(f"{name}: {norm.failed} points could not be computed and are in no error")
+            warnings.append(f"{name}: {norm.failed} points could not be computed and are excluded from the error")
     return found
 
 
 def bundled_case(model: Model) -> Case | None:
-    """The case of a bundled model of this name, if its sampling fits this one's states and conditions."""
+    """The case of the bundled model of this name, if its sampling fits this model's states and conditions."""
     from gbspec.data import find_cases, shipped_models
 
     path = shipped_models().get(model.name)

@@ -1,4 +1,4 @@
-"""The form `c`."""
+"""The output form `c`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def make(model: Model, instance: GeneratedModule, method: Method) -> str:
-    """C with the instance's numbers in it."""
+    """C source with the instance's numbers in it."""
     from gbspec.backends.c.source import c_code
 
     return c_code(instance)

@@ -15,20 +15,20 @@ _USE = """\
 
      int f(const double **arg, double **res, long long *iw, double *w, int mem);
 
-   arg[i] points to the i-th argument named above (NULL stands for zeros), res[0] to the result, vectors as they are
-   and matrices column by column; iw and w are work arrays of the sizes that f_work tells. What it returns is 0 unless
-   it failed.
+   arg[i] points to the i-th argument named above (NULL means zeros), res[0] to the result, vectors as they are
+   and matrices column by column; iw and w are work arrays of the sizes that f_work returns. The return value is 0
+   unless the call failed.
 
-   All functions that begin with `casadi_` are parts of these. Compile with, for instance:
+   Functions whose names begin with `casadi_` are helpers. Compile with, for instance:
 
      cc -O2 -shared -fPIC FILE.c -lm
 """
 
 
 def c_code(instance: GeneratedModule) -> str:
-    """C99 source of `rhs`, `jacobian`, `observe` and `step`, weights and constants of the instance as numbers in it.
+    """C99 source of `rhs`, `jacobian`, `observe` and `step`, with the instance's weights and constants as numbers.
 
-    `instance` is one of the generated module's class with weights, or of a model without unknown functions.
+    `instance` is an instance of the generated class; it has weights unless its model has no unknown functions.
     """
     functions = [instance.casadi_rhs(), instance.casadi_jacobian(), instance.casadi_observe(), step(instance)]
     generator = ca.CodeGenerator("model.c")
@@ -75,7 +75,7 @@ def _signature(function: Any) -> str:
 
 
 def _vectors(instance: GeneratedModule) -> list[str]:
-    """What the components of each vector are."""
+    """Comment lines that name the components of each vector."""
     method = METHODS[instance.solver]
     parts = {
         "x": instance.states,
@@ -94,5 +94,5 @@ def _vectors(instance: GeneratedModule) -> list[str]:
 
 
 def _safe(text: str) -> str:
-    """A text that cannot end a comment."""
+    """The text, changed so that it cannot end a comment."""
     return " ".join(text.split()).replace("*/", "* /").replace("/*", "/ *")

@@ -1,4 +1,4 @@
-"""Adaptive integration by SUNDIALS' CVODES through casadi, piece by piece of a trajectory's time axis."""
+"""Adaptive integration by SUNDIALS' CVODES through casadi, one segment of the trajectory's time axis at a time."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from gbspec.backends.casadi.timeline import Segment
 from gbspec.diagnostics import ComputationError
 
 LOCAL = 1e-2
-"""CVODES' tolerances, which bound the error of a step, in units of those asked for the whole trajectory; measured on
-URP at the ignited cycle, 1e-2 keeps the global error at 10 time units below the tolerance asked for."""
+"""CVODES' tolerances, which bound the error of a step, relative to those requested for the whole trajectory; measured
+on URP at the ignited cycle, 1e-2 keeps the global error at 10 time units below the requested tolerance."""
 
 FINEST = 1e-14
-"""No local tolerance below this: rounding would make the error control stall."""
+"""The smallest local tolerance: below it, rounding would make the error control stall."""
 
 STEPS = {"adams": 20_000, "bdf": 200_000}
-"""Steps between two outputs after which Adams' methods give way to BDF (the problem is stiff), and BDF gives up."""
+"""Most steps between two outputs: beyond, Adams' methods are replaced by BDF (the problem is stiff), and BDF fails."""
 
 KEPT = 512
-"""Integrators kept for use on another piece with the same relative output times."""
+"""Most integrators cached for reuse on segments with the same relative output times."""
 
 
 @dataclass(frozen=True)
 class InitialValueProblem:
-    """What is constant over a trajectory; `scales` [n_states] are the sizes that states are divided by inside."""
+    """The constant data of a trajectory; states are divided by `scales` [n_states] inside the integrator."""
 
     condition: Array
     constants: Array
@@ -39,15 +39,15 @@ class InitialValueProblem:
     atol: float
 
 
-class _Stopped(Exception):  # noqa: N818 - what happened, not what is wrong
-    """CVODES could not reach the end of a piece."""
+class _Stopped(Exception):  # noqa: N818 - an event, not an error
+    """CVODES could not reach the end of a segment."""
 
 
 class Integrator:
     """Integrates one right-hand side: casadi.Function (t, x, condition, inputs, constants) -> dx.
 
-    Within a piece, time runs from 0 to 1 and states are divided by their scales, so that one integrator serves every
-    piece with the same relative output times, and one absolute tolerance all states.
+    Within a segment, time runs from 0 to 1 and states are divided by their scales, so that one integrator serves all
+    segments with the same relative output times, and one absolute tolerance serves all states.
     """
 
     def __init__(self, rhs: Any, names: Sequence[str]) -> None:
@@ -59,7 +59,7 @@ class Integrator:
     def run(
         self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: InitialValueProblem
     ) -> Array:
-        """States [n_times, n_states] at `outputs`; the pieces cover [begin, outputs[-1]]."""
+        """States [n_times, n_states] at `outputs`; the segments cover [begin, outputs[-1]]."""
         states = np.empty((len(outputs), len(x0)))
         states[outputs <= begin] = x0
         self._check(x0, begin)
@@ -76,13 +76,13 @@ class Integrator:
         return states
 
     def _piece(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem) -> Array:
-        """States [n, n_states] at `times` in a piece, the last of which is its end."""
+        """States [n, n_states] at `times` in a segment; the last of these times is its end."""
         try:
             return self._solve(x, piece, times, problem, self._stiff)
         except _Stopped:
             pass
         if not self._stiff:
-            # Adams' methods take many steps where a problem is stiff; BDF does not, and is kept from then on.
+            # Adams' methods take many steps where a problem is stiff; BDF does not, and is used from then on.
             try:
                 found = self._solve(x, piece, times, problem, stiff=True)
             except _Stopped:
@@ -93,7 +93,7 @@ class Integrator:
         raise self._failure(x, piece, times, problem)
 
     def _solve(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem, stiff: bool) -> Array:
-        """Raises `_Stopped` where CVODES gives up or a state is not finite."""
+        """States at `times`. Raises `_Stopped` if CVODES fails or a state is not finite."""
         length = piece.end - piece.begin
         grid = (*((times - piece.begin) / length).tolist()[:-1], 1.0)
         solver = self._solver(grid, problem, stiff)
@@ -129,7 +129,7 @@ class Integrator:
         return self._kept[key]
 
     def _failure(self, x: Array, piece: Segment, times: Array, problem: InitialValueProblem) -> ComputationError:
-        """What to say of a piece that cannot be integrated: how far it goes."""
+        """The error for a segment that cannot be integrated; it says how far the solution reaches."""
         last = piece.begin
         for time in times:
             part = Segment(last, float(time), _inputs_at(piece, last), piece.slopes, np.zeros_like(x))
@@ -141,15 +141,15 @@ class Integrator:
         return ComputationError(
             "the trajectory cannot be integrated further: it blows up, or the right-hand side is not finite there",
             where=f"after t = {last:.6g}, where {self._state(x)}",
-            remedy="start elsewhere, shorten the span, or exclude the region (for simulate: --reject, --initial)",
+            remedy="change the initial state, shorten the span, or exclude the region (simulate: --reject, --initial)",
         )
 
     def _check(self, x: Array, time: float) -> None:
         if not np.all(np.isfinite(x)):
             raise ComputationError(
-                "the start of a trajectory is not finite",
+                "the initial state of a trajectory is not finite",
                 where=f"at t = {time:.6g}, where {self._state(x)}",
-                remedy="give every state a start",
+                remedy="give every state an initial value",
             )
 
     def _state(self, x: Array) -> str:

@@ -1,4 +1,4 @@
-"""What analysis and simulation ask of a model, by casadi; truths and fitted models go through the same functions."""
+"""Evaluation of a model by casadi, for analysis and simulation; truths and fitted models use the same functions."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from gbspec.backends.protocol import GeneratedModule
 from gbspec.ir import METHODS
 
 MAPS = 64
-"""Functions over a number of points that an evaluator keeps for the next call with as many."""
+"""Most mapped functions that an evaluator caches, each for a given number of points."""
 
 
 class Evaluator:
-    """Functions of an instance of a generated module: with weights, or of a model without unknown functions.
+    """Functions of an instance of a generated module, which has weights unless its model has no unknown functions.
 
     `rhs`, `jacobian` and `observe` are casadi Functions of (t, x, condition, inputs, constants); `constants` is the
-    vector of the instance's own constants, used wherever none is given.
+    vector of the instance's own constants, the default of every `constants` argument.
     """
 
     def __init__(self, instance: GeneratedModule) -> None:
@@ -52,7 +52,7 @@ class Evaluator:
         return self.instance.casadi_observe(symbolic_constants=True)
 
     def function(self, name: str) -> Any:
-        """casadi.Function (arguments, constants) -> value of one unknown; KeyError if there is none of that name."""
+        """casadi.Function (arguments, constants) -> value of one unknown. Raises KeyError for another name."""
         if name not in self._unknowns:
             self._unknowns[name] = self.instance.casadi_function(name, symbolic_constants=True)
         return self._unknowns[name]
@@ -61,7 +61,7 @@ class Evaluator:
     def rhs_many(
         self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
     ) -> Array:
-        """dx/dt [N, n_states] at times t [N] or one, states x [N, n_states]; the rest [N, n], or [n] for all points."""
+        """dx/dt [N, n_states] at times t ([N] or a number), states x [N, n_states]; the rest [N, n], or [n] for all."""
         return self._many("rhs", self.rhs, self._points(t, x, condition, inputs, constants))
 
     def observe_many(
@@ -82,7 +82,7 @@ class Evaluator:
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
 
     def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: Any = None) -> Array:
-        """The start x0 [n_states] with every state in its place whose start the model expresses."""
+        """The initial state [n_states]: x0, with the initial values that the model gives by expressions replaced."""
         m = self.instance.arithmetic("numpy")
         with np.errstate(all="ignore"):
             start = self.instance.equations.initial(
@@ -106,7 +106,7 @@ class Evaluator:
         ]
 
     def _many(self, key: str, function: Any, columns: Sequence[Array]) -> Array:
-        """A function at N points, in one call; a row that stands alone counts for all of them."""
+        """A function at N points, in one call; a single row is used for all points."""
         tables = [np.atleast_2d(column) for column in columns]
         count = max(len(table) for table in tables)
         if (key, count) not in self._maps:
@@ -139,13 +139,13 @@ class Evaluator:
     ) -> Array:
         """States [n_times, n_states] at increasing `times`, from x0 [n_states] at `start` (default: the first time).
 
-        CVODES, variable order and step; it starts anew wherever an input changes course or a dose falls, so that it
-        never steps across a kink. `inputs` are signals with `times` and `values`, one an input; `doses` likewise with
-        `amounts`, one a declared dose, added after a measurement at the same time. Errors are kept below rtol relative
-        to the state and atol relative to `scales` [n_states] (default: from the states' ranges, else from x0). These
-        are meant for the whole trajectory: CVODES' own tolerances, which are local, are set a hundred times tighter.
+        Uses CVODES, with variable order and step, restarted wherever the slope of an input changes or a dose is given,
+        so that no step crosses a kink. `inputs` are signals with `times` and `values`, one per input; `doses` have
+        `times` and `amounts`, one per declared dose, added after a measurement at the same time. Errors are kept below
+        rtol relative to the state and atol relative to `scales` [n_states] (default: from the states' ranges, else
+        from x0). Both hold for the whole trajectory: CVODES' own, local tolerances are a hundred times tighter.
 
-        Raises ComputationError, with time and state, where the solution cannot be continued or is not finite.
+        Raises ComputationError, with time and state, if the solution cannot be continued or is not finite.
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
@@ -168,9 +168,10 @@ class Evaluator:
         doses: Sequence[Any] = (),
         constants: Any = None,
     ) -> Array:
-        """The same by the module's own step, in even steps of at most `max_step` between outputs and kinks.
+        """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
+        and kinks.
 
-        States may come out infinite or NaN: what a fixed step does is what is asked here.
+        States may be infinite or NaN: the fixed step is not checked.
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
@@ -191,7 +192,7 @@ class Evaluator:
     def _times(self, times: ArrayLike, start: float | None) -> Array:
         outputs = np.asarray(times, dtype=np.float64).ravel()
         if not len(outputs) or not np.all(np.isfinite(outputs)) or np.any(np.diff(outputs) <= 0):
-            raise ValueError("times must be finite, increase, and be at least one")
+            raise ValueError("times must be finite and must increase, and at least one is needed")
         if start is not None and outputs[0] < start:
             raise ValueError(f"the first time, {outputs[0]}, lies before the start, {start}")
         return outputs
@@ -231,7 +232,7 @@ class Evaluator:
         ]
 
     def _scales(self, x0: ArrayLike) -> Array:
-        """The size of each state: of its range where that is bounded, else of its start; 1 where both are zero."""
+        """The scale of each state: from its range if it is bounded, else from its initial value; 1 if both are zero."""
         scales = np.abs(np.asarray(x0, dtype=np.float64)).ravel().copy()
         for i, name in enumerate(self.instance.states):
             size = max(map(abs, self.instance.ranges.get(name, (0.0,))))

@@ -1,4 +1,4 @@
-"""The module's own step over a trajectory, in one call of casadi's mapaccum."""
+"""The module's own integration steps over a trajectory, in one call of casadi's mapaccum."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from gbspec.ir import METHODS, RK4, Method
 
 @dataclass(frozen=True)
 class Plan:
-    """Steps in order: times and sizes [n], inputs at the method's nodes [nodes, n, n_inputs], additions before them
-    [n, n_states]; `after` [n_times] is the number of steps done when an output is taken."""
+    """Steps in order: times and sizes [n], inputs at the method's nodes [nodes, n, n_inputs], what is added to the
+    state before each step [n, n_states]; `after` [n_times] is the number of steps before each output."""
 
     times: Array
     sizes: Array
@@ -39,7 +39,7 @@ def plan(
     n_inputs: int,
     method: Method = RK4,
 ) -> Plan:
-    """Even steps of a method, of at most `max_step`, between the outputs and the ends of the pieces."""
+    """Steps of a method, equal and at most `max_step` long between consecutive outputs and ends of segments."""
     if not max_step > 0:
         raise ValueError(f"max_step must be positive, not {max_step}")
     times: list[float] = []
@@ -74,7 +74,7 @@ def plan(
 
 
 class Stepper:
-    """Runs plans; one accumulated function a power of two of steps, shorter plans filled up with steps of size 0."""
+    """Runs plans, by one accumulated function per power of two of steps; plans are padded with steps of size 0."""
 
     def __init__(self, instance: GeneratedModule) -> None:
         self._step = _step_function(instance)

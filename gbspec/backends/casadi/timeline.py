@@ -1,4 +1,4 @@
-"""The time axis of one trajectory, cut where its inputs change course or a dose falls."""
+"""The time axis of one trajectory, cut where the slope of an input changes or a dose is given."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbspec.arrays import Array
 
 @dataclass(frozen=True)
 class Signal:
-    """An input over time: `times` [n] increasing, `values` [n]; held from its time on, or linear in between."""
+    """An input over time: increasing `times` [n] and `values` [n], each held until the next, or interpolated."""
 
     times: Array
     values: Array
@@ -21,7 +21,8 @@ class Signal:
 
 @dataclass(frozen=True)
 class Segment:
-    """From `begin` to `end`: inputs are `inputs + slopes*(t - begin)`; `jump` is added to the state at `begin`."""
+    """A segment from `begin` to `end`: the inputs are `inputs + slopes*(t - begin)`; `jump` is added to the state at
+    `begin`."""
 
     begin: float
     end: float
@@ -32,7 +33,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Jump:
-    """An addition to the state with the number `state` at a time."""
+    """An amount added at a time to the state with the index `state`."""
 
     time: float
     state: int
@@ -43,7 +44,7 @@ def value_and_slope(signal: Signal, kind: str, time: float) -> tuple[float, floa
     """A signal's value at a time and its slope just after it; before the first and after the last value it is held."""
     times, values = signal.times, signal.values
     if not len(times):
-        raise ValueError("an input has no value at any time")
+        raise ValueError("an input has no values")
     i = int(np.searchsorted(times, time, side="right")) - 1
     if i < 0:
         return float(values[0]), 0.0
@@ -61,9 +62,9 @@ def segments(
     kinds: Sequence[str],
     jumps: Sequence[Jump],
 ) -> list[Segment]:
-    """The pieces of [start, end] on which every input is a straight line and no dose falls inside.
+    """The segments of [start, end]: within each, every input is linear in time and no dose is given.
 
-    Jumps before `start` count as given already, jumps at `end` or later have no effect.
+    Jumps before `start` are taken as given already; jumps at `end` or later have no effect.
     """
     if not end > start:
         return []

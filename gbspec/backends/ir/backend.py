@@ -1,4 +1,4 @@
-"""The form `ir`."""
+"""The output form `ir`."""
 
 from __future__ import annotations
 

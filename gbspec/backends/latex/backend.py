@@ -1,4 +1,4 @@
-"""The form `latex`."""
+"""The output form `latex`."""
 
 from __future__ import annotations
 

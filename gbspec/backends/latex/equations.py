@@ -19,7 +19,7 @@ GREEK = frozenset(
         *("Lambda", "Xi", "Pi", "Sigma", "Upsilon", "Phi", "Psi", "Omega"),
     )
 )
-"""Greek letters that LaTeX has commands for; the others look like Latin ones."""
+"""Greek letters that LaTeX has commands for; the others look like Latin letters."""
 
 
 def name(text: str) -> str:
@@ -38,7 +38,7 @@ def name(text: str) -> str:
 
 
 def _word(part: str) -> str:
-    """A Greek letter, a single letter or a number as they are; a longer word upright."""
+    """A Greek letter, a single letter or a number unchanged; a longer word upright."""
     if len(part) == 1 and "GREEK" in unicodedata.name(part, ""):
         kind, _, letter = unicodedata.name(part).removeprefix("GREEK ").partition(" LETTER ")
         part = letter.capitalize() if kind == "CAPITAL" else letter.lower()
@@ -98,12 +98,12 @@ def intermediates(model: Model) -> list[tuple[str, str]]:
 
 
 def observations(model: Model) -> list[tuple[str, str]]:
-    """Left and right side of each channel that is not a state as it is."""
+    """Left and right side of each channel that is not simply a state."""
     return [(expression(left), expression(value)) for left, value in model.equations("channels")]
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
-    """Left and right side of each start that the model expresses."""
+    """Left and right side of each initial value that the model gives by an expression."""
     at = "0" if model.time.start is None else expression(sympy.Float(model.time.start, 17))
     return [
         (f"{expression(left)}({'t_{0}' if model.time.start is None else at})", expression(value))

@@ -1,4 +1,4 @@
-"""The page: equations first, then what each name means."""
+"""The LaTeX document: equations first, then tables of names."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def document(model: Model) -> str:
 
 
 def _states(model: Model) -> list[State]:
-    """The states, of an array one that stands for all of its elements."""
+    """The states; a single one represents all elements of an array."""
     heads = {array.position: array for array in model.arrays}
     inside = {array.position + k for array in model.arrays for k in range(1, array.count)}
     return [
@@ -70,12 +70,12 @@ def _states(model: Model) -> list[State]:
 
 
 def text(words: str) -> str:
-    """Words with LaTeX's special characters made ordinary."""
+    """Words with LaTeX's special characters escaped."""
     return "".join(_SPECIAL.get(character, character) for character in " ".join(words.split()))
 
 
 def _aligned(heading: str, pairs: Sequence[tuple[str, str]]) -> str:
-    """Equations below each other, aligned at their signs; nothing where there are none."""
+    """Equations below each other, aligned at their relation signs; an empty text if there are none."""
     if not pairs:
         return ""
     lines = " \\\\\n".join(f"  {left} &= {right}" for left, right in pairs)
@@ -115,7 +115,7 @@ def _contract(unknown: Unknown, contract: Contract) -> str:
 
 
 def _table(heading: str, columns: Sequence[str], rows: Iterable[tuple[Declared, Sequence[str]]]) -> str:
-    """One row a name: symbol, the columns given, unit, description; nothing where there are no rows."""
+    """One row per name: symbol, the given columns, unit, description; an empty text if there are no rows."""
     lines = [
         " & ".join((f"${name(item.name)}$", *cells, text(item.unit or ""), text(item.description))) + r" \\"
         for item, cells in rows

@@ -10,11 +10,11 @@ from gbspec.backends.module.elements import Code, names_of, places_of, table_of
 from gbspec.ir import Condition, Declared, Input, Learnable, Method, Model, Network, Range, State
 
 WIDTH = 120
-"""Columns of the generated text."""
+"""Line length of the generated text."""
 
 
 def sizes(network: Network) -> tuple[int, ...]:
-    """Numbers of arguments, hidden units layer by layer, and outputs."""
+    """Numbers of arguments, of hidden units in each layer, and of outputs."""
     return network.sizes
 
 
@@ -88,7 +88,7 @@ def _network(model: Model, network: Network) -> dict[str, object]:
 
 
 def _first(pairs: Iterable[tuple[str, str | None]]) -> dict[str, str]:
-    """What is said of each name, of a channel that is a state what is said of the state."""
+    """The description of each name; a channel that is a state has the state's."""
     table: dict[str, str] = {}
     for name, text in pairs:
         if text:
@@ -108,7 +108,7 @@ def _attribute(name: str, value: object, comment: str | None) -> str:
 
 
 def _lines(head: str, value: object, tail: str, width: int) -> list[str]:
-    """A literal on one line if it fits, else an entry a line."""
+    """A literal on one line if it fits, else one line per entry."""
     line = f"{head}{_text(value)}{tail}"
     if len(line) <= width or not isinstance(value, dict | tuple):
         return [line]
@@ -119,12 +119,12 @@ def _lines(head: str, value: object, tail: str, width: int) -> list[str]:
 
 
 def _entry(key: str, value: object) -> tuple[str, object, str]:
-    """What stands before and behind a value in a dictionary."""
+    """The text before an entry's value, the value, and the text after it."""
     return (str(key), value, ")") if isinstance(key, Code) else (f"{_text(key)}: ", value, "")
 
 
 def _text(value: object) -> str:
-    """A literal that Python reads back as the same value; texts between double quotes, as JSON writes them."""
+    """A literal that Python reads back as the same value; strings in double quotes, as in JSON."""
     match value:
         case Code():
             return str(value)

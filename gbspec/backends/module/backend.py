@@ -1,4 +1,4 @@
-"""The form `module`."""
+"""The output form `module`."""
 
 from __future__ import annotations
 

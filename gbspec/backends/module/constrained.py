@@ -11,11 +11,11 @@ from gbspec.diagnostics import Defect
 from gbspec.ir import Expr, Form, Network, Unknown, described, guarantee
 
 WORDS = {"center": "network.center", "scale": "network.scale", "spread": "network.spread"}
-"""Where the generated text finds the numbers kept with the weights, by the first word of their symbols."""
+"""Expressions in the generated text for the numbers stored with the weights, by the first word of their symbols."""
 
 
 class _NumberPrinter(PythonPrinter):
-    """Python over plain numbers, for what is known before any argument."""
+    """Prints Python over plain numbers, for values that do not depend on arguments."""
 
     def call(self, function: str, *arguments: str) -> str:
         """`max(a, b)`, `_math.log(a)`."""
@@ -29,7 +29,7 @@ def document(unknowns: Sequence[Unknown]) -> str:
 
 
 class Constrained:
-    """Writes the body of one network's method. `names` holds the formals; constants must be claimed by the caller."""
+    """Writes the body of one network's method. `names` holds the formals; the caller must claim the constants."""
 
     def __init__(self, network: Network, unknowns: Sequence[Unknown], names: Names) -> None:
         self.network, self.unknowns, self.names = network, unknowns, names
@@ -40,7 +40,7 @@ class Constrained:
 
     # ---------------------------------------------------------------- expressions
     def values(self) -> list[Expr]:
-        """The unknowns in temporaries for raw outputs and numbers, which `lines` computes."""
+        """The unknowns in terms of temporaries for raw outputs and numbers, which `calls_of` computes."""
         return [self._value(unknown) for unknown in self.unknowns]
 
     def _value(self, unknown: Unknown) -> Expr:
@@ -66,7 +66,7 @@ class Constrained:
         return self.raw[key]
 
     def _without_numbers(self, node: Expr) -> Expr:
-        """The expression with its largest parts that are known before any argument replaced by temporaries."""
+        """The expression with temporaries for its largest parts that do not depend on arguments."""
         symbols = node.free_symbols
         if symbols and all(_is_number(s) for s in symbols):
             if node not in self.numbers:
@@ -89,13 +89,13 @@ class Constrained:
 
     @property
     def temporaries(self) -> set[Expr]:
-        """What stands in the values for raw outputs and numbers."""
+        """The temporaries in the values: raw outputs and numbers."""
         return {*self.raw.values(), *self.numbers.values()}
 
     def calls_of(self, index: int, plain: Sequence[str]) -> list[str]:
         """The lines before the values: numbers, and the calls of the network.
 
-        Where numbers stand in place of the network, as in a warm start, `plain` is the whole.
+        If numbers replace the network, as in a warm start, the generated method executes `plain` instead.
         """
         out = [f"network = networks[{index}]"]
         out += ['if not hasattr(network, "scale"):  # numbers in place of a network, as in a warm start: no contracts']
@@ -117,7 +117,7 @@ class Constrained:
         return f"{WORDS[word]}[{place}]"
 
     def _arguments(self, arguments: Sequence[Expr]) -> Iterable[str]:
-        """An evaluation's arguments; a constant beside others takes the shape of the formal in its place."""
+        """An evaluation's arguments; a constant among others is broadcast to the shape of its formal."""
         printer = PythonPrinter(lambda symbol: self.names[symbol])
         formals = set(self.formals)
         single = not any(argument.free_symbols & formals for argument in arguments)

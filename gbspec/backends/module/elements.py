@@ -1,4 +1,4 @@
-"""Names of the elements of arrays in the generated text: one expression for all of them."""
+"""Names of the elements of arrays in the generated text: one expression for each array."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from gbspec.ir import Array, Model
 
 
 class Code(str):
-    """A piece of Python that stands for itself among the entries of a literal."""
+    """Python code that is written verbatim among the entries of a literal."""
 
 
 def runs_of(model: Model, names: Sequence[str]) -> Iterator[Array | str]:
-    """The names in order, a whole array where all of its elements follow each other."""
+    """The names in order, with an array in place of its elements if these are consecutive."""
     begins = {array.names[0]: array for array in model.arrays if _regular(array)}
     place = 0
     while place < len(names):
@@ -45,7 +45,7 @@ def table_of(model: Model, table: Mapping[str, object]) -> dict[str, object]:
 
 
 def places_of(model: Model, places: Sequence[int | None]) -> tuple[object, ...]:
-    """Entries of a tuple of places, those of whole arrays as ranges."""
+    """Entries of a tuple of indices; those of whole arrays as ranges."""
     names = [None if place is None else model.states[place].name for place in places]
     found: list[object] = []
     for run in runs_of(model, [name or "" for name in names]):

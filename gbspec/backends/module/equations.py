@@ -35,7 +35,7 @@ PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
 
 def scope(model: Model) -> Names:
-    """The identifiers of a method that sees the whole model: time, states, conditions, inputs and constants."""
+    """The identifiers in a method of the whole model: time, states, conditions, inputs and constants."""
     names = Names(PARAMETERS)
     names.fix(STATE, "state")
     names.claim(model.time.symbol)
@@ -50,7 +50,7 @@ def method_name(network: Network) -> str:
 
 
 def unknown_method(model: Model, index: int) -> str:
-    """One network's unknowns, their postulates applied, as functions of the formal arguments."""
+    """The method of a network: its unknowns, with postulates applied, as functions of the formal arguments."""
     network = model.networks[index]
     names = Names(("math", "constants", "networks"))
     formals = [names.claim(argument.symbol) for argument in network.arguments]
@@ -69,25 +69,27 @@ def unknown_method(model: Model, index: int) -> str:
 
 
 def _postulated(posed: Sequence[Unknown]) -> tuple[list[sympy.Symbol], list[Expr]]:
-    """A symbol for each correction, and the postulates with these."""
+    """A symbol for each correction, and the postulates in terms of these."""
     raw = [temporary(f"nn_{unknown.name}") for unknown in posed]
     return raw, [u.postulate.xreplace({NN: symbol}) for u, symbol in zip(posed, raw, strict=True)]
 
 
 def _strange_to(network: Network, values: Iterable[Expr], raw: Iterable[Expr], model: Model) -> set[Expr]:
-    """The constants that expressions use besides arguments and corrections; other names are a `Defect`."""
+    """The constants in expressions, besides arguments and corrections. Raises `Defect` for other names."""
     used = {symbol for value in values for symbol in value.free_symbols}
     used -= {*raw, *(argument.symbol for argument in network.arguments)}
     strangers = used - {item.symbol for item in (*model.constants, *model.learnables)}
     if strangers:
-        raise Defect(f"the postulate of `{network.name}` uses {sorted(map(str, strangers))}, no arguments or constants")
+        raise Defect(
+            f"the postulate of `{network.name}` uses {sorted(map(str, strangers))}, not arguments or constants"
+        )
     return used
 
 
 def _corrected(
     model: Model, posed: Sequence[Unknown], names: Names, call: str, raw: Sequence[sympy.Symbol], values: Sequence[Expr]
 ) -> list[str]:
-    """Lines that call a network and put its outputs into the postulates."""
+    """Lines that call a network and evaluate the postulates with its outputs."""
     bodies = [Assignment(temporary(u.name), value, u.name) for u, value in zip(posed, values, strict=True)]
     lines = [f"{_targets(names.claim(symbol) for symbol in raw)} = {call}"]
     lines += _statements(Program(model, bodies, ()).statements, names, model)
@@ -97,7 +99,7 @@ def _corrected(
 def _constrained_method(
     model: Model, index: int, posed: Sequence[Unknown], names: Names, parameters: Sequence[str], call: str
 ) -> str:
-    """The method of a network with contracts: by its forms, or by the postulates alone where numbers stand for it."""
+    """The method of a network with contracts: by its forms, or only by the postulates if numbers replace it."""
     network = model.networks[index]
     writer = Constrained(network, posed, names)
     raw, postulates = _postulated(posed)
@@ -115,7 +117,7 @@ def _constrained_method(
 
 
 def _described(unknowns: Sequence[Unknown]) -> str:
-    """What the outputs are, for the method's docstring."""
+    """The descriptions of the outputs, for the method's docstring."""
     described = (f"{unknown.name}: {unknown.description}" for unknown in unknowns if unknown.description)
     return " ".join("; ".join(described).split())
 
@@ -136,7 +138,7 @@ def observe_method(model: Model) -> str:
 
 
 def _whole(model: Model, name: str, vector: Vector, entries: Sequence[Assignment], document: str) -> str:
-    """A method of the whole state: unpack what is used, compute, pack. `entries` are those of the result's vector."""
+    """A method of the whole state: unpack the used quantities, compute, pack the `entries` of the result's vector."""
     names = scope(model)
     outputs, definitions = _short(model, vector, entries)
     program = Program(model, outputs, definitions).statements
@@ -153,7 +155,7 @@ def _whole(model: Model, name: str, vector: Vector, entries: Sequence[Assignment
 def _short(
     model: Model, vector: Vector, entries: Sequence[Assignment]
 ) -> tuple[Sequence[Assignment], Sequence[Assignment] | None]:
-    """What to compute for a vector: of its entries those that families stand for together; and definitions."""
+    """The assignments for a vector, one for each family of its entries, and the definitions that they need."""
     if not model.arrays:
         return entries, None
     vectors = Vectors(model)
@@ -178,13 +180,13 @@ def _packed(results: Sequence[Expr], names: Names) -> str:
 
 
 def initial_method(model: Model) -> str:
-    """`initial`: expressed starts, in an order in which each comes after those that it depends on."""
+    """`initial`: the initial values that the model gives, each after those that it depends on."""
     names = Names(PARAMETERS)
     names.fix(STATE, "state")
     for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
         names.claim(item.symbol)
     expressed = [s for s in model.states if s.initial.kind == "expression" and s.initial.value is not None]
-    document = "The start `state` with every start put in that the model expresses."
+    document = "The initial state: `state`, with the initial values that the model gives inserted."
     parameters = ["cls", "math", "state", "condition", "constants"]
     if not expressed:
         return _method("@classmethod", "initial", parameters, document, ["return state"])
@@ -200,7 +202,7 @@ def initial_method(model: Model) -> str:
 
 
 def _short_starts(model: Model, names: Names) -> list[str]:
-    """The body of `initial` where there are arrays: runs of given starts are parts of the state as it comes."""
+    """The body of `initial` for a model with arrays; consecutive other states are parts of the given `state`."""
     vectors = Vectors(model)
     outputs: list[Assignment] = []
     of_families: list[Assignment] = []
@@ -228,7 +230,7 @@ def _short_starts(model: Model, names: Names) -> list[str]:
 
 
 def doses_method(model: Model) -> str:
-    """`doses`: what of each dose arrives, and how much later; of none where the model has no doses."""
+    """`doses`: the fraction of each dose that arrives, and its lag; only in models with doses."""
     names = Names(PARAMETERS)
     for item in (*model.conditions, *model.constants, *model.learnables):
         names.claim(item.symbol)
@@ -241,7 +243,7 @@ def doses_method(model: Model) -> str:
     found = [names[output.symbol] for output in outputs]
     pairs = [f"({fraction}, {lag})" for fraction, lag in zip(found[::2], found[1::2], strict=True)]
     body.append(f"return ({_comma(pairs)})")
-    document = "For each dose the fraction of it that arrives, and the lag after which it does."
+    document = "For each dose the fraction that arrives, and its lag."
     return _method("@classmethod", "doses", ["cls", "math", "condition", "constants"], document, body)
 
 
@@ -255,12 +257,12 @@ def solver_methods(method: Method) -> list[str]:
 
 
 def _grid_method(method: Explicit) -> str:
-    """`grid`: what `step` needs of the time and size of a step."""
+    """`grid`: times and sizes within a step, for `step`."""
     times = ", ".join(map(step_time, method.nodes))
     sizes = _comma(_multiple(factor, "column") for factor in _sizes(method))
     body = ["column = math.column(h)  # to multiply vectors", f"return ({times}), ({sizes})"]
     document = (
-        f"A step of size h ({method.name.upper()}) from t: the times at which it needs inputs, parts of its size."
+        f"The nodes of a step of size h from t ({method.name.upper()}): times of its inputs, and fractions of its size."
     )
     return _method("@staticmethod", "grid", ["math", "t", "h"], document, body)
 
@@ -283,12 +285,12 @@ def _step_method(method: Explicit) -> str:
 
 
 def _sizes(method: Explicit) -> list[Fraction]:
-    """The parts of a step by which sums of Runge-Kutta stages are multiplied."""
+    """The fractions of a step by which sums of Runge-Kutta stages are multiplied."""
     return sorted({_unit(row) for row in (*method.a[: method.advancing], method.b) if any(row)})
 
 
 def _unit(row: Sequence[Fraction]) -> Fraction:
-    """The smallest positive weight: there is one, as no node lies before the step."""
+    """The smallest positive weight; one exists, since no node is before the step."""
     return min(weight for weight in row if weight > 0)
 
 
@@ -299,7 +301,7 @@ def _size_name(factor: Fraction) -> str:
 
 
 def _ahead(row: Sequence[Fraction]) -> str:
-    """The state moved by the Runge-Kutta stages in their proportions; those that count alike are added first."""
+    """The state plus the weighted sum of Runge-Kutta stages; stages with equal weights are added first."""
     if not any(row):
         return "state"
     unit = _unit(row)
@@ -312,7 +314,7 @@ def _ahead(row: Sequence[Fraction]) -> str:
 
 
 def step_time(c: Fraction) -> str:
-    """The time at a part of a step: `t`, `t + h/2`."""
+    """The time at a fraction of a step: `t`, `t + h/2`."""
     return "t" if c == 0 else f"t + {_multiple(c, 'h')}"
 
 
@@ -322,7 +324,7 @@ def _multiple(factor: Fraction, name: str) -> str:
     return above if factor.denominator == 1 else f"{above}/{factor.denominator}"
 
 
-# ---------------------------------------------------------------------- pieces of a method
+# ---------------------------------------------------------------------- parts of a method
 def _statements(program: Iterable[Statement], names: Names, model: Model) -> list[str]:
     printer = PythonPrinter(lambda symbol: names[symbol])
     lines = []
@@ -354,7 +356,7 @@ def _used(program: Iterable[Statement]) -> set[sympy.Symbol]:
 
 
 def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symbol] | None = None) -> list[str]:
-    """Lines that give the quantities in use their names."""
+    """Lines that unpack the used quantities."""
     lines = []
     states = () if model.arrays else model.states  # with arrays, states are entries of the vector, and so statements
     for vector, items in (("state", states), ("condition", model.conditions), ("inputs", model.inputs)):
@@ -373,13 +375,13 @@ def _unpacked_constants(model: Model, names: Names, used: set[Expr]) -> list[str
 
 
 def _targets(names: Iterable[str]) -> str:
-    """The left side of an unpacking."""
+    """The left side of a tuple assignment."""
     listed = list(names)
     return f"({listed[0]},)" if len(listed) == 1 else ", ".join(listed)
 
 
 def _comma(names: Iterable[str]) -> str:
-    """The inside of a tuple."""
+    """The entries of a tuple."""
     listed = list(names)
     return f"{listed[0]}," if len(listed) == 1 else ", ".join(listed)
 

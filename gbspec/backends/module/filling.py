@@ -1,4 +1,4 @@
-"""The template's files as one text, and its marked places filled."""
+"""Joins the template's files and fills their marked places."""
 
 from __future__ import annotations
 
@@ -22,27 +22,25 @@ PLACE = re.compile(
 
 @cache
 def template() -> str:
-    """The files joined, without what only checkers of this project's own text read."""
+    """The files joined, without comments for type checkers and linters."""
     text = "\n\n\n".join(map(_part, PARTS)) + "\n"
     return re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text)
 
 
 def _part(name: str) -> str:
-    """A file of the template; of all but the first what follows the line `# <body>`."""
+    """A file of the template; except for the first, the part after the line `# <body>`."""
     text = resources.files("gbspec.backends.module.template").joinpath(f"{name}.py").read_text(encoding="utf-8")
     return (text if name == PARTS[0] else text.split("# <body>\n", 1)[1]).strip()
 
 
 def fill(text: str, places: Mapping[str, str]) -> str:
-    """The text with every marked place replaced, indented as its mark is.
+    """The text with every marked place replaced, with the indentation of the mark.
 
-    Raises Defect unless the text's places are exactly those given, each once.
+    Raises Defect unless the text has exactly the given places, each once.
     """
     found = [match["document"] or match["line"] or match["region"] for match in PLACE.finditer(text)]
     if sorted(found) != sorted(places) or "{{" in PLACE.sub("", text):
-        raise Defect(
-            f"the template has the places {sorted(found)}, not {sorted(places)}, or a mark that cannot be read"
-        )
+        raise Defect(f"the template has the places {sorted(found)}, not {sorted(places)}, or an invalid mark")
 
     def replacement(match: re.Match[str]) -> str:
         indent = match["indent"] or match["before"] or match["margin"] or ""

@@ -1,4 +1,4 @@
-"""The networks of a generated module as lists of layers, for those who evaluate them otherwise than the module does."""
+"""The networks of a generated module as lists of layers, for code that evaluates them in another way."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class NetworkLayers:
-    """A network at some weights: `layers`, weights [out, in] and biases [out] as its contracts make them of the trained
-    ones, and its scales. With `raw` outputs the last layer's are put in by the forms of contracts."""
+    """A network at given weights: `layers`, weights [out, in] and biases [out] after the sign constraints of contracts,
+    and its scales. With `raw` outputs, the forms of contracts apply the output scales."""
 
     name: str
     raw: bool
@@ -34,8 +34,7 @@ class NetworkLayers:
 
 
 def network_layers(module: GeneratedModule, weights: Mapping[str, Tensor], ops: Any) -> list[NetworkLayers]:
-    """The networks of a generated module (its class or an instance) at weights by name; `ops` is its arithmetic of
-    torch."""
+    """The networks of a generated module (a class or an instance) at weights by name; `ops` is its torch arithmetic."""
     found = []
     for network in module.networks:
         layers, scales = _layers(network, weights, ops, _torch_like)

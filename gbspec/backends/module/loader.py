@@ -1,4 +1,4 @@
-"""From a Model to the class of its generated module, in this process."""
+"""Loads the generated module of a Model in this process."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _loaded: dict[str, type[GeneratedModule]] = {}
 
 
 def load_module(model: Model, method: Method = RK4) -> type[GeneratedModule]:
-    """The class of the module generated for a method; one and the same for models whose module has the same text.
+    """The class of the module generated for a method; models whose modules have the same text share it.
 
-    The text runs as it would from a file: it is registered as a module and with `linecache`, so that tracebacks show it
-    and its objects can be pickled within the process.
+    The text is executed as if from a file: it is registered as a module and with `linecache`, so that tracebacks show
+    it and its objects can be pickled within the process.
     """
     text = generate(model, method)
     digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -32,7 +32,7 @@ def _execute(text: str, name: str, class_name: str) -> type[GeneratedModule]:
     path = f"<{name}>"
     spec = importlib.util.spec_from_loader(name, loader=None, origin=path)
     if spec is None:
-        raise Defect(f"the module `{name}` cannot be described")
+        raise Defect(f"no import spec could be made for the module `{name}`")
     module = importlib.util.module_from_spec(spec)
     try:
         code = compile(text, path, "exec")
@@ -40,5 +40,5 @@ def _execute(text: str, name: str, class_name: str) -> type[GeneratedModule]:
         raise Defect(f"the generated module is not valid Python: {error}") from error
     linecache.cache[path] = (len(text), None, text.splitlines(keepends=True), path)
     sys.modules[name] = module
-    exec(code, module.__dict__)  # the text is our own, made of a Model; nothing a user wrote is in it unprinted
+    exec(code, module.__dict__)  # generated from a Model; text from users only occurs escaped
     return getattr(module, class_name)  # type: ignore[no-any-return]  # the class that the text defines

@@ -15,24 +15,24 @@ from gbspec.ir import NN, RK4, Declared, Method, Model, Network, Range, Vector
 from gbspec.version import __version__
 
 INTERFACE = 2
-"""The version of the generated module: of its names, and of the weights that it reads; a run records it."""
+"""The version of the generated module's interface; training and analysis reject other versions."""
 
 
 def generate(model: Model, method: Method = RK4) -> str:
-    """The standalone Python module of a model that is stepped by a method: the text that `gbspec compile` writes and
-    that training runs."""
+    """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
+    training runs."""
     name = class_name(model)
     return fill(template().replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
 def class_name(model: Model) -> str:
-    """The generated class: the model's name in CamelCase, with `_` where Python or the module needs that name."""
+    """The generated class: the model's name in CamelCase, with `_` appended if Python or the module uses that name."""
     name = identifier(model.class_name)
     return f"{name}_" if keyword.iskeyword(name) or name in _MODULE_NAMES else name
 
 
 _MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "Mapping", "Path", "SimpleNamespace"})
-"""What the generated module itself calls by names that a class could have."""
+"""Names in the generated module that a class could have."""
 
 
 def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
@@ -124,10 +124,10 @@ def _class_document(model: Model) -> str:
 
 
 def _unknown_table(model: Model) -> str:
-    """Where each unknown is: number of its network, number of its output, the network's method."""
+    """The table of unknowns: index of the network, index of the output, method of the network."""
     if not model.unknowns:
         return "unknowns = {}"
-    lines = ["unknowns = {  # name: (number of its network, number of its output there, method)"]
+    lines = ["unknowns = {  # name: (index of the network, index of its output, method)"]
     for unknown in model.unknowns:
         method = equations.method_name(model.networks[unknown.network])
         lines.append(

@@ -1,4 +1,4 @@
-"""C for the whole unroll: solution and gradient of a packed batch in one call, compiled where there is a compiler."""
+"""C kernel of the whole unroll: solution and gradient of a packed batch in one call, if there is a C compiler."""
 
 import lazy_loader
 

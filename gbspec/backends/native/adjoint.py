@@ -13,7 +13,7 @@ Contribution = tuple[sympy.Symbol, Expr]
 
 
 def contributions(operation: Operation, bar: sympy.Symbol) -> list[Contribution]:
-    """What the operation adds to the cotangents of its arguments, `bar` being the cotangent of its value."""
+    """The operation's contributions to the cotangents of its arguments; `bar` is the cotangent of its value."""
     found = [(symbol, term) for symbol, term in _terms(operation, bar) if isinstance(symbol, sympy.Symbol)]
     return [(symbol, term) for symbol, term in found if term != 0]
 
@@ -33,7 +33,7 @@ def _terms(operation: Operation, bar: sympy.Symbol) -> list[tuple[sympy.Basic, E
 
 
 def _times(bar: sympy.Symbol, slope: Expr) -> Expr:
-    """The product; into a choice it is taken, so that a cotangent that is not finite stays out of a slope of 0."""
+    """The product, taken inside the branches of a choice: an infinite or NaN cotangent must not meet a slope of 0."""
     if not isinstance(slope, sympy.Piecewise):
         return sympy.Mul(bar, *slope.args, evaluate=False) if isinstance(slope, sympy.Mul) else bar * slope
     *cases, (otherwise, _) = slope.args

@@ -1,4 +1,4 @@
-"""The form `native`."""
+"""The output form `native`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def make(model: Model, instance: Any, method: Method) -> str | Refusal:
-    """The kernel in double precision, or which form of the model it does not cover."""
+    """The kernel in double precision, or a refusal that names the form of the model that it does not cover."""
     from gbspec.backends.native import NotCoveredError, source
 
     try:

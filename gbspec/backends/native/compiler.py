@@ -1,4 +1,4 @@
-"""From C source to a loaded library: the system's compiler, a cache by content that workers may share."""
+"""Compiles C source with the system's compiler and loads it; a cache keyed by content, which workers may share."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pathlib import Path
 COMPILERS = ("cc", "gcc", "clang")
 
 TIME_LIMIT = 120.0
-"""Seconds after which a compilation is given up."""
+"""Seconds after which a compilation is aborted."""
 
 
 class CompilerError(Exception):
-    """There is no compiler, or it failed; the message says so in a line."""
+    """There is no compiler, or it failed; the message is one line."""
 
 
 def compiled(source: str) -> ctypes.CDLL:
-    """The library of a source, from the cache if it is there. Raises CompilerError."""
+    """The library compiled from a source, from the cache if possible. Raises CompilerError."""
     compiler = find_compiler()
     key = hashlib.sha256("\0".join([source, *_identity(compiler), repr(_flag_sets())]).encode()).hexdigest()
     return _load(source, compiler, key)
@@ -47,7 +47,7 @@ def _load(source: str, compiler: str, key: str) -> ctypes.CDLL:
 
 @cache
 def find_compiler() -> str:
-    """The C compiler: `$CC`, else the first of cc, gcc and clang. Raises CompilerError."""
+    """The C compiler: `$CC`, else the first found of cc, gcc and clang. Raises CompilerError."""
     for name in (os.environ.get("CC", ""), *COMPILERS):
         path = shutil.which(name) if name else None
         if path is not None:
@@ -56,7 +56,7 @@ def find_compiler() -> str:
 
 
 def cache_directory() -> Path:
-    """Where compiled kernels are kept: `$GBSPEC_CACHE`, else `gbspec` in the user's directory for caches."""
+    """The directory of compiled kernels: `$GBSPEC_CACHE`, else `gbspec` in the user's cache directory."""
     named = os.environ.get("GBSPEC_CACHE")
     if named:
         return Path(named)
@@ -67,7 +67,7 @@ def cache_directory() -> Path:
 
 @cache
 def _identity(compiler: str) -> tuple[str, ...]:
-    """What else than the source decides the code: the compiler's file and the processor's instructions."""
+    """What determines the code besides the source: the compiler's file and the processor's instruction set."""
     resolved = Path(compiler).resolve()
     status = resolved.stat()
     return str(resolved), str(status.st_mtime_ns), str(status.st_size), platform.machine(), _processor()
@@ -82,14 +82,14 @@ def _processor() -> str:
 
 
 def _flag_sets() -> list[list[str]]:
-    """Flags to try, the best first: not every compiler knows those for the machine at hand."""
+    """Flags to try, the best first: not every compiler knows those for the local processor."""
     common = ["-std=gnu11", "-O3", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC"]
     wide = [["-march=native", "-mprefer-vector-width=512"]] if platform.machine() in ("x86_64", "AMD64") else []
     return [[*common, *native] for native in [*wide, ["-march=native"], ["-mcpu=native"], []]]
 
 
 def _compile(source: str, compiler: str, path: Path) -> None:
-    """Compiles to `path`, which appears whole or not at all."""
+    """Compiles to `path`, atomically: the file is complete or does not exist."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as directory:
@@ -104,7 +104,7 @@ def _compile(source: str, compiler: str, path: Path) -> None:
                     return
                 message = done.stderr.strip().splitlines()[0] if done.stderr.strip() else f"status {done.returncode}"
     except subprocess.TimeoutExpired:
-        raise CompilerError(f"{compiler} took longer than {TIME_LIMIT:.0f} s over the kernel") from None
+        raise CompilerError(f"{compiler} took longer than {TIME_LIMIT:.0f} s to compile the kernel") from None
     except OSError as error:
         raise CompilerError(f"the kernel cannot be compiled ({error})") from None
     raise CompilerError(f"{compiler} cannot compile the kernel ({message})")

@@ -1,4 +1,4 @@
-/* The unroll: tiles of TILE trajectories, each run through its whole solution and back. */
+/* The unroll: tiles of TILE trajectories, each with its whole solution and reverse pass. */
 
 static void forward_to_checkpoint(Work *w, int64_t begin, int64_t end, real *x, double *residuals, double *states) {
     for (int64_t s = begin; s < end; s++) {
@@ -13,7 +13,7 @@ static void reverse_to_checkpoint(Work *w, int64_t begin, int64_t end, const dou
         const size_t slot = (size_t)(s - begin);
         arrive_reverse(w, s + 1, w->reached + slot * STATES * TILE, cotangent, xb);
         step_reverse(w, s, slot, xb);
-        /* The weights' products wait for some steps, so that a block of sums stays in registers for longer. */
+        /* The weights' products are deferred over some steps, so that a block of sums stays in registers for longer. */
         if (++pending == WEIGHT_STEPS || s == begin) {
             for (int i = 0; i < RHS_SITES; i++)
                 if (kept(i))
@@ -62,7 +62,7 @@ static void run_tile(Work *w, const Share *share, const Outputs *out) {
     }
 }
 
-/* ---------------------------------------------------------------- what is called from outside */
+/* ---------------------------------------------------------------- exported functions */
 
 /* Bytes of work space for trajectories of at most `depth` steps. */
 int64_t work_bytes(int64_t depth) {
@@ -70,7 +70,7 @@ int64_t work_bytes(int64_t depth) {
     return bytes_until(arrange(&work, BASE, depth));
 }
 
-/* A share of the trajectories, forward and, if wanted, back. */
+/* Solves a share of the trajectories, with the reverse pass if requested. */
 void run(const Data *data, const Inputs *inputs, const Share *share, const Outputs *outputs, char *space) {
     Work *w = work_in(space);
     open_work(w, data, inputs, data->depth);

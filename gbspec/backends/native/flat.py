@@ -1,6 +1,6 @@
-"""A model's expressions as a list of single operations and network calls: the form that is differentiated in reverse.
+"""A model's expressions as a list of single operations and network calls, the form that reverse mode differentiates.
 
-Intermediates, postulates and the forms of contracts are put in where they are used; what occurs twice is computed once.
+Intermediates, postulates and the forms of contracts are inlined; common subexpressions are computed once.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class NotCoveredError(Exception):
 
 @dataclass(frozen=True)
 class Leaf:
-    """What a symbol stands for that no operation computes: entry `index` of a vector."""
+    """The quantity that a symbol denotes if no operation computes it: entry `index` of a vector."""
 
     kind: Kind
     index: int
@@ -34,7 +34,7 @@ class Leaf:
 
 @dataclass(frozen=True)
 class Operation:
-    """`symbol = value`, the arguments of `value` being symbols and numbers."""
+    """`symbol = value`; the arguments of `value` are symbols and numbers."""
 
     symbol: sympy.Symbol
     value: sympy.Basic
@@ -42,7 +42,7 @@ class Operation:
 
 @dataclass(frozen=True)
 class Call:
-    """`results = network(arguments)`: all outputs of the network, arguments being symbols and numbers."""
+    """`results = network(arguments)`: all outputs of the network; the arguments are symbols and numbers."""
 
     network: int
     arguments: tuple[Expr, ...]
@@ -52,16 +52,16 @@ class Call:
 Environment = dict[sympy.Basic, sympy.Basic]
 
 MOST_OPERATIONS = 4000
-"""Above, a compiler would take too long over straight-line code; arrays of states are faster as torch's vectors."""
+"""Most operations: beyond, compiling straight-line code takes too long, and arrays are faster as torch's vectors."""
 
 MOST_CALLS = 64
-"""The most applications of unknowns to different arguments."""
+"""Most applications of unknowns to different arguments."""
 
 NUMBER_WORDS = ("center", "scale", "spread")
 
 
 def numbers_of(model: Model) -> list[tuple[int, str, int]]:
-    """The numbers kept with weights that forms of contracts use: (network, word, place), in the kernel's order."""
+    """Numbers stored with the weights that forms of contracts use: (network, word, index), in the kernel's order."""
     out = []
     for index, network in enumerate(model.networks):
         for word in NUMBER_WORDS:
@@ -72,7 +72,7 @@ def numbers_of(model: Model) -> list[tuple[int, str, int]]:
 
 @dataclass
 class Flat:
-    """The operations and calls that compute `outputs`, each after those that it depends on."""
+    """The operations and calls that compute `outputs`, in an order in which each follows those it depends on."""
 
     steps: list[Operation | Call]
     outputs: list[Expr]
@@ -81,7 +81,7 @@ class Flat:
 
 
 def flatten(model: Model, outputs: Sequence[Expr]) -> Flat:
-    """Takes expressions of a model apart. Raises NotCoveredError at a node that has no rule."""
+    """Flattens expressions of a model. Raises NotCoveredError for a node that has no rule."""
     worker = _Flattener(model)
     values = [worker.value(guarded(node), worker.top) for node in outputs]
     calls = [step for step in worker.steps if isinstance(step, Call)]
@@ -104,7 +104,7 @@ class _Flattener:
             self.leaves[self._numbers[key]] = Leaf("number", position)
 
     def value(self, node: sympy.Basic, env: Environment) -> sympy.Basic:
-        """The symbol or number that a node's value is, its operations entered."""
+        """The symbol or number that holds a node's value; its operations are appended."""
         if node in env:
             return env[node]
         env[node] = self._value(node, env)
@@ -116,7 +116,7 @@ class _Flattener:
                 return self.value(guarded(self.intermediates[node].value), env)
             if node in self.leaves and self.leaves[node].kind == "constant":
                 return node
-            raise Defect(f"nothing computes `{node}` in the model `{self.model.name}`")
+            raise Defect(f"no statement computes `{node}` in the model `{self.model.name}`")
         if not node.has(sympy.Symbol, AppliedUndef):
             return node
         if isinstance(node, AppliedUndef):
@@ -151,7 +151,7 @@ class _Flattener:
         return first
 
     def _power(self, base: sympy.Basic, exponent: sympy.Basic | int) -> sympy.Basic:
-        """Reciprocal powers as reciprocals, as they are printed."""
+        """A power; negative exponents become reciprocals, as they are printed."""
         exponent = sympy.sympify(exponent)
         if exponent.is_Rational and exponent.is_negative and exponent != -1:
             base, exponent = self._power(base, -exponent), sympy.S.NegativeOne
@@ -161,7 +161,7 @@ class _Flattener:
 
     # -------------------------------------------------------------- unknowns
     def _unknown(self, name: str, arguments: tuple[Expr, ...]) -> sympy.Basic:
-        """The value of an unknown at atoms: its network called, its postulate or the form of its contracts put in."""
+        """The value of an unknown at atoms: a call of its network, in its postulate or the form of its contracts."""
         if name not in self.unknowns:
             raise Defect(f"`{name}` is applied but is no unknown of the model `{self.model.name}`")
         unknown = self.unknowns[name]

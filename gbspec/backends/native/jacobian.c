@@ -1,10 +1,10 @@
-/* Derivatives of intervals: pieces of trajectories between consecutive key rows, TILE of them side by side, each a lane
-   with sub-steps of its own. After the way forward there is one way back for each state, whose cotangents give a row of
-   the interval's derivatives; a lane's weights have their own products. */
+/* Derivatives of intervals between consecutive key rows: TILE intervals side by side, each a lane with its own
+   sub-steps. One forward pass is followed by a reverse pass for each state, which computes a row of the interval's derivatives;
+   the weights' products are formed for each lane separately. */
 
-/* What the derivatives need beside the work space of a solution. */
+/* Work space that the derivatives need in addition to that of a solution. */
 typedef struct {
-    real *slopes;     /* as they were before the way back, which overwrites them */
+    real *slopes;     /* copy from before the reverse pass, which overwrites them */
     real *cotangents; /* [STATES][STATES][TILE] */
 } Kept;
 
@@ -23,7 +23,7 @@ static char *arrange_kept(const Work *w, Kept *k, char *place) {
     return place;
 }
 
-/* Copies the slopes of the first `steps` kept sub-steps to `k` or back. */
+/* Copies the slopes of the first `steps` stored sub-steps to `k` or back. */
 static void copy_slopes(const Work *w, const Kept *k, size_t steps, int back) {
     real *place = k->slopes;
     for (int i = 0; i < RHS_SITES; i++) {
@@ -37,8 +37,9 @@ static void copy_slopes(const Work *w, const Kept *k, size_t steps, int back) {
     }
 }
 
-/* Adds the gradients to a row of derivatives by the weights as they are trained: those by the weights in use, less
-   `shift` times that by their unit's bias (by which a first layer takes its arguments' centres), times `factor`. */
+/* Adds the gradients to a row of derivatives with respect to the trained weights. These are those with respect to the
+   weights in use, minus `shift` times that of the unit's bias (which contains the arguments' centers in a first layer),
+   times `factor`. */
 static void write_lane(const Work *w, const double *factor, const double *shift, double *row) {
     for (int i = 0; i < NETWORKS; i++) {
         const Net *net = &w->nets[i];
@@ -60,7 +61,7 @@ static void write_lane(const Work *w, const double *factor, const double *shift,
     }
 }
 
-/* The way back of one state over the kept sub-steps begin..end, and what its cotangents give to rows of derivatives. */
+/* The reverse pass of one state over the stored sub-steps begin..end, and its contributions to rows of derivatives. */
 static void reverse_state(Work *w, const Intervals *all, const int64_t *which, int state, int64_t begin, int64_t end,
                           real *xb) {
     memset(w->kb, 0, sizeof w->kb);
@@ -83,7 +84,7 @@ static void reverse_state(Work *w, const Intervals *all, const int64_t *which, i
     }
 }
 
-/* The derivatives of the intervals `which[0..TILE)`, which are set as lanes. */
+/* The derivatives of the intervals `which[0..TILE)`, one per lane. */
 static void interval_tile(Work *w, const Intervals *all, const int64_t *which, const Kept *keep) {
     const size_t block = STATES * TILE;
     real x[STATES * TILE], *bars = keep->cotangents;
@@ -104,7 +105,7 @@ static void interval_tile(Work *w, const Intervals *all, const int64_t *which, c
             memcpy(x, checkpoint_at(w, begin), sizeof x);
             for (int64_t s = begin; s < end; s++) step_forward(w, s, (size_t)(s - begin), x);
         }
-        invariant_forward(w); /* the way back has overwritten its slopes */
+        invariant_forward(w); /* the reverse pass has overwritten its slopes */
         copy_slopes(w, keep, (size_t)(end - begin), 0);
         for (int i = 0; i < STATES; i++) {
             copy_slopes(w, keep, (size_t)(end - begin), 1);
@@ -141,8 +142,8 @@ void intervals(const Data *data, const Inputs *inputs, const Intervals *all, cha
     }
 }
 
-/* `sum` is the derivative of an owner's state where an interval begins; it becomes `d_start sum + own` at its end, where the
-   residuals from `begin` to `end` take its product with `d_state`; resets leave `release` of it. */
+/* `sum` is the derivative of an owner's state at the start of an interval. At the end it becomes `d_start sum + own`;
+   the residuals from `begin` to `end` there have its products with `d_state`; resets multiply it by `release`. */
 void chain(const Links *links) {
     enum { WIDE = 256 };
     const int64_t columns = links->columns;

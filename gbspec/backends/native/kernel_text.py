@@ -1,4 +1,4 @@
-"""The C source of a model's kernel: its numbers and equations among texts that know of no model."""
+"""The C source of a model's kernel: its sizes and equations, and the files that do not depend on the model."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gbspec.ir import LOG_FLOOR, RK4, Explicit, Method, Model, Network
 Precision = Literal["float64", "float32"]
 
 TILE = 4
-"""Trajectories that run together."""
+"""Trajectories of a tile, which are computed together."""
 
 KEPT_BYTES = 4 * 2**20
-"""Activations kept at a time, per thread."""
+"""Most activations stored at a time, per thread."""
 
 GROUP_BYTES = 32 * 2**10
-"""Activations of a layer over which a block of the weights' gradient is summed at a time (they stay in the cache)."""
+"""Activations of a layer over which a block of the weights' gradient is summed at a time (they fit in the cache)."""
 
 MOST_LAYERS = 15
 MOST_ARGUMENTS = 32
@@ -44,14 +44,14 @@ OBSERVE_PLACES = RHS_PLACES | {
 
 @dataclass(frozen=True)
 class Source:
-    """C of the unroll of a model; `sizes` has its numbers by name (`STATES`, ...)."""
+    """C source of the unroll of a model; `sizes` maps names to lengths (`STATES`, ...)."""
 
     text: str
     sizes: dict[str, int]
 
 
 def source(model: Model, precision: Precision = "float64", method: Method = RK4) -> Source:
-    """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a form that is left to torch."""
+    """C of a model's unroll by a method. Raises NotCoveredError, with the reason, for a model that torch must run."""
     _check(model)
     balances = flatten(model, model.balances)
     rhs = Equations(model, balances, 0, _places(RHS_PLACES), "rhs", once=True, timed=_timed(model))
@@ -75,7 +75,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
         "",
     ]
     before, after = ("runtime", "networks", "work"), ["steps", "rows", "driver"]
-    # Only fits by least squares, which are done in double precision, need the Jacobian.
+    # Only least-squares fits need the Jacobian, and they run in double precision.
     after += ["jacobian"] if precision == "float64" else []
     parts = [*map(_text, before), *_equations(model, rhs, observe), *map(_text, after)]
     return Source(
@@ -97,13 +97,13 @@ def _check(model: Model) -> None:
 
 
 def _timed(model: Model) -> bool:
-    """Whether what is learned moves the starts of sub-steps: lags of doses."""
+    """Whether learned quantities, the lags of doses, move the starts of sub-steps."""
     learned = {learnable.symbol for learnable in model.learnables}
     return any(dose.lag.free_symbols & learned for dose in model.doses)
 
 
 def _places(table: Mapping[str, str]) -> Callable[[Leaf], str]:
-    """The C text of a leaf."""
+    """A function from a leaf to its C text."""
     return lambda leaf: table[leaf.kind].format(leaf.index)
 
 
@@ -223,5 +223,5 @@ def _parts(network: Network, layer: int) -> list[tuple[str, int]]:
 
 
 def _ascii(text: str) -> str:
-    """A name that can stand in a comment."""
+    """A name in ASCII, for a comment."""
     return text.encode("ascii", "replace").decode().replace("*/", "* /")

@@ -1,4 +1,4 @@
-"""The compiled kernel as Python calls it: structs filled with arrays by name, each array checked once."""
+"""The Python side of the compiled kernel: structs filled with arrays by name; each array is checked once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[Any]
 
 
 class Struct:
-    """A struct of the C, filled; it keeps the arrays that its pointers point to."""
+    """A filled C struct; it keeps references to the arrays that its pointers point to."""
 
     def __init__(self, name: str, sizes: dict[str, int], values: dict[str, Array | int | None]) -> None:
         self.name, self._kept = name, values
@@ -38,7 +38,7 @@ class Struct:
 
 
 def _filled(name: str, sizes: dict[str, int], values: dict[str, Array | int | None]) -> ctypes.Structure:
-    """The structure with pointers to arrays. Raises Defect for one that the C would misread."""
+    """The structure with pointers to arrays. Raises Defect for an array that the C code would misread."""
     structure = _STRUCTURES[name]()
     if _NAMES[name] != values.keys():
         raise Defect(f"`{name}` has no or superfluous {', '.join(sorted(_NAMES[name] ^ values.keys()))}")
@@ -56,29 +56,29 @@ def _filled(name: str, sizes: dict[str, int], values: dict[str, Array | int | No
 
 
 def _check(name: str, field: Field, value: Array, sizes: dict[str, int]) -> None:
-    """Whether an array is what the C takes it for; lengths not seen before are noted in `sizes`. Raises Defect."""
+    """Checks type, shape and order of an array, and adds new lengths to `sizes`. Raises Defect."""
     flags, lengths = value.flags, field.lengths
     fits = value.dtype == _TYPES[field.element] and flags.c_contiguous and value.ndim == len(lengths)
     for (length, more), found in zip(lengths, value.shape, strict=False):
         fits = fits and sizes.setdefault(length, found - more) == found - more
     if not fits or (field.written and not flags.writeable):
         wanted = {length: sizes.get(length) for length, _ in lengths}
-        raise Defect(f"`{name}.{field.name}` is {value.dtype}{value.shape}, not {field.element} {wanted} in one piece")
+        raise Defect(f"`{name}.{field.name}` is {value.dtype}{value.shape}, not contiguous {field.element} {wanted}")
 
 
 class Library:
-    """The functions of a compiled kernel. Raises CompilerError where it cannot be compiled."""
+    """The functions of a compiled kernel. Raises CompilerError if it cannot be compiled."""
 
     def __init__(self, source: Source) -> None:
         self.sizes, self._library = source.sizes, compiled(source.text)
         for name, (result, parameters) in FUNCTIONS.items():
-            function = getattr(self._library, name, None)  # what the Jacobian needs is there in double precision alone
+            function = getattr(self._library, name, None)  # the Jacobian's functions exist in double precision only
             if function is not None:
                 function.restype = None if result == "void" else ctypes.c_int64
                 function.argtypes = [_argument(parameter) for parameter in parameters]
 
     def struct(self, name: str, **values: Array | int | None) -> Struct:
-        """A struct filled with arrays; raises Defect for arrays of another type, shape or order than the C takes."""
+        """A struct filled with arrays. Raises Defect for a type, shape or order that the C code does not expect."""
         return Struct(name, self.sizes, values)
 
     def work_bytes(self, depth: int) -> int:
@@ -86,7 +86,7 @@ class Library:
         return int(self._library.work_bytes(depth))
 
     def run(self, data: Struct, inputs: Struct, share: Struct, outputs: Struct, space: Array) -> None:
-        """Solves a share of the trajectories forward and back."""
+        """Solves a share of the trajectories, with the reverse pass if requested."""
         self._library.run(data.pointer, inputs.pointer, share.pointer, outputs.pointer, space.ctypes.data)
 
     def interval_bytes(self, depth: int) -> int:
@@ -94,16 +94,16 @@ class Library:
         return int(self._library.interval_bytes(depth))
 
     def intervals(self, data: Struct, inputs: Struct, intervals: Struct, space: Array) -> None:
-        """The derivatives of the states at the ends of intervals."""
+        """Computes the derivatives of the states at the ends of intervals."""
         self._library.intervals(data.pointer, inputs.pointer, intervals.pointer, space.ctypes.data)
 
     def chain(self, links: Struct) -> None:
-        """Chains the derivatives of intervals, and takes those of residuals on the way."""
+        """Chains the derivatives of intervals and computes those of the residuals."""
         self._library.chain(links.pointer)
 
 
 def _argument(parameter: str) -> Any:
-    """The type of an argument for ctypes."""
+    """The ctypes type of a parameter."""
     if parameter in _STRUCTURES:
         return ctypes.POINTER(_STRUCTURES[parameter])
     return ctypes.c_void_p if parameter == SPACE else ctypes.c_int64

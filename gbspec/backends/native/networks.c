@@ -1,7 +1,7 @@
-/* Networks: a call forward, back, and what it gives to the weights' gradient.
+/* Networks: a call, forward and in reverse, and its contribution to the weights' gradient.
 
    A network has `layers` linear layers. `forward[l]` is the transpose of layer l's weights [in][PAD(out)], `back[l]` the
-   weights [out][PAD(in)]; the last layer has `back` alone, the first `forward` alone (unless it is the last).
+   weights [out][PAD(in)]; the last layer has only `back`, the first only `forward` (unless it is the last).
    Gradients have the layout of `forward` in the first layer, of `back` in the others. */
 
 #define MOST_LAYERS 16
@@ -15,14 +15,14 @@ typedef struct {
     real *gradient[MOST_LAYERS], *bias_gradient[MOST_LAYERS];
 } Net;
 
-/* Where a call keeps its samples: blocks of TILE rows. `hidden[l]`, `slope[l]`: of hidden layer l = 1, 2, ...; in reverse
-   the cotangents of pre-activations take the place of the slopes. */
+/* The samples of a call, in blocks of TILE rows. `hidden[l]`, `slope[l]`: of hidden layer l = 1, 2, ...; the reverse
+   pass replaces the slopes by the cotangents of pre-activations. */
 typedef struct {
     const Net *net;
     real *args, *hidden[MOST_LAYERS], *slope[MOST_LAYERS], *y, *yb, *ab;
 } Site;
 
-/* Units begin to end - 1, in one vector with others: all are computed, these are kept. */
+/* Applies an activation to units begin to end - 1, which share a vector with others: all are computed, these stored. */
 INLINE void activate_among(int kind, real *z, real *slope, size_t begin, size_t end) {
     const size_t from = begin / LANES * LANES;
     vec copy = load(z + from), copy_slope;
@@ -34,7 +34,7 @@ INLINE void activate_among(int kind, real *z, real *slope, size_t begin, size_t 
     }
 }
 
-/* The hidden layer of a sample, whose parts have an activation each. */
+/* A hidden layer of a sample, with a separate activation for each part. */
 static void activate_parts(const Net *net, int layer, real *z, real *slope) {
     for (size_t i = 0, begin = 0; i < (size_t)net->kinds[layer]; i++) {
         const size_t end = begin + net->count[layer][i], whole = PAD(begin), rest = end / LANES * LANES;
@@ -73,7 +73,7 @@ APART void net_forward(const Net *net, const Site *site, size_t block) {
     }
 }
 
-/* Has memory that is read soon brought near. */
+/* Prefetches memory that is read soon. */
 static void fetch(const real *p, size_t n) {
 #if defined(__GNUC__)
     for (size_t i = 0; i < n * sizeof(real); i += 64) __builtin_prefetch((const char *)p + i, 0, 2);
@@ -82,7 +82,7 @@ static void fetch(const real *p, size_t n) {
 #endif
 }
 
-/* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments that `wanted` has a bit for. */
+/* From the outputs' cotangents `yb` to those of pre-activations, and of the arguments whose bit is set in `wanted`. */
 APART void net_backward(const Net *net, const Site *site, size_t block, unsigned wanted) {
     const int last = net->layers - 1;
     const int n_in = net->size[0], n_out = net->size[last + 1];
@@ -91,7 +91,7 @@ APART void net_backward(const Net *net, const Site *site, size_t block, unsigned
     for (int l = last; l > 0; l--) {
         const size_t width = PAD(net->size[l]);
         real *slope = site->slope[l] + block * TILE * width;
-        if (block) { /* blocks are taken from the last to the first, which processors do not foresee */
+        if (block) { /* blocks are taken from the last to the first, which hardware prefetchers do not predict */
             fetch(slope - TILE * width, TILE * width);
             fetch(site->hidden[l] + (block - 1) * TILE * width, TILE * width);
         }
@@ -106,7 +106,7 @@ APART void net_backward(const Net *net, const Site *site, size_t block, unsigned
     }
 }
 
-/* Adds to the gradients what some samples give: from the sample `first` on, `apart` from each other (1: all of a tile's
+/* Adds the contributions of some samples to the gradients: `first` and every `apart`-th after it (1: all of a tile's
    lanes, TILE: one lane). */
 APART void net_gradient(const Net *net, const Site *site, size_t first, size_t samples, size_t apart) {
     const int last = net->layers - 1;

@@ -1,4 +1,4 @@
-"""Expressions as C; the functions' names stand in `runtime.c`."""
+"""Prints expressions as C; `runtime.c` defines the functions."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import sympy
 from gbspec.backends.printing import MUL, Printer, Text
 
 LARGEST_PRODUCT = 4
-"""Whole powers up to this one are products."""
+"""Integer powers up to this exponent are printed as products."""
 
 
 class CPrinter(Printer):
-    """C over the type `real`."""
+    """Prints C over the type `real`."""
 
     def call(self, function: str, *arguments: str) -> str:
-        """`f_exp(x)`; choices and conditions by C's operators."""
+        """`f_exp(x)`; C's operators for choices and conditions."""
         match function, arguments:
             case "where", (condition, a, b):
                 return f"({condition} ? {a} : {b})"
@@ -29,7 +29,7 @@ class CPrinter(Printer):
         return f"f_{function}({', '.join(arguments)})"
 
     def power(self, base: sympy.Expr, exponent: sympy.Expr) -> Text:
-        """Small whole powers of a symbol as products."""
+        """Small integer powers of a symbol as products."""
         if base.is_Symbol and exponent.is_Integer and 1 < exponent <= LARGEST_PRODUCT:
             return "*".join([self.print(base)] * int(exponent)), MUL
         return self.call("power", self.print(base), self.print(exponent)), 5

@@ -10,7 +10,7 @@ static int find_rows(Work *w, int64_t s) {
     return any;
 }
 
-/* A residual and its slope in the prediction: the definition of gbspec/ir/residual.py, which a test compares with. */
+/* A residual and its slope in the prediction: the definition of gbspec/ir/residual.py; a test compares the two. */
 static double residual(const Data *d, size_t row, int channel, double predicted, double *slope) {
     const double factor = d->factor[row * CHANNELS + channel], measured = d->measured[row * CHANNELS + channel];
     *slope = 0;
@@ -40,7 +40,7 @@ static void arrive(Work *w, int64_t s, real *x, double *residuals, double *state
             real *state = &x[i * TILE + t];
             if (states) states[row * STATES + i] = *state;
             const real weight = R(d->weight[row * STATES + i]), left = R(1) - weight;
-            /* Of a state that is wholly replaced nothing is left, even if it is infinite. */
+            /* A full reset discards the state, even if it is infinite. */
             if (weight != R(0)) *state = weight * R(d->value[row * STATES + i]) + (left == R(0) ? R(0) : left * *state);
         }
     }

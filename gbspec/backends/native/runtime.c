@@ -1,7 +1,7 @@
-/* Arithmetic that knows nothing of any model: vectors, elementary functions, products of small matrices.
+/* Arithmetic that does not depend on the model: vectors, elementary functions, products of small matrices.
 
-   No instruction set is assumed. Where the compiler has vector types (GCC, Clang) the hidden units of a network fill
-   them, in the width that the target has; elsewhere a vector is one number. */
+   No instruction set is assumed. With a compiler that has vector types (GCC, Clang), the hidden units of a network fill
+   them, in the width of the target; with others a vector is one number. */
 
 #if REAL_IS_FLOAT
 typedef float real;
@@ -95,7 +95,7 @@ INLINE vec load(const real *p) { return *(const vec *)p; }
 INLINE void store(real *p, vec v) { *(vec *)p = v; }
 INLINE vec splat(real x) { return (vec){0} + x; }
 
-/* The lesser and the larger of two; a NaN in `x` stays. On x86 compilers take three instructions where there is one. */
+/* The smaller and the larger of two; a NaN in `x` is kept. On x86 compilers emit three instructions instead of one. */
 #if defined(X86)
 #include <immintrin.h>
 #if REAL_IS_FLOAT
@@ -112,14 +112,14 @@ INLINE vec at_least(real limit, vec x) { return SELECT(x < splat(limit), splat(l
 INLINE vec size_of(vec x) { return SELECT(x < splat(0), -x, x); }
 
 /* exp(x) = s + s*q with s a power of two and q = exp(r) - 1, |r| <= ln 2/2, by its Taylor polynomial (error below half
-   a unit in the last place). Beyond EXP_MOST activations are flat to rounding; arguments are kept far enough from where
-   numbers lose digits that no product of theirs does, which costs a hundred times a usual product. */
+   a unit in the last place). Beyond EXP_MOST activations are constant to rounding; arguments are clipped so that
+   no product of such values is subnormal, since subnormal products are about a hundred times slower. */
 INLINE void exp_parts(vec x, vec *s, vec *q) {
     x = at_most(EXP_MOST, at_least(-EXP_MOST, x));
     const vec shifted = x * R(1.44269504088896340736) + SHIFT;
     const vec n = shifted - SHIFT;
     const vec r = (x - n * LN2_HIGH) - n * LN2_LOW;
-    const vec r2 = r * r, r4 = r2 * r2; /* in pairs, so that fewer operations wait for each other */
+    const vec r2 = r * r, r4 = r2 * r2; /* in pairs, to shorten the chain of dependent operations */
 #if REAL_IS_FLOAT
     const vec high = r * R(1.0 / 5040.0) + R(1.0 / 720.0);
 #else
@@ -135,8 +135,9 @@ INLINE void exp_parts(vec x, vec *s, vec *q) {
 INLINE vec v_exp(vec x) { vec s, q; exp_parts(x, &s, &q); return s + s * q; }
 INLINE vec v_expm1(vec x) { vec s, q; exp_parts(x, &s, &q); return s * q + (s - R(1)); }
 
-/* 1/d for positive d that are not close to the ends of the range: from bits taken from a constant, 5 % off at most, by
-   iterations that square or cube the error. A division of whole vectors takes longer where there is no other work. */
+/* 1/d for positive d that are not close to the ends of the range: a first value from bit arithmetic, with an error of
+   at most 5 %, then iterations that square or cube the error. It is faster than a division of vectors unless other work
+   hides the latency. */
 INLINE vec v_reciprocal(vec d) {
 #if REAL_IS_FLOAT
     vec y = FROM_BITS(0x7EF311C7 - BITS(d));
@@ -167,8 +168,8 @@ static const real POWER_OF_2[] = {
 
 #define ALL UNROLL for (int j = 0; j < n; j++)
 
-/* The logistic function p(x), and 1 - p(x) as exactly, by e = exp(-x), which is off by what a last bit of x makes; for n
-   vectors, of which each operation is done in turn: one's waits are filled with the others' work. */
+/* The logistic function p(x), and 1 - p(x) to the same accuracy, from e = exp(-x), whose relative error is that of one
+   unit in the last place of x. Each operation is done for all n vectors in turn, to hide its latency. */
 INLINE void logistics(const int n, const vec *x, vec *p, vec *rest) {
     vec z[SIDE_BY_SIDE], shifted[SIDE_BY_SIDE], r[SIDE_BY_SIDE], e[SIDE_BY_SIDE];
     ALL z[j] = at_most(EXP_MOST, at_least(-EXP_MOST, x[j]));
@@ -183,7 +184,7 @@ INLINE void logistics(const int n, const vec *x, vec *p, vec *rest) {
 
 INLINE void v_logistic(vec x, vec *p, vec *rest) { logistics(1, &x, p, rest); }
 
-/* x p(x) in the place of x, and its slope; for n vectors. */
+/* Replaces x by x p(x) and computes its slope, for n vectors. */
 INLINE void silu(const int n, vec *x, vec *slope) {
     vec p[SIDE_BY_SIDE], rest[SIDE_BY_SIDE];
     logistics(n, x, p, rest);
@@ -245,10 +246,10 @@ INLINE real f_logistic(real x) { return R(1) / (R(1) + FN(exp)(-x)); }
 
 static void zero(real *p, size_t n) { memset(p, 0, n * sizeof(real)); }
 
-/* What becomes of a product: it is stored; C is multiplied by it; its SiLU is stored, with the slopes. */
+/* The use of a product: it is stored; C is multiplied by it; its SiLU is stored, with the slopes. */
 enum { STORED, SCALES, SILUS };
 
-/* Puts a row of a product's sums in its place. */
+/* Stores a row of a product. */
 INLINE void put_row(const int use, const int cols, vec *sum, real *C, real *slope) {
     vec s[COLUMNS];
     UNROLL for (int j = 0; j < cols; j++)
@@ -261,7 +262,7 @@ INLINE void put_row(const int use, const int cols, vec *sum, real *C, real *slop
     }
 }
 
-/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:], used as `use` says; A is read at
+/* A block of C[rows][cols vectors] = init + sum over k of A[r][k] B[k][:], used according to `use`; A is read at
    r*ars + k*acs. With SCALES there is no `init`, and only SILUS have slopes. */
 INLINE void block_product(const int use, const int rows, const int cols, size_t depth, const real *A, size_t ars, size_t acs,
                           const real *B, size_t ldb, real *C, size_t ldc, const real *init, size_t ldi, real *slope) {
@@ -272,7 +273,7 @@ INLINE void block_product(const int use, const int rows, const int cols, size_t 
         vec b[COLUMNS];
         UNROLL for (int j = 0; j < cols; j++) {
             b[j] = load(B + k * ldb + j * LANES);
-            IN_REGISTER(b[j]); /* compilers would read it again for every row */
+            IN_REGISTER(b[j]); /* else compilers load it again for every row */
         }
         UNROLL for (int r = 0; r < rows; r++) {
             const real a = A[r * ars + k * acs];
@@ -286,8 +287,8 @@ INLINE void block_product(const int use, const int rows, const int cols, size_t 
     block_product(use, r, c, depth, A + i * ars, ars, acs, B + j, ldb, C + i * ldc + j, ldc, \
                   use == SCALES ? NULL : init + i * ldi + j, ldi, use == SILUS ? slope + i * ldc + j : NULL)
 
-/* C[rows][width] from A B, width a multiple of LANES. The three products of a layer (forward, back to its inputs, gradient
-   of its weights) all have this form, none needs a transpose in its loops. */
+/* C[rows][width] from A B, width a multiple of LANES. The three products of a layer (forward, cotangents of
+   its inputs, gradient of its weights) all have this form; none needs a transpose in its loops. */
 INLINE void any_product(const int use, size_t rows, size_t width, size_t depth, const real *A, size_t ars, size_t acs, const real *B,
                         size_t ldb, real *C, size_t ldc, const real *init, size_t ldi, real *slope) {
     for (size_t j = 0; j < width;) {
@@ -329,7 +330,7 @@ APART void silu_of_product(size_t rows, size_t width, size_t depth, const real *
 }
 
 #if LANES_HALVED
-/* Halves are added to each other while they are vectors; the two or four numbers left, one by one. */
+/* Adds the halves of a vector to each other while they are vectors; the two or four remaining numbers one by one. */
 #define HALVED(bytes) real half_##bytes __attribute__((vector_size(bytes)))
 typedef HALVED(16);
 #if VECTOR_BYTES >= 32
@@ -372,7 +373,7 @@ static void add_rows(size_t rows, size_t width, const real *A, size_t lda, real 
     }
 }
 
-/* Sums over n (a multiple of LANES) of A's rows, which follow each other, times b: sums[r * stride], r < TILE. */
+/* Sums over n (a multiple of LANES) of A's rows, which are contiguous, times b: sums[r * stride], r < TILE. */
 INLINE void dots(const real *A, const real *b, size_t n, real *sums, size_t stride) {
     vec sum[TILE];
     for (int r = 0; r < TILE; r++) sum[r] = load(A + r * n) * load(b);

@@ -1,7 +1,7 @@
 """The scalar parts of the equations as C loops over the trajectories of a tile, forward and in reverse.
 
-Between two loops stand the network calls that the first one made the arguments of. A reverse loop computes the forward
-values that it needs again, from the Runge-Kutta stage's state and the networks' outputs, which are kept.
+Between two loops come the network calls whose arguments the first loop computes. A reverse loop recomputes the forward
+values that it needs from the Runge-Kutta stage's state and the networks' outputs, which are stored.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ INDENT = "        "
 
 @dataclass(frozen=True)
 class Site:
-    """A network call with the place where its arguments and outputs are kept: `sites[number]` of the work space.
+    """A network call and where its arguments and outputs are stored: `sites[number]` of the work space.
 
-    `invariant`: its arguments are the same for a whole solution (a zero's place, say), so that it is made once for it.
+    `invariant`: the arguments are the same throughout a solution (the place of a zero, say), and the call is made once.
     """
 
     number: int
@@ -36,8 +36,8 @@ class Equations:
     """One set of equations (right-hand side or observation) as C.
 
     `place` gives the C text of a leaf; `outputs` are written to `out`, cotangents read from `ob`, both [output][lane].
-    `skip` is a condition under which a lane is left out (its networks get zeros). `once` tells whether loop-invariant
-    calls are made apart, by `invariant_forward`; `timed` whether `tb` and `ub` get the cotangents of time and inputs.
+    `skip` is a condition under which a lane is skipped (its networks get zeros). `once`: loop-invariant calls are made
+    separately, by `invariant_forward`; `timed`: `tb` and `ub` get the cotangents of time and inputs.
     """
 
     def __init__(
@@ -75,8 +75,8 @@ class Equations:
 
     # -------------------------------------------------------------- analysis
     def _rank(self) -> None:
-        """Levels (how many calls lie below), activity (whether a gradient passes), and what moves (changes in time, or
-        is active)."""
+        """Finds each symbol's level (the depth of calls below it), whether it is active (a gradient passes through it),
+        and whether it varies (it changes in time, or is active)."""
         for symbol, leaf in self.flat.leaves.items():
             learned = leaf.kind == "constant" and leaf.index >= self._known
             if leaf.kind == "state" or learned or (self.timed and leaf.kind in ("time", "input")):
@@ -101,7 +101,7 @@ class Equations:
         return self._level.get(atom, 0)
 
     def _cone(self, targets: Iterable[sympy.Basic]) -> list[Operation]:
-        """The operations that the targets need, in order; what networks gave is at hand."""
+        """The operations that the targets need, in order; the networks' outputs are available."""
         needed: set[sympy.Symbol] = set()
         stack = [t for t in targets if isinstance(t, sympy.Symbol)]
         while stack:
@@ -113,7 +113,7 @@ class Equations:
         return [s for s in self.flat.steps if isinstance(s, Operation) and s.symbol in needed]
 
     def wanted(self, site: Site) -> list[bool]:
-        """Of which arguments the cotangent is needed."""
+        """For each argument, whether its cotangent is needed."""
         return [argument in self._active for argument in site.call.arguments]
 
     # -------------------------------------------------------------- names
@@ -143,7 +143,7 @@ class Equations:
         return f"S{site.number}_{array}[t*{len(site.call.arguments)} + {i}]"
 
     def _compute(self, cone: Sequence[Operation], targets: Iterable[sympy.Basic]) -> list[str]:
-        """Reads and operations of a cone."""
+        """Lines that read the leaves of a cone and compute its operations."""
         used = {s for op in cone for s in op.value.free_symbols} | {t for t in targets if isinstance(t, sympy.Symbol)}
         lines = self._loads(used)
         for op in cone:
@@ -166,11 +166,11 @@ class Equations:
         return lines + self._loop([*self._compute(self._cone(targets), targets), *stores], zeros)
 
     def invariant_forward(self) -> list[str]:
-        """The body of the function that makes the calls whose arguments stay the same."""
+        """The body of the function that makes the loop-invariant calls."""
         return self._calls([site for site in self.sites if site.invariant])
 
     def _calls(self, sites: Sequence[Site]) -> list[str]:
-        """A loop that makes the arguments of some calls, and the calls."""
+        """A loop that computes the arguments of some calls, and the calls."""
         if not sites:
             return []
         targets = [a for site in sites for a in site.call.arguments]
@@ -196,7 +196,7 @@ class Equations:
         return ["    for (int t = 0; t < TILE; t++) {", *(INDENT + line for line in (*skip, *body)), "    }"]
 
     def _pointers(self, sites: Iterable[Site], *arrays: str) -> list[str]:
-        """Lines that name where a site's arrays of this block begin."""
+        """Lines that define names for the beginnings of a site's arrays in this block."""
         widths = {"args": "inputs", "ab": "inputs", "y": "outputs", "yb": "outputs"}
         lines = []
         for site in sites:
@@ -211,7 +211,7 @@ class Equations:
 
     # -------------------------------------------------------------- reverse
     def reverse(self) -> list[str]:
-        """The body of the function that adds to `xb` and `kb` from the outputs' cotangents `ob`."""
+        """The body of the function that adds the contributions of the outputs' cotangents `ob` to `xb` and `kb`."""
         lines = self._pointers(self.sites, "args", "ab", "y", "yb")
         lines += [f"    zero(S{s.number}_yb, TILE*{len(s.call.results)});" for s in self.sites if not s.invariant]
         seeds = [(a, f"ob[{i}*TILE + t]") for i, a in enumerate(self.flat.outputs)]

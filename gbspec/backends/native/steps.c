@@ -1,12 +1,12 @@
-/* One step of a tile, forward and in reverse, with what arrives at its start. */
+/* One step of a tile, forward and in reverse, with the doses that arrive at its start. */
 
-/* Before a way back: the calls that are made once for a tile gather their outputs' cotangents. */
+/* Clears, before a reverse pass, the output cotangents of the calls that are made once for a tile. */
 static void invariant_start(Work *w) {
     for (int i = 0; i < RHS_SITES; i++)
         if (SITE_INVARIANT[i]) zero(w->sites[i].yb, TILE * w->sites[i].net->size[w->sites[i].net->layers]);
 }
 
-/* Puts sub-steps `first` to `first + steps - 1` of a trajectory into a lane (whether it is active, the caller says). */
+/* Puts sub-steps `first` to `first + steps - 1` of a trajectory into a lane (the caller sets whether it is active). */
 static void set_lane(Work *w, int t, int64_t who, int64_t first, int64_t steps) {
     w->who[t] = who;
     w->first[t] = first;
@@ -42,14 +42,14 @@ static int32_t arrival_of(const Work *w, int64_t s, int t) {
     return there ? d->arrival_at[w->who[t] * d->depth + w->first[t] + s] : -1;
 }
 
-/* Lanes that have ended wait where they began, so that a state that has grown large gives no infinite rates. */
+/* Lanes that have ended stay at their initial state, so that a state that has grown large causes no infinite rates. */
 static void wait_where_begun(const Work *w, int64_t s, real *x) {
     for (int t = 0; t < TILE; t++)
         if (s == w->steps[t])
             for (int i = 0; i < STATES; i++) x[i * TILE + t] = w->begun[i * TILE + t];
 }
 
-/* sum += the rows' sum, weighted. A row of weight 0 takes no part: it may be infinite. */
+/* sum += the rows' sum, weighted. A row of weight 0 is skipped: it may be infinite. */
 INLINE void add_weighted(const int count, const double *weights, real rows[][STATES * TILE], real *sum) {
     for (int p = 0; p < count; p++)
         if (weights[p] != 0)
@@ -93,8 +93,8 @@ static int at_cut(const Work *w, int64_t s) {
     return 0;
 }
 
-/* What the times of cuts get from a sub-step: cotangents `hb` of its length as it stands in the step's formulas, `tb` of
-   the times of its Runge-Kutta stages and `ub` of the inputs there. */
+/* Contributions of a sub-step to the cotangents of the times of cuts: `hb` is the cotangent of its length in the step's
+   formulas, `tb` of the times of its Runge-Kutta stages and `ub` of the inputs there. */
 static void time_reverse(Work *w, int64_t s, const real *hb, real tb[STAGES][TILE], real ub[STAGES][INPUTS * TILE + 1]) {
     for (int t = 0; t < TILE; t++) {
         const int32_t start = cut_of(w, s, t), end = cut_of(w, s + 1, t);
@@ -112,12 +112,12 @@ static void time_reverse(Work *w, int64_t s, const real *hb, real tb[STAGES][TIL
     }
 }
 
-/* What a step's length gets from a rate of some weight, `bar` being the cotangent of the sum that it is part of. */
+/* Contribution of a weighted rate to the cotangent of a step's length; `bar` is the cotangent of the weighted sum. */
 static void length_reverse(double weight, const real *bar, const real *rates, real *hb) {
     for (int i = 0; weight != 0 && i < STATES * TILE; i++) hb[i % TILE] += bar[i] * R(weight) * rates[i];
 }
 
-/* `xb`: cotangent of the state after the step, then of that before what arrives at its start. */
+/* `xb`: on entry the cotangent of the state after the step, on return of that before the arrivals at its start. */
 static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
     Step step;
     real sb[STAGES][STATES * TILE], ob[STATES * TILE];

@@ -1,5 +1,5 @@
-"""What the kernel is given and gives: its structs and functions, once. The C text of the declarations and the side of
-Python (`library`) are both made from these lists."""
+"""The interface of the kernel: its structs and functions. The C declarations and the Python side (`library`) are both
+made from these lists."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Element = Literal["double", "int64_t", "int32_t"]
 
 @dataclass(frozen=True)
 class Field:
-    """A whole number (`shape` None), or a pointer to an array of `shape`: lengths separated by commas, each the name of
-    a field, of a number of the source (`STATES`) or of any length that the struct's arrays share, or that plus 1.
+    """An integer (`shape` None), or a pointer to an array of `shape`: lengths separated by commas, each the name of a
+    field, of a size of the source (`STATES`) or of a length that the struct's arrays share, or one of these plus 1.
 
-    `written`: the C writes into it; `optional`: it may be NULL.
+    `written`: the C code writes into it; `optional`: it may be NULL.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Field:
 
     @cached_property
     def lengths(self) -> tuple[tuple[str, int], ...]:
-        """The lengths of an array's axes: a name, and how much is added to it."""
+        """The lengths of an array's axes: for each a name and the number added to it."""
         parts = [part.strip().partition(" + ") for part in self.shape.split(",")] if self.shape else []
         return tuple((name, int(more or 0)) for name, _, more in parts)
 
@@ -61,7 +61,7 @@ def _found(name: str, shape: str, about: str = "", optional: bool = False) -> Fi
 
 
 STRUCTS: Mapping[str, tuple[Field, ...]] = {
-    # Data that do not depend on the trainable vector (but for where sub-steps are cut).
+    # Data that do not depend on the parameter vector (except for the times at which sub-steps are cut).
     "Data": (
         Field("depth", "most sub-steps of a trajectory"),
         Field("trajectories"),
@@ -75,44 +75,44 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _reals("row_inputs", "rows, INPUTS"),
         _reals("measured", "rows, CHANNELS"),
         _reals("factor", "rows, CHANNELS", "of residuals; 0: not measured"),
-        _reals("value", "rows, STATES", "to which states are reset"),
-        _reals("weight", "rows, STATES", "by how much; 1: wholly"),
+        _reals("value", "rows, STATES", "to which states are reset, in part or wholly"),
+        _reals("weight", "rows, STATES", "of `value` in a reset; 1: full reset"),
         _places("arrival_at", "trajectories, depth", "first arrival at a sub-step's start, -1 for none", optional=True),
-        _places("arrival_next", "arrivals", "next one at the same place, -1 for none", optional=True),
-        _places("arrival_state", "arrivals", "to which state it is added", optional=True),
+        _places("arrival_next", "arrivals", "next arrival at the same place, -1 for none", optional=True),
+        _places("arrival_state", "arrivals", "index of the state it is added to", optional=True),
         _places("arrival_cuts", "arrivals", "whether it moves the start of its sub-step", optional=True),
-        _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, where sub-steps are cut", optional=True),
+        _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, if sub-steps are cut", optional=True),
         _places("logarithmic", "CHANNELS"),
     ),
-    # What the trainable vector decides.
+    # Data that depend on the parameter vector.
     "Inputs": (
         _reals("weights", "WEIGHTS", "layer by layer ([out][in], then the bias), network by network"),
         _reals("numbers", "NUMBERS", "scales that the forms of contracts use"),
         _reals("constants", "trajectories, CONSTANTS"),
         _reals("initial", "trajectories, STATES"),
-        _reals("amounts", "arrivals", "what is added to the state"),
+        _reals("amounts", "arrivals", "added to the state"),
     ),
-    # The part of a call of `run`: of `order` every `stride`-th tile from `first` on.
+    # The share of a call of `run`: every `stride`-th tile of `order`, beginning with `first`.
     "Share": (
         Field("count"),
         Field("first"),
         Field("stride"),
-        Field("gradient", "whether the way back is taken"),
+        Field("gradient", "whether the reverse pass is run"),
         _wholes("order", "count", "trajectories"),
-        _reals("cotangent", "rows, CHANNELS", "NULL: the residuals themselves", optional=True),
-        _found("d_weights", "WEIGHTS", "the share's own sum"),
+        _reals("cotangent", "rows, CHANNELS", "of the predictions; NULL: the residuals themselves", optional=True),
+        _found("d_weights", "WEIGHTS", "sum over the share"),
     ),
-    # What `run` fills in for the trajectories of its share: derivatives are products of the cotangent with the Jacobian
-    # of the residuals.
+    # Results of `run` for the trajectories of its share: derivatives are products of the cotangent with the Jacobian of
+    # the residuals.
     "Outputs": (
         _found("residuals", "rows, CHANNELS"),
         _found("states", "rows, STATES", "on arrival, before resets"),
         _found("d_constants", "trajectories, LEARNABLES"),
         _found("d_initial", "trajectories, STATES"),
         _found("d_amounts", "arrivals"),
-        _found("d_times", "arrivals", "added to, if TIMED: of arrivals that cut sub-steps"),
+        _found("d_times", "arrivals", "added to, if TIMED: for arrivals that cut sub-steps"),
     ),
-    # Pieces of trajectories between consecutive key rows, in the order of their numbers of sub-steps.
+    # Intervals between consecutive key rows, ordered by their numbers of sub-steps.
     "Intervals": (
         Field("count"),
         Field("depth", "most sub-steps of an interval"),
@@ -124,22 +124,22 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _reals("start", "count, STATES"),
         _reals("factor", "WEIGHTS", "see `write_lane`"),
         _reals("shift", "WEIGHTS"),
-        _found("d_start", "count, STATES, STATES", "of each final state, by the first one"),
+        _found("d_start", "count, STATES, STATES", "of each final state with respect to the first"),
         _found("d_weights", "count, STATES, columns", "added to", optional=True),
         _found("d_constants", "count, STATES, LEARNABLES", "added to"),
         _found("d_amounts", "STATES, arrivals"),
         _found("d_times", "STATES, arrivals", "added to"),
     ),
-    # Derivatives of intervals, and the residuals at their ends.
+    # Derivatives of intervals and of the residuals at their ends.
     "Links": (
         Field("rows"),
         Field("columns"),
-        _wholes("owner", "rows", "whose sum it is; rows of an owner follow each other in time"),
+        _wholes("owner", "rows", "the sum that a row adds to; an owner's rows follow each other in time"),
         _reals("d_start", "rows, STATES, STATES"),
-        _reals("own", "rows, STATES, columns", "what the interval itself adds"),
-        _reals("release", "rows, STATES", "what resets leave"),
+        _reals("own", "rows, STATES, columns", "added by the interval itself"),
+        _reals("release", "rows, STATES", "factor that resets leave"),
         _wholes("begin", "rows", "first residual"),
-        _wholes("end", "rows", "one behind the last"),
+        _wholes("end", "rows", "one past the last"),
         _reals("d_state", "residuals, STATES"),
         _found("sum", "owners, STATES, columns", "derivatives of the owners' states"),
         _found("out", "residuals, columns", "rows of the Jacobian"),
@@ -148,7 +148,7 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
 """The structs, by name."""
 
 SPACE = "char *space"
-"""Work space, of as many bytes as the function for it says."""
+"""Work space; the function of the same name gives its size in bytes."""
 
 FUNCTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "work_bytes": ("int64_t", ("int64_t depth",)),
@@ -157,11 +157,11 @@ FUNCTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "intervals": ("void", ("Data", "Inputs", "Intervals", SPACE)),
     "chain": ("void", ("Links",)),
 }
-"""What is called from outside: the type of the result and the parameters, structs by their names."""
+"""The exported functions: the type of the result and the parameters, structs by their names."""
 
 
 def declarations() -> Iterator[str]:
-    """The C of all structs and the prototypes of all functions."""
+    """The C declarations of all structs and the prototypes of all functions."""
     for name, fields in STRUCTS.items():
         yield "typedef struct {"
         yield from (field.declaration for field in fields)

@@ -1,6 +1,6 @@
-/* Work space: what a thread keeps while it takes tiles of TILE trajectories through their whole solutions and back.
-   Steps are taken in checkpoint intervals, of which the activations are kept; of all other steps only the state at their
-   interval's start is, and going back they are taken once more. */
+/* Work space: the arrays of a thread while it computes solutions and reverse passes of tiles of TILE trajectories.
+   Steps are grouped into checkpoint intervals. Activations are stored for one interval at a time; of the others only
+   the state at the start is stored, and the reverse pass computes their steps again. */
 
 typedef struct {
     const Data *data;
@@ -9,11 +9,11 @@ typedef struct {
     int64_t who[TILE], first[TILE], steps[TILE], depth; /* a lane's trajectory, first sub-step, number of them */
     int64_t checkpoint_interval;
     int active[TILE], rows[TILE];
-    real *states;      /* [checkpoint_interval*STAGES][STATES][TILE]: where the right-hand side was taken */
-    real *rates;       /* [checkpoint_interval*STAGES][STATES][TILE] if TIMED: what the right-hand side was */
+    real *states;      /* [checkpoint_interval*STAGES][STATES][TILE]: where the right-hand side was evaluated */
+    real *rates;       /* [checkpoint_interval*STAGES][STATES][TILE] if TIMED: values of the right-hand side */
     real *reached;     /* [checkpoint_interval][STATES][TILE]: states at the ends of steps */
     real *checkpoints; /* [checkpoints][STATES][TILE] */
-    real begun[STATES * TILE]; /* where the first step began */
+    real begun[STATES * TILE]; /* state at the start of the first step */
     real condition[CONDITIONS * TILE + 1], constants[CONSTANTS * TILE + 1], numbers[NUMBERS + 1];
     double kb[LEARNABLES * TILE + 1];
     Net nets[NETWORKS + 1];
@@ -33,12 +33,12 @@ static void *take(char **place, size_t bytes) {
 
 static real *take_real(char **place, size_t n) { return (real *)take(place, n * sizeof(real)); }
 
-#define BASE ((char *)(uintptr_t)4096) /* for sizes alone: nothing is read or written there */
+#define BASE ((char *)(uintptr_t)4096) /* only for computing sizes: nothing is read or written there */
 
-/* Whether the activations of a call are kept for every Runge-Kutta stage of a checkpoint interval. */
+/* Whether the activations of a call are stored for every Runge-Kutta stage of a checkpoint interval. */
 static int kept(int site) { return site < RHS_SITES && !SITE_INVARIANT[site]; }
 
-/* Sets every array of a work space that begins at `place`, and tells where it ends. */
+/* Sets the pointers to all arrays of a work space that begins at `place`, and returns its end. */
 static char *arrange(Work *w, char *place, int64_t depth) {
     set_networks(w);
     for (int i = 0; i < NETWORKS; i++) {
@@ -62,8 +62,8 @@ static char *arrange(Work *w, char *place, int64_t depth) {
     }
     w->n_gradients = (size_t)(place - (char *)w->gradients) / sizeof(real);
     w->totals = take(&place, w->n_gradients * sizeof(double));
-    /* What a step keeps: the states of its Runge-Kutta stages and at its end, and of every call arguments, activations
-       and outputs. */
+    /* Stored for each step: the states of its Runge-Kutta stages and at its end, and arguments, activations and outputs
+       of every call. */
     size_t step = ((TIMED ? 2 : 1) * STAGES + 1) * STATES * TILE;
     for (int i = 0; i < SITES; i++) {
         const Net *net = &w->nets[SITE_NETWORK[i]];
@@ -141,7 +141,7 @@ static void write_gradient(const Work *w, double *out) {
     }
 }
 
-/* Prepares a work space for data and inputs; tells where it ends. */
+/* Prepares a work space for data and inputs, and returns its end. */
 static char *open_work(Work *w, const Data *data, const Inputs *inputs, int64_t depth) {
     char *end = arrange(w, (char *)w + (sizeof *w + 63) / 64 * 64, depth);
     w->data = data;
@@ -151,7 +151,7 @@ static char *open_work(Work *w, const Data *data, const Inputs *inputs, int64_t 
     return end;
 }
 
-/* Where a work space begins in the memory for it. */
+/* The (aligned) beginning of a work space in the memory for it. */
 static Work *work_in(char *space) { return (Work *)(((uintptr_t)space + 63) / 64 * 64); }
 
 /* Bytes of a work space, given where it would end if its arrays began at BASE. */

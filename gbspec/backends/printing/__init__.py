@@ -1,4 +1,4 @@
-"""Expressions as text: one printer base, straight lists of statements, safe names."""
+"""Expressions as text: the base of all printers, lists of assignments, safe names."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Identifiers for the names of a model: safe in the target language, distinct, and as close to the user's as can be."""
+"""Identifiers for the names of a model: safe in the target language, distinct, and close to the user's."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from collections.abc import Iterable
 import sympy
 
 PYTHON_WORDS = frozenset({*keyword.kwlist, "cls", "self"})
-"""Names that generated Python never gives to a quantity of the model."""
+"""Names that quantities of the model never have in generated Python."""
 
 
 def identifier(name: str) -> str:
-    """The Python identifier nearest to a name: NFKC, every character that may not stand in it replaced by `_`."""
+    """The Python identifier nearest to a name: NFKC, with every invalid character replaced by `_`."""
     text = "".join(c if f"_{c}".isidentifier() else "_" for c in unicodedata.normalize("NFKC", name))
     return text if text.isidentifier() else f"_{text}"
 
 
 def docstring(text: str) -> str:
-    """A text as a Python docstring; backslashes and quotes in it stay what they are."""
+    """A text as a Python docstring; backslashes and quotes in it are escaped."""
     safe = text.replace("\\", "\\\\").replace('"""', '\\"\\"\\"')
     if "\n" in safe:
         return f'"""{safe}\n"""'
@@ -27,9 +27,9 @@ def docstring(text: str) -> str:
 
 
 class Names:
-    """The identifiers of one scope, one a symbol; a taken or reserved name gets underscores at its end.
+    """The identifiers of one scope, one per symbol; underscores are appended to a name that is taken or reserved.
 
-    Symbols are the keys, so that a temporary (a `sympy.Dummy`) never shares the identifier of a quantity of its name.
+    Symbols are the keys, so that a temporary (a `sympy.Dummy`) never shares the identifier of a quantity of that name.
     """
 
     def __init__(self, reserved: Iterable[str] = ()) -> None:
@@ -37,7 +37,7 @@ class Names:
         self._of: dict[sympy.Symbol, str] = {}
 
     def claim(self, symbol: sympy.Symbol, wish: str | None = None) -> str:
-        """The identifier of a symbol, given to it now unless it has one; `wish` is what it would like to be called."""
+        """The identifier of a symbol, created unless it has one; `wish` is the preferred name."""
         if symbol not in self._of:
             name = identifier(wish if wish is not None else symbol.name)
             while name in self._taken:
@@ -47,11 +47,11 @@ class Names:
         return self._of[symbol]
 
     def fix(self, symbol: sympy.Symbol, name: str) -> None:
-        """Gives a symbol a name that is reserved."""
+        """Gives a symbol a reserved name."""
         self._of[symbol] = name
 
     def copy(self) -> Names:
-        """The same identifiers, to which others may be added apart."""
+        """An independent copy."""
         other = Names()
         other._taken, other._of = set(self._taken), dict(self._of)
         return other

@@ -1,5 +1,5 @@
-"""Nodes that the backends add to sympy's: temporaries, a choice of two, a value whose gradient counts where chosen,
-and operations on vectors."""
+"""Nodes that the backends add to sympy's: temporaries, a choice of two values, a guard that stops gradients of the
+branch not taken, and operations on vectors."""
 
 from __future__ import annotations
 
@@ -9,47 +9,47 @@ import sympy
 
 
 class Temporary(sympy.Dummy):  # type: ignore[misc]  # sympy is untyped
-    """A symbol of the backend's own; in products it stands behind the model's, as `B*phi` does in the user's text."""
+    """A symbol that the backend introduces; in products it follows the model's, like `phi` in `B*phi`."""
 
-    is_Dummy = False  # noqa: N815 - sympy's name; else sympy could not sort it among symbols
+    is_Dummy = False  # noqa: N815 - sympy's name; needed to sort it among symbols
 
     @classmethod
     def class_key(cls) -> tuple[int, int, str]:
-        """Sorts it among symbols."""
+        """The sort key of a symbol."""
         return 2, 0, "Symbol"
 
 
 def temporary(name: str, real: bool = True) -> Temporary:
-    """A new temporary that would like to be called `name`."""
+    """A new temporary with the preferred name `name`."""
     return Temporary(name, real=True) if real else Temporary(name)
 
 
 class Where(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
-    """`Where(condition, a, b)`: a where the condition holds, else b; both are evaluated."""
+    """`Where(condition, a, b)`: a if the condition holds, else b; both are evaluated."""
 
     word: ClassVar[str] = "where"
 
     def __new__(cls, condition: sympy.Basic, a: sympy.Expr, b: sympy.Expr) -> Where:
-        """Takes both values; nothing is evaluated."""
+        """Creates the node without simplification."""
         return super().__new__(cls, condition, a, b)  # type: ignore[no-any-return]
 
 
 class Guard(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
-    """`Guard(condition, x)`: the value x, through which gradients pass only where the condition holds.
+    """`Guard(condition, x)`: the value x; gradients pass only if the condition holds.
 
-    In the branch of a choice that is not taken, a derivative may be infinite (`sqrt(x)` at 0, `exp(x)` far out); zero
-    times it is NaN, which would spoil the gradient of the branch that is taken.
+    In the branch of a choice that is not taken, a derivative may be infinite (`sqrt(x)` at 0, `exp(x)` for large x);
+    its product with zero is NaN, which would spoil the gradient of the branch that is taken.
     """
 
     word: ClassVar[str] = "guard"
 
     def __new__(cls, condition: sympy.Basic, x: sympy.Expr) -> Guard:
-        """Takes the condition and the value that counts where it holds."""
+        """Creates the node without simplification."""
         return super().__new__(cls, condition, x)  # type: ignore[no-any-return]
 
 
 class VectorTemporary(Temporary):
-    """A temporary that is a vector: its components stand on the last axis (in casadi, they are a column)."""
+    """A temporary that is a vector: its components are on the last axis (in casadi, a column)."""
 
 
 STATE = VectorTemporary("state", real=True)
@@ -57,7 +57,7 @@ STATE = VectorTemporary("state", real=True)
 
 
 def temporary_like(name: str, *values: sympy.Basic, real: bool = True) -> Temporary:
-    """A new temporary for what is computed of these values: a vector if one of them is."""
+    """A new temporary for a result computed from these values: a vector if one of them is."""
     vector = any(is_vector(value) for value in values)
     kind = VectorTemporary if vector else Temporary
     return kind(name, real=True) if real else kind(name)
@@ -77,12 +77,12 @@ class Operation(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
     is_real = True
 
     def __new__(cls, *arguments: sympy.Basic | int) -> Operation:
-        """Takes the function's arguments in order; nothing is ever evaluated."""
+        """Takes the function's arguments in order; nothing is evaluated."""
         return super().__new__(cls, *map(sympy.sympify, arguments))  # type: ignore[no-any-return]
 
 
 class Scalar(Operation):
-    """An operation whose result is no vector."""
+    """An operation whose result is a scalar."""
 
 
 class Part(Operation):
@@ -92,25 +92,25 @@ class Part(Operation):
 
 
 class Entry(Scalar):
-    """`Entry(vector, place)`: one component."""
+    """`Entry(vector, index)`: one component."""
 
     word = "entry"
 
 
 class Sum(Scalar):
-    """`Sum(vector)`: all components added up."""
+    """`Sum(vector)`: the sum of all components."""
 
     word = "total"
 
 
 class Column(Operation):
-    """`Column(x)`: a scalar as a vector of one component, which stands beside vectors of any number."""
+    """`Column(x)`: a scalar as a vector of one component, which broadcasts with vectors of any length."""
 
     word = "column"
 
 
 class Join(Operation):
-    """`Join(like, vectors...)`: one behind the other."""
+    """`Join(like, vectors...)`: the vectors concatenated."""
 
     word = "join"
 

@@ -1,7 +1,7 @@
-"""The one printer of expressions: each kind of sympy node has one rule, each target language one small subclass.
+"""The common printer of expressions: each kind of sympy node has one rule, each target language one small subclass.
 
 sympy's own code printers are not used: they cut floats to 15 digits and differ from each other in what they support.
-Nothing is simplified or expanded; the text has the value of the expression up to rounding.
+Nothing is simplified or expanded; the text evaluates to the value of the expression up to rounding.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gbspec.diagnostics import Defect
 from gbspec.ir import Element, Total, logistic, ordered, softplus
 
 OR, ADD, MUL, NEGATIVE, POWER, ATOM = range(6)
-"""How tightly a text binds, loosest first."""
+"""Precedence of a text, lowest first."""
 
 UNARY: Mapping[type[sympy.Basic], str] = {
     sympy.exp: "exp",
@@ -41,7 +41,7 @@ UNARY: Mapping[type[sympy.Basic], str] = {
     softplus: "softplus",
     logistic: "logistic",
 }
-"""Functions of one argument, by the name under which a target's arithmetic has them."""
+"""Functions of one argument, and their names in a target's arithmetic."""
 
 RECIPROCAL: Mapping[type[sympy.Basic], str] = {sympy.cot: "tan", sympy.sec: "cos", sympy.csc: "sin"}
 """Functions that sympy makes of shifted arguments, such as tan(x + pi/2) = -cot(x)."""
@@ -49,17 +49,17 @@ RECIPROCAL: Mapping[type[sympy.Basic], str] = {sympy.cot: "tan", sympy.sec: "cos
 RELATIONS: Mapping[str, str] = {"<": "<", "<=": "<=", ">": ">", ">=": ">=", "==": "==", "!=": "!="}
 
 _NO_NUMBERS = (sympy.Symbol, sympy.core.function.AppliedUndef, Where, Guard, Operation)
-"""What sympy cannot turn into a number, even where nothing in it varies."""
+"""Nodes that sympy cannot convert to a number even if they contain no symbols."""
 
 LARGEST_EXACT = 2**53
-"""Integers beyond are written as floats: they stand for float64 numbers anyway, and torch refuses long integers."""
+"""Larger integers are written as floats: they denote float64 numbers anyway, and torch rejects long integers."""
 
 Text = tuple[str, int]
-"""A text and how tightly it binds."""
+"""A text and its precedence."""
 
 
 class Printer(ABC):
-    """Prints expressions; `name` says what a symbol is called."""
+    """Prints expressions; `name` maps a symbol to its text."""
 
     power_sign: ClassVar[str] = "**"
 
@@ -68,14 +68,14 @@ class Printer(ABC):
 
     @abstractmethod
     def call(self, function: str, *arguments: str) -> str:
-        """The call of a function of the target's arithmetic."""
+        """The text of a call of a function of the target's arithmetic."""
 
     def print(self, node: sympy.Basic) -> str:
         """The text of an expression or a condition."""
         return self._text(node)[0]
 
     def at(self, node: sympy.Basic, level: int) -> str:
-        """The text of a node, in parentheses unless it binds at least as tightly as `level`."""
+        """The text of a node, in parentheses if its precedence is below `level`."""
         text, binding = self._text(node)
         return text if binding >= level else f"({text})"
 
@@ -111,7 +111,7 @@ class Printer(ABC):
         raise Defect(f"no rule prints the node {kind.__name__} in `{node}`")
 
     def application(self, node: sympy.Basic) -> str:
-        """An application of an unknown, an element or a total; most targets have had them replaced before."""
+        """An application of an unknown, an element or a total; for most targets they are replaced before printing."""
         raise Defect(f"`{node}` was not replaced before printing")
 
     # -------------------------------------------------------------- numbers
@@ -139,12 +139,12 @@ class Printer(ABC):
         return text, min(level, NEGATIVE) if text.startswith("-") else level
 
     def integer(self, value: int) -> str:
-        """How a whole number is written."""
+        """The text of an integer."""
         return str(value)
 
     @abstractmethod
     def constant(self, name: str, value: sympy.Expr) -> str:
-        """How pi, inf and nan are written."""
+        """The text of pi, inf or nan."""
 
     # -------------------------------------------------------------- sums, products, powers
     def _sum(self, node: sympy.Add) -> str:
@@ -228,7 +228,7 @@ class Printer(ABC):
                 return f"{self.at(node.lhs, ADD)} {RELATIONS[node.rel_op]} {self.at(node.rhs, ADD)}", OR
             case sympy.Not():
                 return self.call("logical_not", self.print(node.args[0])), ATOM
-            case sympy.ITE():  # what sympy makes of a comparison with a Piecewise
+            case sympy.ITE():  # sympy's form of a comparison with a Piecewise
                 condition, then, otherwise = map(self.print, node.args)
                 taken = self.call("logical_and", condition, then)
                 left = self.call("logical_and", self.call("logical_not", condition), otherwise)
@@ -244,11 +244,11 @@ class Printer(ABC):
 
     @abstractmethod
     def truth(self, value: bool) -> str:
-        """How true and false are written."""
+        """The text of true or false."""
 
 
 class PythonPrinter(Printer):
-    """Python over an arithmetic namespace called `math`, the same text for torch, casadi and numpy."""
+    """Prints Python over an arithmetic namespace called `math`, the same text for torch, casadi and numpy."""
 
     def call(self, function: str, *arguments: str) -> str:
         """`math.exp(x)`."""
@@ -264,7 +264,7 @@ class PythonPrinter(Printer):
 
 
 class TextPrinter(Printer):
-    """The notation of a `.gb` file, for docstrings: the user's names, `^`, unknowns applied to their arguments."""
+    """Prints the notation of a `.gb` file, for docstrings: the user's names, `^`, unknowns with their arguments."""
 
     power_sign = "^"
     words: ClassVar[Mapping[str, str]] = {"maximum": "max", "minimum": "min", "where": "if"}
@@ -296,5 +296,5 @@ class TextPrinter(Printer):
         return name
 
     def truth(self, value: bool) -> str:
-        """`true`, which no `.gb` text needs."""
+        """`true`, which never occurs in a `.gb` text."""
         return str(value).lower()

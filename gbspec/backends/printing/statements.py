@@ -1,8 +1,8 @@
-"""From expressions to a straight list of assignments: each network called once per tuple of arguments, intermediates
-under their names, and what occurs more than once computed once.
+"""Converts expressions to a list of assignments: each network is called once per tuple of arguments, intermediates
+keep their names, and common subexpressions are computed once.
 
-Identical subexpressions alone are shared; sums and products are not taken apart to find more, so that the statements
-still read like the model.
+Only identical subexpressions are shared; sums and products are not split to find more, so that the statements still
+read like the model.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Assignment:
 
 @dataclass(frozen=True)
 class NetworkCall:
-    """`results = network(arguments)`: one result an output of the network, None where nothing uses it."""
+    """`results = network(arguments)`: one result per output of the network, None for an output that is not used."""
 
     network: int
     arguments: tuple[sympy.Expr, ...]
@@ -53,10 +53,10 @@ RISKY = (sympy.log, sympy.exp, sympy.sinh, sympy.cosh, sympy.tan, sympy.asin, sy
 
 
 def guarded(node: sympy.Basic) -> sympy.Basic:
-    """The expression with every Piecewise as nested `Where`, the symbols of its risky branches behind a `Guard`.
+    """The expression with every Piecewise as nested `Where`, and the symbols in its risky branches inside a `Guard`.
 
-    Nothing is guarded inside an unknown's arguments (a second call of the network would cost more than it saves), nor
-    in a `let` that a branch uses: its derivative is taken outside of the choice.
+    Nothing is guarded inside an unknown's arguments (that would need a second call of the network), nor in a `let`
+    that a branch uses: its derivative is computed outside the choice.
     """
     if not node.has(sympy.Piecewise):
         return node
@@ -81,7 +81,7 @@ def _guard(branch: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
 
 
 def _behind(node: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
-    """Every symbol of a value behind a guard; conditions and unknowns' arguments left as they are."""
+    """The value with every symbol guarded, except in conditions and in arguments of unknowns."""
     if isinstance(node, sympy.Symbol):
         return Guard(taken, node)
     if isinstance(node, AppliedUndef | Boolean) or not node.args:
@@ -90,7 +90,7 @@ def _behind(node: sympy.Basic, taken: sympy.Basic) -> sympy.Basic:
 
 
 def _risky(node: sympy.Basic) -> bool:
-    """Whether a derivative within may be infinite or overflow."""
+    """Whether a derivative of some part of the node may be infinite or overflow."""
     for part in sympy.preorder_traversal(node):
         if isinstance(part, RISKY) and part.free_symbols:
             return True
@@ -102,8 +102,8 @@ def _risky(node: sympy.Basic) -> bool:
 class Program:
     """The statements that compute `outputs` of a model.
 
-    Each output is an assignment to the symbol that the result gets; of `definitions` (the model's intermediates, if not
-    given) only those that they need are computed. An application that no network of the model declares is a `Defect`.
+    Each output is an assignment to the result's symbol; of the `definitions` (default: the model's intermediates) only
+    those needed are computed. Raises `Defect` for an application of a function that no network of the model declares.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Program:
             self._emit(body.symbol)
 
     def _bodies(self, targets: Sequence[Assignment]) -> list[Assignment]:
-        """The targets and, before them, the definitions that they need, choices guarded."""
+        """The targets and, before them, the definitions that they need, with choices guarded."""
         table = {item.symbol: item for item in self._definitions}
         needed: set[sympy.Symbol] = set()
         waiting = {symbol for target in targets for symbol in target.value.free_symbols}
@@ -147,7 +147,7 @@ class Program:
 
     def _result(self, name: str, arguments: tuple[sympy.Expr, ...]) -> sympy.Symbol:
         if name not in self._networks:
-            raise Defect(f"`{name}` is applied but is no unknown of the model `{self._model.name}`")
+            raise Defect(f"`{name}` is applied but is not an unknown of the model `{self._model.name}`")
         index, network = self._networks[name]
         call = self._calls.get((index, arguments)) or NetworkCall(
             index, arguments, (None,) * len(network.outputs), self._wishes(index, network, arguments)
@@ -163,7 +163,7 @@ class Program:
         return result
 
     def _wishes(self, index: int, network: Network, arguments: tuple[sympy.Expr, ...]) -> tuple[str, ...]:
-        """`phi` for an application to the declared arguments, `q_h1` for one to other names, else `phi_2`, ..."""
+        """Preferred names: `phi` for the declared arguments, `q_h1` for other names as arguments, else `phi_2`, ..."""
         if arguments == tuple(argument.symbol for argument in network.arguments):
             return network.outputs
         if all(isinstance(argument, sympy.Symbol) for argument in arguments):
@@ -174,7 +174,7 @@ class Program:
 
     # -------------------------------------------------------------- common subexpressions
     def _share(self, bodies: Sequence[Assignment]) -> None:
-        """Enters every body, with what occurs more than once in a statement of its own."""
+        """Adds a statement for every body and one for each part that occurs more than once."""
         calls = list(self._calls.values())
         values = [body.value for body in bodies] + [a for call in calls for a in call.arguments]
         counts: Counter[sympy.Basic] = Counter()
@@ -209,7 +209,7 @@ class Program:
 
     # -------------------------------------------------------------- order
     def _emit(self, symbol: sympy.Symbol) -> None:
-        """Appends the statement of a symbol after those that it depends on."""
+        """Appends the statements that a symbol depends on, then its own."""
         stack, opened = [symbol], set[sympy.Symbol]()
         while stack:
             top = stack[-1]
@@ -223,7 +223,7 @@ class Program:
                 self._done |= set(_writes(statement))
                 stack.pop()
             elif top in opened:
-                raise Defect(f"the statements of the model `{self._model.name}` depend on each other in a circle")
+                raise Defect(f"the statements of the model `{self._model.name}` depend on each other cyclically")
             else:
                 opened.add(top)
                 stack.extend(reversed(missing))
@@ -243,7 +243,7 @@ def _writes(statement: Statement) -> list[sympy.Symbol]:
 
 
 def _count(node: sympy.Basic, counts: Counter[sympy.Basic]) -> None:
-    """Counts the occurrences of what is worth a name; inside a repeated part only once."""
+    """Counts the occurrences of parts that are worth sharing; the inside of a repeated part is counted once."""
     if not node.args or not node.free_symbols:
         return
     if _worth(node):
@@ -255,7 +255,7 @@ def _count(node: sympy.Basic, counts: Counter[sympy.Basic]) -> None:
 
 
 def _worth(node: sympy.Basic) -> bool:
-    """Whether a part costs more than reading a name: not a small multiple, nor a reciprocal, which is a division."""
+    """Whether a part costs more than reading a name: small multiples do not, nor reciprocals (printed as divisions)."""
     if isinstance(node, sympy.Pow) and node.exp == -1:
         return False
     if isinstance(node, sympy.Mul) and len(node.args) == 2 and node.args[0].is_Number and node.args[1].is_Symbol:
@@ -264,14 +264,14 @@ def _worth(node: sympy.Basic) -> bool:
 
 
 def rebuild(node: sympy.Basic, arguments: Sequence[sympy.Basic]) -> sympy.Basic:
-    """The node with other arguments, as it stands: nothing is evaluated anew (of Max, that can take seconds)."""
+    """The node with other arguments, without evaluating it again (for Max, this can take seconds)."""
     if isinstance(node, Where | Guard | Operation | ExprCondPair):
         return node.func(*arguments)
     return node.func(*arguments, evaluate=False)
 
 
 def _wish(node: sympy.Basic, number: int) -> str:
-    """What a shared part would like to be called."""
+    """The preferred name of a shared part."""
     if isinstance(node, Guard):
         return f"{node.args[1]}_inside" if node.args[1].is_Symbol else f"inside{number}"
     return f"if{number}" if isinstance(node, Boolean) else f"s{number}"

@@ -1,8 +1,8 @@
-"""Short forms of a model as expressions of whole vectors: one statement an array, whatever the number of elements.
+"""Short forms of a model as expressions of whole vectors: one statement per array, whatever its number of elements.
 
-An element `c[i - 1]` with the running index becomes a vector: a part of the state, with what closes the ends joined to
-it. What does not depend on the index is computed once, as a scalar, and stands beside vectors as a column of one
-component. `Program` then orders and prints these statements like all others.
+An element `c[i - 1]` with the running index becomes a vector: a part of the state, joined with the values that close
+its ends. Parts that do not depend on the index are computed once, as scalars, and enter vector operations as columns of
+one component. `Program` then orders and prints these statements like all others.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from gbspec.ir import Array, Element, Expr, Family, Model, Total
 
 
 class Vectors:
-    """Turns a model's short forms into expressions of vectors; `definitions` holds what they need besides."""
+    """Turns a model's short forms into expressions of vectors; `definitions` holds the assignments that these need."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
@@ -43,7 +43,7 @@ class Vectors:
             self.definitions.append(Assignment(item.symbol, value, item.name))
 
     def value(self, family: Family) -> Expr:
-        """The expression of a family: a vector of `count` components, a scalar where it has no running index."""
+        """The expression of a family: a vector of `count` components, or a scalar if it has no running index."""
         if family.index is None:
             return self._without_totals(family.value)
         if not family.value.has(Element, family.index):
@@ -57,7 +57,7 @@ class Vectors:
     def entries(self, outputs: Iterable[Assignment], given: Iterable[Assignment] = ()) -> list[Assignment]:
         """Definitions of the states that these outputs and all definitions use, as components of the state vector.
 
-        States that `given` defines are left to it.
+        States that `given` defines are omitted.
         """
         used = {symbol for item in (*outputs, *self.definitions) for symbol in item.value.free_symbols}
         used -= {item.symbol for item in given}
@@ -119,9 +119,9 @@ class Vectors:
 
     # ---------------------------------------------------------------- scalars beside vectors
     def _columns(self, node: Expr, whole: bool = True) -> Expr:
-        """The expression with its largest scalar parts as columns; within choices (`whole` False) its names alone.
+        """The expression with its largest scalar parts as columns; within choices (`whole` False) only its names.
 
-        A part of a branch that is not taken may be undefined, so it is not computed apart from the choice.
+        A part of a branch that is not taken may be undefined, so it is not computed outside the choice.
         """
         if _is_number(node) or isinstance(node, VectorTemporary):
             return node

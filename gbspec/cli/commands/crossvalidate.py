@@ -1,4 +1,4 @@
-"""`gbspec crossvalidate MODEL DATA -o DIR`: how well a model predicts data that were left out of the fit."""
+"""`gbspec crossvalidate MODEL DATA -o DIR`: errors of a model's predictions of data excluded from the fit."""
 
 from __future__ import annotations
 

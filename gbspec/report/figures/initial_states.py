@@ -50,8 +50,8 @@ def _mode(found: InitialStates, i: int) -> Panel:
         marks.append(_bred(places, np.maximum(bred, FLOOR), found))
     rate = found.rates[i]
     pace = f"decays in {-1 / rate:.3g}" if rate < 0 else "grows"
-    return Panel(tuple(marks), Axis("trajectory"), Axis(f"off {found.reference}", log=True), f"mode {i + 1}: {pace}",
-                 width=3.4, height=2.7)  # fmt: skip
+    distance = Axis(f"distance from {found.reference}", log=True)
+    return Panel(tuple(marks), Axis("trajectory"), distance, f"mode {i + 1}: {pace}", width=3.4, height=2.7)
 
 
 def _learned(x: Array, y: Array, found: InitialStates) -> Points:

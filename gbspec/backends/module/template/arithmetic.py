@@ -1,4 +1,4 @@
-"""The arithmetics in which a model's equations run. Everything above the line `# <body>` stays behind."""
+"""The arithmetics for a model's equations. Generated modules omit everything above the line `# <body>`."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 # <body>
 # ---------------------------------------------------------------------- arithmetic
-# One namespace a library, all with the same names, so that the equations are written once. `where(condition, a, b)`
-# chooses; `guard(condition, x)` is x, in torch with its gradient cut off where the condition does not hold; `ahead(x,
-# h, k)` is x + h*k; `unpack` splits the last axis (a tuple is split already), `pack(like, parts)` joins parts along a
-# new one in the shape and type of `like`, `column` appends an axis, `columns` to each of several; `fill(like, x)` is a
-# number for each point of a batch. Of vectors on the last axis, `part` takes components, `entry` one, `total` their
-# sum; `join` puts vectors one behind the other, `spread` repeats a scalar, `indices` counts.
+# One namespace per library, with the same names, so that the equations are written once. `where(condition, a, b)`
+# chooses; `guard(condition, x)` is x, in torch with zero gradient where the condition does not hold; `ahead(x, h, k)`
+# is x + h*k; `unpack` splits the last axis (tuples are returned as they are), `pack(like, parts)` stacks parts along
+# a new one in the shape and type of `like`, `column` appends an axis, `columns` to each of several; `fill(like, x)` is
+# a number for each point of a batch. On vectors along the last axis, `part` takes components, `entry` one, `total`
+# their sum; `join` concatenates vectors, `spread` repeats a scalar, `indices` is a range of integers.
 
 
 @functools.cache
@@ -67,7 +67,7 @@ def _torch_arithmetic() -> Any:
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign"
     return SimpleNamespace(
         **{name: unary(getattr(torch, name)) for name in names.split()},
-        softplus=unary(lambda a: softplus(a, threshold=40.0)),  # torch's own threshold, 20, costs five digits
+        softplus=unary(lambda a: softplus(a, threshold=40.0)),  # torch's default of 20 loses five digits
         logistic=unary(torch.sigmoid),
         atan2=binary(torch.atan2),
         minimum=binary(torch.minimum),
@@ -176,5 +176,5 @@ def _numpy_arithmetic() -> Any:
 def _arithmetic(library: str) -> Any:
     table = {"torch": _torch_arithmetic, "casadi": _casadi_arithmetic, "numpy": _numpy_arithmetic}
     if library not in table:
-        raise ValueError(f"no arithmetic is called {library!r}; there are {', '.join(table)}")
+        raise ValueError(f"unknown arithmetic {library!r}; available: {', '.join(table)}")
     return table[library]()

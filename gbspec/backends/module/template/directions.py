@@ -1,4 +1,4 @@
-"""Networks that are monotone in some of their arguments. Everything above the line `# <body>` stays behind."""
+"""Networks that are monotone in some arguments. Generated modules omit everything above the line `# <body>`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ import numpy as np
 
 # <body>
 # ---------------------------------------------------------------------- directions
-# Contracts that need a network monotone in an argument are kept by the signs of weights. A unit has a kind, one
-# character an argument: it does not decrease (+) or increase (-) in it, depends on it freely (*) or not at all (0). A
-# weight whose sign is given is sign*gain*softplus(sharpness*w), w the number that is trained; one that would break a
-# kind is left out. Units that bend downwards, -softplus(-z), are computed as softplus(z) with the signs of their
-# weights turned round.
+# Contracts that need a network monotone in an argument constrain the signs of weights. A unit has a kind, one
+# character per argument: non-decreasing (+), non-increasing (-), unconstrained (*) or independent of it (0). A weight
+# with a given sign is sign*gain*softplus(sharpness*w), where w is trained; one that would violate a kind is omitted.
+# Concave units, -softplus(-z), are computed as softplus(z) with the signs of their weights reversed.
 
 _TURNED = str.maketrans("+-", "-+")
 
@@ -43,8 +42,8 @@ def _weight_forms(layout: Any, sizes: tuple[int, ...]) -> tuple[tuple[Any, Any, 
         signs = turned[:, None] * np.array([sign for _, sign in below])
         given = positive != negative
         sharpness = 1.6 * len(below) ** 0.5
-        # The first layer starts with weights about as large as free ones; later ones, all of one sign, with a mean of
-        # their inputs, the last with less, so that slopes start small.
+        # The initial weights of the first layer are about as large as free ones; later layers, whose weights have one
+        # sign, begin with a mean of their inputs, the last with less, so that initial slopes are small.
         gain = 1.0 / sharpness if i == 0 else 1.2 / np.maximum(given.sum(1, keepdims=True), 1)
         gain = gain * (0.3 if i == len(layers) - 2 else 1.0)
         forms.append(
@@ -54,7 +53,7 @@ def _weight_forms(layout: Any, sizes: tuple[int, ...]) -> tuple[tuple[Any, Any, 
 
 
 def _weight_slopes(network: dict[str, Any], weights: Any) -> dict[str, Any]:
-    """Derivatives of a network's weights in use by those that are trained."""
+    """Derivatives of the weights that a network uses with respect to the trained ones."""
     slopes = {}
     for i, (free, gain, sharpness, turned) in enumerate(_weight_forms(network["layout"], network["sizes"])):
         name = f"network.{network['name']}.{i}."
@@ -65,7 +64,7 @@ def _weight_slopes(network: dict[str, Any], weights: Any) -> dict[str, Any]:
 
 
 def _shares(blocks: Any) -> tuple[int, int, int]:
-    """How many units of a hidden layer have the network's own activation, bend, and level off."""
+    """The numbers of units with the network's activation, a convex or concave one, and a bounded one."""
     count = {shape: sum(n for _, s, n in blocks if s == shape) for shape in ("free", "convex", "concave", "saturating")}
     return count["free"], count["convex"] + count["concave"], count["saturating"]
 

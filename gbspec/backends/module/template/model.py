@@ -114,9 +114,9 @@ class Template:  # {{class}}
     #   recognition.*: a network that gives initial states of new trajectories (optional)
 
     def __init__(self, weights: Mapping[str, Any] | None = None, info: Mapping[str, Any] | None = None) -> None:
-        """Takes weights by name (none needed without unknown functions) and a table of remarks to keep with them.
+        """Takes weights by name (needed only with unknown functions) and `info` to store with them.
 
-        Raises ValueError where a name is missing or surplus, or a shape does not fit this model.
+        Raises ValueError if a name is missing or unknown, or if a shape does not fit this model.
         """
         if weights is None:
             if self.networks:
@@ -131,7 +131,7 @@ class Template:  # {{class}}
     def load(cls, path: str | os.PathLike[str], member: int = 0) -> Template:
         """Reads weights: `path` is a run directory (its member number `member`) or a .safetensors file.
 
-        Raises FileNotFoundError, and ValueError where the file is malformed or belongs to another model.
+        Raises FileNotFoundError, and ValueError if the file is malformed or belongs to another model.
         """
         place = Path(path)
         if place.is_dir():
@@ -143,14 +143,14 @@ class Template:  # {{class}}
             raise ValueError(f"{place}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the weights, with `info` (which must be expressible as JSON), as a .safetensors file."""
+        """Writes the weights, with `info` (which must be convertible to JSON), as a .safetensors file."""
         _write_tensors(path, self.weights, {"model": type(self).__name__, "info": json.dumps(self.info)})
 
     @classmethod
     def random(cls, seed: int = 0) -> Template:
-        """Fresh weights: layers uniform in +-1/sqrt(inputs), the last a tenth of that, so that slopes start small.
+        """Random weights: uniform in +-1/sqrt(inputs), in the last layer a tenth of that, so that slopes are small.
 
-        Inputs are scaled by the arguments' ranges where they are bounded; outputs lie around the neutral value.
+        Inputs are scaled by the arguments' ranges if these are bounded; outputs are close to the neutral value.
         """
         generator = np.random.default_rng(seed)
         weights: dict[str, Any] = {"constants": cls._default_constants()}
@@ -174,7 +174,7 @@ class Template:  # {{class}}
 
     @classmethod
     def shapes(cls) -> dict[str, tuple[int, ...]]:
-        """The names and shapes of the weights that a model cannot do without."""
+        """The names and shapes of the required weights."""
         table: dict[str, tuple[int, ...]] = {"constants": (len(cls.constants),)}
         for network in cls.networks:
             prefix, sizes = f"network.{network['name']}.", network["sizes"]
@@ -199,7 +199,7 @@ class Template:  # {{class}}
             elif name.startswith("recognition."):
                 shape = value.shape
             if shape is None:
-                wrong.append(f"`{name}` belongs to no part of this model")
+                wrong.append(f"`{name}` is not a weight of this model")
             elif value.shape != shape:
                 wrong.append(f"`{name}` has the shape {list(value.shape)} instead of {list(shape)}")
             elif name in required and not np.all(np.isfinite(value)):
@@ -209,21 +209,21 @@ class Template:  # {{class}}
 
     @staticmethod
     def arithmetic(library: str) -> Any:
-        """The namespace in which the equations run: of "torch", "casadi" or "numpy"."""
+        """The functions that the equations use: of "torch", "casadi" or "numpy"."""
         return _arithmetic(library)
 
     def torch_networks(self, weights: Mapping[str, Any], tape: list[Any] | None = None) -> tuple[Any, ...]:
         """The networks over torch tensors named like `self.weights`; gradients reach those that require them.
 
-        With a tape every linear layer appends (network, layer, its input, its output before the activation), in the
-        order of the calls; weights are then used as they are, else with the scales multiplied in once.
+        With a tape, every linear layer appends (network, layer, its input, its output before the activation), in the
+        order of the calls, and weights are used unscaled; otherwise the scales are multiplied into them once.
         """
         return tuple(_torch_network(network, weights, i, tape) for i, network in enumerate(self.networks))
 
     def weight_slopes(self, weights: Mapping[str, Any]) -> dict[str, Any]:
-        """Derivatives of the weights that layers use by those that are trained, elementwise, as arrays by name.
+        """Elementwise derivatives of the weights that layers use with respect to the trained ones, as arrays by name.
 
-        Arrays that are used as they are, in networks without directions, are left out.
+        Networks without monotone arguments use the trained weights, and are omitted.
         """
         slopes: dict[str, Any] = {}
         for network in self.networks:
@@ -241,7 +241,7 @@ class Template:  # {{class}}
 
     # ------------------------------------------------------------------ torch
     # Shapes: [...] is any batch, the same for all arguments up to broadcasting. Numbers, lists and arrays become
-    # float64 tensors; tensors keep their type and device. `condition` and `inputs` may be left out where the model has
+    # float64 tensors; tensors keep their type and device. `condition` and `inputs` may be omitted if the model has
     # none, or has defaults for all. `constants` replaces values by name (numbers, or tensors of the batch's shape).
 
     def rhs(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
@@ -257,13 +257,13 @@ class Template:  # {{class}}
         return self.equations.observe(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
 
     def initial(self, x0: Any, condition: Any = None, constants: Any = None) -> Any:
-        """The start x0 [..., n_states] with every state in its place whose start the model expresses."""
+        """The initial state [..., n_states]: x0, with the initial values that the model gives inserted."""
         x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
         k, _ = self._parameters(x, constants)
         return self.equations.initial(_torch_arithmetic(), x, condition, k)
 
     def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
-        """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t; `inputs` hold through it."""
+        """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t, with constant `inputs`."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
         m = _torch_arithmetic()
@@ -282,8 +282,8 @@ class Template:  # {{class}}
         """States [..., n_times, n_states] at increasing `times` [n_times] from x0 [..., n_states], by `solver`.
 
         `inputs`: values at the times [..., n_times, n_inputs], held or interpolated as the model declares, or a
-        function of time that returns [..., n_inputs]. Between two times the step is even and at most `max_step`
-        (default: that of the training, where the weights tell it, else one step). Differentiable.
+        function of time that returns [..., n_inputs]. Between two times the steps are equal and at most
+        `max_step` (default: that of the training if stored with the weights, else one step). Differentiable.
         """
         import torch
 
@@ -312,7 +312,7 @@ class Template:  # {{class}}
 
     @functools.cached_property
     def functions(self) -> dict[str, Callable[..., Any]]:
-        """The unknown functions by name: of one tensor [..., n_arguments], or of the arguments one by one -> [...]."""
+        """The unknown functions by name: of one tensor [..., n_arguments], or of separate arguments -> [...]."""
         return {name: functools.partial(self._function, name) for name in self.unknowns}
 
     def _function(self, name: str, *arguments: Any, constants: Any = None) -> Any:
@@ -372,7 +372,7 @@ class Template:  # {{class}}
         if constants:
             surplus = set(constants) - set(self.constants)
             if surplus:
-                raise ValueError(f"no constant is called {', '.join(sorted(surplus))}")
+                raise ValueError(f"there is no constant {', '.join(sorted(surplus))}")
             k = tuple(
                 self._like(constants[name], like) if name in constants else value
                 for name, value in zip(self.constants, k, strict=True)
@@ -380,14 +380,14 @@ class Template:  # {{class}}
         return k, f
 
     def _signal(self, inputs: Any, grid: list[float], x: Any) -> Callable[[int, float], Any]:
-        """Inputs as a function of the number of an interval and a time in it."""
+        """Inputs as a function of the index of an interval and a time in it."""
         if callable(inputs):
             return lambda i, t: self._vector(inputs(t), len(self.inputs), "inputs", x)
         table = self._defaulted(inputs, "inputs", x)
         if inputs is None or not self.inputs:
             return lambda i, t: table
         if table.ndim < 2 or table.shape[-2] != len(grid):
-            raise ValueError(f"inputs must have the shape [..., {len(grid)}, {len(self.inputs)}]: a row for each time")
+            raise ValueError(f"inputs must have the shape [..., {len(grid)}, {len(self.inputs)}]: one row per time")
         linear = self._like([float(kind == "linear") for kind in self.interpolation], x)
 
         def value(i: int, t: float) -> Any:
@@ -400,10 +400,10 @@ class Template:  # {{class}}
 
     # ------------------------------------------------------------------ casadi
     # Vectors are columns. With symbolic_constants the last input is the vector of constants in the order of
-    # `constants`; else they stand in the function as numbers.
+    # `constants`; otherwise their values are numbers in the function.
 
     def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
-        """casadi.Function rhs(t, x, condition, inputs) -> dx, the networks inside."""
+        """casadi.Function rhs(t, x, condition, inputs) -> dx, including the networks."""
         return self._casadi("rhs", "dx", self.equations.rhs, symbolic_constants)
 
     def casadi_observe(self, symbolic_constants: bool = False) -> Any:

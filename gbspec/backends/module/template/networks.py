@@ -1,4 +1,4 @@
-"""Multilayer perceptrons in three libraries. Everything above the line `# <body>` stays behind."""
+"""Multilayer perceptrons in three libraries. Generated modules omit everything above the line `# <body>`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbspec.backends.module.template.directions import _activations, _weight_for
 
 # <body>
 # ---------------------------------------------------------------------- networks
-# A network is called with its arguments one by one and returns a tuple of its outputs:
+# A network is called with separate arguments and returns a tuple of its outputs:
 # output_center + output_scale*mlp((arguments - input_center)/input_scale), a hidden layer being activation(W a + b).
 
 
@@ -25,7 +25,7 @@ def _torch_activation(name: str) -> Any:
     table = {
         "silu": functional.silu,
         "tanh": torch.tanh,
-        "softplus": lambda z: functional.softplus(z, threshold=40.0),  # torch's own threshold, 20, costs five digits
+        "softplus": lambda z: functional.softplus(z, threshold=40.0),  # torch's default of 20 loses five digits
         "relu": torch.relu,
         "gelu": functional.gelu,
         "sigmoid": torch.sigmoid,
@@ -36,7 +36,7 @@ def _torch_activation(name: str) -> Any:
 
 
 def _activation(library: str, name: str) -> Any:
-    """The activation for casadi or numpy; arguments of exp are kept where neither it nor its derivative overflows."""
+    """The activation for casadi or numpy; arguments of exp are bounded so that nothing overflows."""
     m = _arithmetic(library)
     expm1: Any
     log1p: Any
@@ -61,7 +61,7 @@ def _activation(library: str, name: str) -> Any:
 
 
 def _layers(network: dict[str, Any], weights: Any, m: Any, like: Any) -> tuple[list[tuple[Any, Any]], tuple[Any, ...]]:
-    """Weights and biases layer by layer; input center and scale, output center and scale."""
+    """Weights and biases of each layer; input center and scale, output center and scale."""
     prefix = f"network.{network['name']}."
     layers = [(weights[f"{prefix}{i}.weight"], weights[f"{prefix}{i}.bias"]) for i in range(len(network["sizes"]) - 1)]
     if network["layout"] is not None:
@@ -74,7 +74,7 @@ def _layers(network: dict[str, Any], weights: Any, m: Any, like: Any) -> tuple[l
 
 
 class _Raw:
-    """A network whose outputs keep out their centers and scales (lists of numbers), which a contract's form puts in."""
+    """A network with unscaled outputs; a contract's form applies their centers and scales (lists of numbers)."""
 
     def __init__(self, call: Any, center: Any, scale: Any, spread: Any) -> None:
         self.call = call
@@ -85,7 +85,7 @@ class _Raw:
 
 
 def _folded(network: dict[str, Any], layers: Any, scales: tuple[Any, ...]) -> list[tuple[Any, Any]]:
-    """Torch layers with a network's scales multiplied into the first and the last; with raw outputs the first alone."""
+    """Torch layers with a network's scales multiplied into the first and the last; with raw outputs only the first."""
     center, scale, output_center, output_scale = scales
     (weight, bias), folded = layers[0], list(layers)
     folded[0] = (weight / scale, bias - (weight / scale) @ center)
@@ -96,9 +96,9 @@ def _folded(network: dict[str, Any], layers: Any, scales: tuple[Any, ...]) -> li
 
 
 class _TorchNetwork:
-    """A network over torch tensors; its scales go into the first and the last layer once, instead of into every call.
+    """A network over torch tensors; its scales are folded into the first and the last layer once.
 
-    `layers`: weights [in, out] and biases with the scales in them; `activations`: that of each hidden layer.
+    `layers`: weights [in, out] and biases including the scales; `activations`: that of each hidden layer.
     """
 
     def __init__(self, layers: Any, activations: Any, together: Any) -> None:
@@ -113,7 +113,8 @@ class _TorchNetwork:
         return out.reshape(*points.shape[:-1], out.shape[-1]).unbind(-1)
 
     def through(self, layers: Any, points: Any) -> Any:
-        """What layers like its own give [B, out] at points [B, in]; a bias is [width] or [B, width]."""
+        """The outputs [B, out] of the given layers, with its activations, at points [B, in]; biases are [width] or
+        [B, width]."""
         import torch
 
         a = points
@@ -134,7 +135,7 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
     raw, shape = network["raw"], [()]
 
     def together(arguments: Any) -> Any:
-        if not any(isinstance(a, torch.Tensor) for a in arguments):  # one point, such as the place of a zero
+        if not any(isinstance(a, torch.Tensor) for a in arguments):  # one point, such as that of a `zero` contract
             point = torch.stack([center.new_tensor(float(a)) for a in arguments])
             return point if tape is None else point.expand(*shape[0], len(arguments))
         stacked = _stack(m.pack, arguments)
@@ -167,7 +168,7 @@ def _torch_like(value: Any, like: Any) -> Any:
 
 
 def _stack(pack: Any, arguments: Any) -> Any:
-    """Arguments along a new last axis; their shapes broadcast, numbers among them become tensors."""
+    """Arguments stacked along a new last axis; their shapes broadcast, and numbers become tensors."""
     import torch
 
     first, shape = arguments[0], np.broadcast_shapes(*(getattr(a, "shape", ()) for a in arguments))
@@ -216,7 +217,7 @@ def _casadi_network(network: dict[str, Any], weights: Any) -> Any:
         return ca.repmat(ca.DM(column), 1, count)
 
     def call(*arguments: Any) -> Any:
-        count = max(getattr(argument, "shape", (1,))[0] for argument in arguments)  # of points, one a column
+        count = max(getattr(argument, "shape", (1,))[0] for argument in arguments)  # of points, one per column
         rows = [ca.repmat(a, 1, count) if getattr(a, "shape", (1,))[0] == 1 else a.T for a in arguments]
         a = (ca.vertcat(*rows) - beside(center, count)) / beside(scale, count)
         for i, (weight, bias) in enumerate(layers):

@@ -1,4 +1,4 @@
-"""Weights files. Everything above the line `# <body>` stays behind."""
+"""Weights files. Generated modules omit everything above the line `# <body>`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 # <body>
 # ---------------------------------------------------------------------- weights files
 # The safetensors format: 8 bytes with the length of a JSON header (little-endian), the header (name -> dtype, shape,
-# offsets into the rest; `__metadata__` holds strings), and the numbers as they lie in memory.
+# offsets into the rest; `__metadata__` holds strings), and the numbers as in memory.
 
 _DTYPES = {"F64": "<f8", "F32": "<f4", "F16": "<f2", "I64": "<i8", "I32": "<i4", "I16": "<i2", "I8": "|i1", "U8": "|u1"}
 
 
 def _read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Arrays (float64 where they are floating) and metadata of a file; ValueError says what is malformed."""
+    """Arrays (float64 where they are floating) and metadata of a file. Raises ValueError if it is malformed."""
     data = Path(path).read_bytes()
 
     def wrong(what: str) -> ValueError:
@@ -35,11 +35,11 @@ def _read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[st
     except ValueError as error:
         raise wrong(f"its header cannot be read ({error})") from None
     if not isinstance(header, dict):
-        raise wrong("its header is no table of tensors")
+        raise wrong("its header is not a table of tensors")
     body = memoryview(data)[8 + length :]
     metadata = header.pop("__metadata__", {})
     if not isinstance(metadata, dict) or not all(isinstance(value, str) for value in metadata.values()):
-        raise wrong("its metadata are no strings")
+        raise wrong("its metadata are not strings")
     arrays, spans = {}, []
     for name, entry in header.items():
         try:
@@ -48,7 +48,7 @@ def _read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, Any], dict[st
         except (KeyError, TypeError, ValueError):
             raise wrong(f"the entry of {name!r} is incomplete or of an unknown type") from None
         if not all(type(n) is int and n >= 0 for n in (*shape, begin, end)):
-            raise wrong(f"the entry of {name!r} has sizes that are no whole numbers")
+            raise wrong(f"the entry of {name!r} has sizes that are not whole numbers")
         size = dtype.itemsize
         for n in shape:
             size *= n
@@ -72,7 +72,7 @@ def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _write_tensors(path: str | os.PathLike[str], arrays: dict[str, Any], metadata: dict[str, str]) -> None:
-    """Writes float64 arrays, by way of a temporary file, so that a file is never half there."""
+    """Writes float64 arrays, atomically through a temporary file."""
     header: dict[str, Any] = {"__metadata__": metadata} if metadata else {}
     blocks, offset = [], 0
     for name in sorted(arrays):
