@@ -1,6 +1,6 @@
-"""Integrators as data: a new explicit Runge-Kutta method is one entry of `METHODS`, and nothing else.
+"""Integrators as data: adding an explicit Runge-Kutta method takes one entry of `METHODS` and no other change.
 
-Everything that takes steps reads the method from here: the generated module, the native kernel, casadi and its C code,
+All code that takes steps reads the method from here: the generated module, the native kernel, casadi and its C code,
 the packing of inputs, and `--solver`. `docs/architecture.md` ("Integrators") says how implicit and adaptive methods
 will join.
 """
@@ -19,13 +19,13 @@ Row = tuple[Fraction, ...]
 
 @dataclass(frozen=True)
 class Explicit:
-    """An explicit Runge-Kutta method by its Butcher tableau, exactly.
+    """An explicit Runge-Kutta method, by its exact Butcher tableau.
 
     Runge-Kutta stage i is the right-hand side at `t + c[i] h` and `x + h sum_j a[i][j] k_j`; a step adds
     `h sum_i b[i] k_i`. `h sum_i b_error[i] k_i` estimates the error of a step: the difference to an embedded method of
     order `embedded_order`. `source` is where the coefficients are from, `help` a line for users.
 
-    Raises ValueError where rows do not fit, or a node lies outside the step, where no input is known.
+    Raises ValueError if rows have wrong lengths, or a node lies outside the step, where inputs are unknown.
     """
 
     name: str
@@ -124,18 +124,18 @@ METHODS: dict[str, Method] = {method.name: method for method in (RK4, RK38, DOPR
 
 
 def listed() -> str:
-    """The names with what they are, for a line of help."""
+    """The names of the methods with their descriptions, for a help line."""
     return "; ".join(f"`{name}`, {method.help}" for name, method in METHODS.items())
 
 
 def unknown_method(name: str) -> Diagnostic:
-    """What to say of a name that no method has (GB850): those that there are."""
+    """The diagnostic (GB850) for a name that no method has."""
     known = ", ".join(f"`{each}`" for each in METHODS)
     return Diagnostic("GB850", f"`--solver {name}` must be one of {known}", None, subject="solver")
 
 
 def method_named(name: str) -> Method:
-    """The method of a name. Raises UserError (GB850)."""
+    """The method with a given name. Raises UserError (GB850)."""
     if name not in METHODS:
         raise UserError([unknown_method(name)])
     return METHODS[name]
