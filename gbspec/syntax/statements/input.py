@@ -34,7 +34,7 @@ class InputStatement(Named):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `input NAME` and its clauses."""
+        """Builds the node from `input NAME` and its clauses."""
         found = reader.gather(children, "an input")
         clauses = (found.get(kind) for kind in ("unit", "range", "interpolation", "value", "column", "text"))
         return cls(reader.over(children), reader.declared(children[1]), *clauses)
