@@ -73,7 +73,7 @@ def test_an_argument_that_takes_the_range_of_a_state_is_renamed_with_it(tmp_path
     assert "= f(u, conv)*nn" in new
     assert "truth mu(u, x) = u/(k + x)" in new
     assert "state conv in" in renamed(*model(tmp_path), "x) >=", "conv")
-    with pytest.raises(Refused, match="something else"):
+    with pytest.raises(Refused, match="another meaning"):
         renamed(*model(tmp_path), "y in", "u")
 
 
@@ -82,7 +82,7 @@ def test_a_range_that_another_file_lends_is_not_lost(tmp_path: Path) -> None:
         "model b\nstate x = 1\nunknown q(x) >= 0, zero at x = 0 by mlp(4)\nx' = -q(x)\nobserve x\n"
     )
     (tmp_path / "own.gb").write_text('model o extends "base.gb"\nstate x in [0, 1] = 1\n')
-    with pytest.raises(Refused, match=r"in `own.gb` a contract would be built for the range of something else"):
+    with pytest.raises(Refused, match=r"in `own.gb` a contract would use the range of another quantity"):
         rename(Workspace(), tmp_path / "base.gb", 14, "y")
 
 
@@ -114,19 +114,19 @@ def test_an_unknown_named_without_arguments_takes_them_by_name(tmp_path: Path) -
 
 def test_an_argument_that_an_unknown_takes_by_name_is_not_renamed(tmp_path: Path) -> None:
     text = "model m\nstate x = 1\nunknown q(x) by mlp(3)\nfunction f(x) = q + x\nx' = -f(x)\nobserve x\n"
-    with pytest.raises(Refused, match="`q` takes `x` by its name"):
+    with pytest.raises(Refused, match="`q` is implicitly applied to `x`"):
         renamed(*model(tmp_path, text), "x) = q", "a")
 
 
 @pytest.mark.parametrize(
     ("what", "name", "why"),
     [
-        ("x in", "y", "declared already"),
-        ("x in", "mu", "declared already"),
+        ("x in", "y", "already declared"),
+        ("x in", "mu", "already declared"),
         ("x in", "observe", "begins a statement"),
         ("k = 1", "nn", "word of the language"),
-        ("k = 1", "s", "something else"),  # a parameter of `f` would shadow it
-        ("s) =", "k", "something else"),  # would shadow the learnable
+        ("k = 1", "s", "another meaning"),  # a parameter of `f` would shadow it
+        ("s) =", "k", "another meaning"),  # would shadow the learnable
         ("exp", "a", "word of the language"),
         ("x in", "a b", "not a name"),
         ("tanh", "relu", "word of the language"),
@@ -179,7 +179,7 @@ def test_what_a_base_declares_is_renamed_in_all_files_that_extend_it(tmp_path: P
     assert {p.name: len(spans) for p, spans in places.items()} == {"base.gb": 2, "one.gb": 1, "two.gb": 1}
     own = (tmp_path / "two.gb").read_text().index("own")
     assert {p.name for p in rename(workspace, tmp_path / "two.gb", own, "mine").places} == {"one.gb", "two.gb"}
-    with pytest.raises(Refused, match="declared already"):
+    with pytest.raises(Refused, match="already declared"):
         rename(workspace, tmp_path / "base.gb", (tmp_path / "base.gb").read_text().index("k ="), "extra")
 
 
