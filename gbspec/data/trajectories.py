@@ -30,11 +30,11 @@ class DoseEvents:
 class Trajectory:
     """One trajectory of R rows and C channels, float64.
 
-    `start` is its start time (the model's `from`, else the first row's time); `times` [R] strictly increase and
-    contain each row of the table that has a measurement; `values` [R, C] is NaN where a channel was not measured (replicates
-    are averaged); `counts` [R, C] is the number of measurements that an entry averages (0 where none); `sd` [R, C] is the
-    standard deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and
-    `doses` follow the model's order. `end` is the last of `times`.
+    `start` is its start time (the model's `from`, else the first row's time); `times` [R] strictly increase and have
+    each row with a measurement; `values` [R, C] is NaN where a channel was not measured (replicates are averaged);
+    `counts` [R, C] is the number of measurements that an entry averages (0 where none); `sd` [R, C] is the standard
+    deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and `doses` follow the
+    model's order. `end` is the last of `times`.
     """
 
     label: str

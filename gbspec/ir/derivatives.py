@@ -51,7 +51,7 @@ Partials = list[tuple[Expr, Expr]]
 def partials(node: Expr, value: Expr | None = None) -> Partials:
     """The arguments of an operation, each with the partial derivative by it; conventions at kinks as `Piecewise`.
 
-    `value` stands for the operation's value in them (None: the node itself). `Max` and `Min` have two arguments here
+    `value` represents the operation's value in them (None: the node itself). `Max` and `Min` have two arguments here
     (see `nested`); a conditional (`Piecewise`) is not an operation. Raises Defect for a node without a rule.
     """
     v = node if value is None else value

@@ -46,30 +46,30 @@ class Explicit:
 
     @cached_property
     def c(self) -> Row:
-        """Where in the step each Runge-Kutta stage is taken: the sums of the rows."""
+        """The nodes of the Runge-Kutta stages as fractions of the step: the sums of the rows."""
         return tuple(sum(row, Fraction(0)) for row in self.a)
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """What functions of one step call the inputs at the nodes: `u0`, `u1`, ..."""
+        """The names of the inputs at the nodes in functions of one step: `u0`, `u1`, ..."""
         return tuple(f"u{i}" for i in range(len(self.nodes)))
 
     @cached_property
     def advancing(self) -> int:
-        """How many Runge-Kutta stages a step needs; those behind serve the error estimate alone."""
+        """The number of Runge-Kutta stages that a step needs; later ones are used only by the error estimate."""
         return max(i + 1 for i, weight in enumerate(self.b) if weight)
 
     @cached_property
     def nodes(self) -> Row:
-        """The parts of a step at which inputs are needed, in order, each once.
+        """The distinct fractions of a step at which inputs are needed, in increasing order.
 
-        The step's ends are always among them: from these the slopes of inputs are told.
+        The step's ends are always among them, since the slopes of inputs are computed from these.
         """
         return tuple(sorted({Fraction(0), Fraction(1), *self.c[: self.advancing]}))
 
 
 Method: TypeAlias = Explicit
-"""Every kind of method. Match on it with `assert_never`, so that another kind finds the places that it concerns."""
+"""Every kind of method. Match on it with `assert_never`, so that mypy reports places that lack a new kind."""
 
 
 def _row(text: str) -> Row:
@@ -88,7 +88,7 @@ RK4 = Explicit(
     source="Kutta (1901), Z. Math. Phys. 46, 435",
     help="the classical method of order 4",
 )
-"""The integrator of the paper, and the default."""
+"""The default integrator."""
 
 RK38 = Explicit(
     "rk38",

@@ -140,14 +140,14 @@ class Evaluator:
             if self._depth == DEEPEST or self._calls == MOST_CALLS:
                 return None
             formals = dict(zip((p.text for p in declared.parameters), values, strict=True))
-            told, self._not_finite = self._not_finite, None  # errors inside are reported at the call
+            saved, self._not_finite = self._not_finite, None  # errors inside are reported at the call
             self._depth += 1
             self._calls += 1
             try:
                 return self(declared.value, formals)
             finally:
                 self._depth -= 1
-                self._not_finite = told
+                self._not_finite = saved
         return apply(name, values) if name in _ONE or name in ("min", "max", "atan2") else None
 
 

@@ -37,7 +37,7 @@ class Units:
     solution: Solution
     declared: dict[str, Unit] = field(default_factory=dict)
     arguments: dict[str, list[Unit]] = field(default_factory=dict)
-    told: set[tuple[int, int]] = field(default_factory=set)
+    reported: set[tuple[int, int]] = field(default_factory=set)
     broken: bool = False
     _within: list[Span] = field(default_factory=list)
     """The calls whose function bodies are being checked, outermost first."""
@@ -246,9 +246,9 @@ class Units:
     def _once(self, first: Span, second: Span) -> bool:
         key = (first.start, second.start)
         self.broken = True
-        if key in self.told:
+        if key in self.reported:
             return False
-        self.told.add(key)
+        self.reported.add(key)
         return True
 
     def _disagree(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> None:

@@ -51,12 +51,12 @@ def build(sites: Iterable[Site], table: Table, takers: Mapping[str, Iterable[str
     edges = {name: edges_of(site, table, takers) for name, site in values.items()}
     order, cycles = _sort({name: [n for n in found if n in edges] for name, found in edges.items()})
     broken = {name for name, site in values.items() if not site.references.complete}
-    told: set[str] = set()
+    reported: set[str] = set()
     for cycle in cycles:
-        if told.isdisjoint(cycle):  # cycles that share a name are one error
+        if reported.isdisjoint(cycle):  # cycles that share a name are one error
             _report(cycle, edges, table, findings)
-        told.update(cycle)
-    broken |= told
+        reported.update(cycle)
+    broken |= reported
     leaves: dict[str, dict[Kind, str]] = {}
     nets: dict[str, frozenset[str]] = {}
     for name in order:

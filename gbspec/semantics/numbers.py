@@ -29,12 +29,12 @@ def functions_of(table: Table) -> dict[str, ast.FunctionStatement]:
 def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findings) -> dict[str, float]:
     """The values of the constants; reports all sub-expressions that are finite for no value of the variables."""
     values: dict[str, float] = {}
-    told: list[ast.Expression] = []
+    wrong: list[ast.Expression] = []
     sites = list(sites)
     by_owner = {s.owner: s for s in sites if s.rule is CONST_VALUE and s.references.complete}
 
     def not_finite(node: ast.Expression, value: float, by_zero: bool) -> None:
-        told.append(node)
+        wrong.append(node)
         what = "not a real number" if math.isnan(value) else "not a finite number"
         findings.error(
             "GB223", f"this is {what}", node.span, label="a division by zero" if by_zero else _reason(node, value)
@@ -43,11 +43,11 @@ def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findi
     evaluate = Evaluator(values, functions_of(table), not_finite)
     for name in graph.order:
         if table[name].kind is Kind.CONST and name in by_owner and name not in graph.broken:
-            site, count = by_owner[name], len(told)
+            site, count = by_owner[name], len(wrong)
             value = evaluate(site.expression)
             if value is not None:
                 values[name] = value
-            elif len(told) == count and all(n in values for n in site.references.names if table[n].kind is Kind.CONST):
+            elif len(wrong) == count and all(n in values for n in site.references.names if table[n].kind is Kind.CONST):
                 _not_known(site.expression, name, findings)
     for site in sites:
         if site.rule is not CONST_VALUE and site.references.complete:

@@ -76,7 +76,7 @@ def _power(name: str, exponent: Fraction) -> str:
     return f"{name}^{exponent}" if exponent.denominator == 1 else f"{name}^({exponent})"
 
 
-# ----------------------------------------------------------------------------------------------------- what units mean
+# ---------------------------------------------------------------------------------------------------- measures of units
 
 
 @cache

@@ -21,7 +21,7 @@ DEFAULT_ACTIVATION = "silu"
 
 
 def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
-    """Checks unknowns and parameter lists, each statement on its own."""
+    """Checks unknowns and parameter lists, each statement separately."""
     for statement in (item.statement for item in items):
         if isinstance(statement, ast.FunctionStatement):
             _parameters(statement.parameters, statement.name, findings)

@@ -1,4 +1,4 @@
-"""The canonical form of a file: spaces, order of clauses, line breaks; comments and the meaning stay as they are.
+"""The canonical form of a file: spaces, order of clauses, line breaks; comments and meaning are unchanged.
 
 A statement is written on one line if it fits in `WIDTH` columns, unless its author began a line with one of its
 clauses: then each clause gets its own line. Longer lines are broken before `+` and `-` and after commas. Clauses are
@@ -90,7 +90,7 @@ def _comments(source: Source) -> list[str]:
     return sorted(source.text[comment.start : comment.end].rstrip() for comment in found)
 
 
-# ------------------------------------------------------------------------------------------------------ one statement
+# -------------------------------------------------------------------------------------------------------- one statement
 
 
 def statement_lines(part: Parsed) -> list[str]:

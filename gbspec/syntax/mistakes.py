@@ -175,7 +175,7 @@ def explain_slip(lark: Lark, slip: Slip) -> Diagnostic:
     return _expected(slip)
 
 
-# ------------------------------------------------------------------------------------------------------- the table
+# ------------------------------------------------------------------------------------------------------------ the table
 
 
 @dataclass(frozen=True)
@@ -234,11 +234,11 @@ def where(error: UnexpectedInput) -> tuple[int, str]:
     return state, error.token.type if isinstance(error, UnexpectedToken) else "?"
 
 
-# ---------------------------------------------------------------------------------------------------- does it fit
+# ------------------------------------------------------------------------------------------------ conditions of entries
 
 
 def _fits(mistake: Mistake, slip: Slip) -> bool:
-    """Whether an entry's conditions hold; the groups of its patterns are kept in the slip."""
+    """Whether an entry's conditions hold; stores the groups of its patterns in `slip`."""
     slip.groups, slip.group_spans = {}, {}
     if mistake.lone != slip.lone and (mistake.lone or mistake.statement or mistake.word):
         return False
@@ -284,7 +284,7 @@ def _word_is(kind: str, slip: Slip) -> bool:
 
 
 def _meant_statements(word: str) -> tuple[str, ...]:
-    """The statements that a first word may have meant."""
+    """The statements that a misspelt first word may stand for."""
     words = _data()["words"]
     lower = word.lower()
     if lower in words:
@@ -292,7 +292,7 @@ def _meant_statements(word: str) -> tuple[str, ...]:
     return tuple(get_close_matches(lower, WORDS, n=1, cutoff=0.7))
 
 
-# ---------------------------------------------------------------------------------------------------- what it says
+# ------------------------------------------------------------------------------------------------------------- messages
 
 
 def _say(mistake: Mistake, slip: Slip) -> Diagnostic:

@@ -298,7 +298,7 @@ class Jet:
         return result
 
     def _change(self, e: Expr, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]) -> Array:
-        """The change of an expression: of its constants, of hidden states, of networks; shape [columns, lines, L]."""
+        """The change of an expression: of its constants, unmeasured states and networks; shape [columns, lines, L]."""
         if time.process_time() > self._deadline:
             raise OutOfTime
         question, algebra = self._question, self._algebra

@@ -71,9 +71,9 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     if declared is None:
         return Identifiability(False)
     sets = _sets(question, declared, everything)
-    told = {d.subject for d in findings if d.code in _SAME_MISTAKE}
+    reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
-        if not any(name in told or model.accepts("GB404", name) for name in found.constants):
+        if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
             _warn(model, question, found, findings)
     return Identifiability(True, tuple(sets))
 

@@ -15,7 +15,7 @@ from gbspec.syntax.transformer.parts import Children
 
 @dataclass(frozen=True)
 class InputStatement(Named):
-    """`input F : L/h held`; `interpolation` is None where the user left it out (which is an error later)."""
+    """`input F : L/h held`; `interpolation` is None if the user left it out (reported by later checks)."""
 
     entry = Entry(
         word="input",

@@ -16,7 +16,7 @@ from gbspec.syntax.transformer.parts import Children, Names
 
 @dataclass(frozen=True)
 class TruthStatement(About, Formula):
-    """`truth beta = 3`, `truth phi(x1, x2, Da) = …` (parameters None where there are no parentheses)."""
+    """`truth beta = 3`, `truth phi(x1, x2, Da) = …` (`parameters` is None without parentheses)."""
 
     entry = Entry(
         word="truth",
