@@ -1,4 +1,4 @@
-"""gbspec from Python: a model and a run as objects whose methods are named like the commands.
+"""The Python interface: models and runs as objects whose methods are named like the commands.
 
     model = gbspec.load("urp_gb2")
     data = model.simulate(trajectories=50, sampling="gamma", seed=1)
@@ -6,8 +6,8 @@
     print(run.validate(data))
     run.plot("functions", "functions.png")
 
-Mistakes in models, tables and options raise `gbspec.diagnostics.UserError`, whose `diagnostics` say what and where;
-computations that fail raise `gbspec.diagnostics.ComputationError`.
+Errors in models, tables and options raise `gbspec.diagnostics.UserError`, whose `diagnostics` describe them and their
+places; computations that fail raise `gbspec.diagnostics.ComputationError`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Specification:
-    """A `.gb` model that was read and checked. `warnings` are what was found in it."""
+    """A `.gb` model that was read and checked, with its `warnings`."""
 
     path: str
     model: Model
@@ -51,7 +51,7 @@ class Specification:
         return "\n".join(part for part in (model_summary(self.model), render_text(self.warnings)) if part)
 
     def check(self) -> tuple[Diagnostic, ...]:
-        """The warnings, on what no data could tell among them; errors were raised when the model was loaded."""
+        """The warnings, including those on identifiability; errors were raised when the model was loaded."""
         from gbspec.passes import examine
 
         findings = Findings(self.warnings)
@@ -65,10 +65,10 @@ class Specification:
     def compile(self, path: str | Path | None = None, *, emit: str, solver: str = "rk4") -> str | bytes: ...
 
     def compile(self, path: str | Path | None = None, *, emit: str = "module", solver: str = "rk4") -> str | bytes:
-        """The model in a form of `gbspec compile --emit`, written to `path` where one is given; bytes of a binary form.
+        """The model in a form of `gbspec compile --emit`, also written to `path` if given; bytes for a binary form.
 
-        `solver` names the method of its steps. Raises `ValueError` where there is no such form, `UserError` where the
-        form cannot express the model (GB808) or there is no such solver (GB850).
+        `solver` names the integration method. Raises `ValueError` if there is no such form, `UserError` if the form
+        cannot represent the model (GB808) or there is no such solver (GB850).
         """
         from gbspec.files import write_bytes
 
@@ -87,7 +87,7 @@ class Specification:
         values: Mapping[str, float] | None = None,
         **options: Any,
     ) -> Trajectories:
-        """Measurements from the model's truth; `options` are the fields of `SimulateOptions`."""
+        """Simulated measurements from the model's truth; `options` are the fields of `SimulateOptions`."""
         return _simulate(models.reference(self.model, values), path, like, options)
 
     def train(
@@ -99,7 +99,7 @@ class Specification:
         progress: Progress | None = None,
         **options: Any,
     ) -> FittedRun:
-        """Learns what is unknown, into a run directory; `options` are the fields of `TrainOptions`."""
+        """Fits learnables and unknowns to data, into a run directory; `options` are the fields of `TrainOptions`."""
         from gbspec.training import TrainOptions
 
         model = models.specified(self.model, values or {})
@@ -117,7 +117,7 @@ class Specification:
         progress: Progress | None = None,
         **options: Any,
     ) -> CrossValidation:
-        """Errors of predicting what fits did not see, fold by fold; `options` are the fields of `TrainOptions`."""
+        """Errors of predictions of held-out data, fold by fold; `options` are the fields of `TrainOptions`."""
         from gbspec.studies import CrossOptions, crossvalidate
         from gbspec.training import Silent, TrainOptions
 
@@ -149,7 +149,7 @@ class Specification:
     ) -> Diagram:
         """The bifurcation diagram of the truth over a condition, input or constant.
 
-        Where the period of a cycle doubles, the doubled cycles are followed too, at most `doublings` times.
+        At period doublings the doubled cycles are followed too, at most `doublings` times.
         """
         subject = models.reference(self.model, values)
         return analysing.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
@@ -157,7 +157,7 @@ class Specification:
 
 @dataclass(frozen=True)
 class FittedRun:
-    """A run directory. `run` gives its model, its members and `run.fit`, a `FitRecord`: what `fit.json` says."""
+    """A trained run directory. `run` has its model, members and `fit.json`."""
 
     run: Run
 
@@ -167,7 +167,7 @@ class FittedRun:
 
     @property
     def constants(self) -> dict[str, float]:
-        """The learned constants, the mean over members."""
+        """The learned constants, as means over members."""
         return {name: entry.value for name, entry in self.run.fit.constants.items()}
 
     def member(self, number: int | None = None) -> GeneratedModule:
@@ -177,7 +177,7 @@ class FittedRun:
     def validate(
         self, data: str | Path | Trajectories | None = None, *, member: int | Literal["mean"] = "mean"
     ) -> Validation:
-        """Errors on data (default: those trained on), at half the step, and against the truth."""
+        """Errors on data (default: the training data), at half the step, and against the truth."""
         return analysing.validate(self.run, self._data(data), member)
 
     def simulate(
@@ -189,7 +189,7 @@ class FittedRun:
         member: int | None = None,
         **options: Any,
     ) -> Trajectories:
-        """Measurements from what was learned; `options` are the fields of `SimulateOptions`."""
+        """Simulated measurements from the learned model; `options` are the fields of `SimulateOptions`."""
         return _simulate(models.learned(self.run, values, member), path, like, options)
 
     def eigen(
@@ -201,14 +201,14 @@ class FittedRun:
         values: Mapping[str, float] | None = None,
         member: int | None = None,
     ) -> Eigen:
-        """Eigenvalues of the learned Jacobian, beside the truth's where there is one."""
+        """Eigenvalues of the learned Jacobian, together with the truth's if there is one."""
         data = None if along is None else _table(along, self.run.model)
         return analysing.eigen(models.learned(self.run, values, member), at=at, along=data, steady=steady)
 
     def predict(
         self, data: str | Path | Trajectories, path: str | Path | None = None, *, window: int | None = None
     ) -> Forecast:
-        """Predictions for new trajectories from their first `window` measured rows (1: from the start alone)."""
+        """Predictions for new trajectories from their first `window` measured rows (1: the first row only)."""
         table = data
         if isinstance(table, str | Path):
             table = tables.read_data(table, self.run.model, Findings(), require_channels=False)
@@ -225,7 +225,7 @@ class FittedRun:
         values: Mapping[str, float] | None = None,
         member: int | None = None,
     ) -> Diagram:
-        """The bifurcation diagram of what was learned over a condition, input or constant, as for a model."""
+        """The bifurcation diagram of the learned model over a condition, input or constant, as for a model."""
         subject = models.learned(self.run, values, member)
         return analysing.bifurcate(subject, over, low, high, cycles=cycles, doublings=doublings)
 
@@ -237,12 +237,12 @@ class FittedRun:
         values: Mapping[str, float] | None = None,
         member: int | None = None,
     ) -> PlaneDiagram:
-        """Hopf and fold curves of what was learned over two parameters, each given as (name, low, high)."""
+        """Hopf and fold curves of the learned model over two parameters, each given as (name, low, high)."""
         names, boxes = (first[0], second[0]), (first[1:], second[1:])
         return analysing.bifurcation_plane(models.learned(self.run, values, member), names, boxes)
 
     def initial_states(self, data: str | Path | None = None, *, member: int | None = None) -> InitialStates:
-        """Learned, bred and true initial states of the trajectories that it was trained on."""
+        """Learned, bred and true initial states of the training trajectories."""
         table = tables.trained_on(self.run, data, Findings())
         return analysing.initial_states(models.learned(self.run, None, member), table)
 
@@ -254,7 +254,7 @@ class FittedRun:
         data: str | Path | Trajectories | None = None,
         show: Sequence[str] = (),
     ) -> Figure:
-        """A figure of one of the kinds of `gbspec plot`, also written to `path` where one is given."""
+        """A figure of one of the kinds of `gbspec plot`, also written to `path` if given."""
         from gbspec.report import save
 
         made = reporting.figure(kind, self.run, self._data(data), show)
@@ -272,7 +272,7 @@ class FittedRun:
         points: int = 6,
         iterations: int = 60,
     ) -> Profile:
-        """The profile likelihood of a learned constant, drawn to `path` where one is given."""
+        """The profile likelihood of a learned constant; its figure is written to `path` if given."""
         from gbspec.report import save
 
         table = tables.trained_on(self.run, data, Findings())
@@ -289,7 +289,7 @@ class FittedRun:
         diagram: tuple[str, float, float] | None = None,
         cycles: bool = False,
     ) -> Path:
-        """Writes the page of `gbspec report` (by default `report.html` in the run) and gives its path."""
+        """Writes the page of `gbspec report` (by default `report.html` in the run) and returns its path."""
         target = self.run.path / "report.html" if path is None else Path(path)
         reporting.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
         return target
@@ -299,14 +299,14 @@ class FittedRun:
 
 
 def load(path: str | Path) -> Specification:
-    """Reads and checks a model file, or a shipped model by name. Raises `UserError` with everything that is wrong."""
+    """Reads and checks a model file, or a bundled model by name. Raises `UserError` with all diagnostics on errors."""
     findings = Findings()
     model = frontend.load_model(path, findings)
     return Specification(str(path), model, tuple(findings))
 
 
 def check(path: str | Path) -> tuple[Diagnostic, ...]:
-    """Everything that is found in a model file, errors and warnings, in the order of the text; nothing is raised."""
+    """All errors and warnings of a model file, in the order of the text; raises nothing."""
     from gbspec.diagnostics import UserError
     from gbspec.passes import examine
 
@@ -319,12 +319,12 @@ def check(path: str | Path) -> tuple[Diagnostic, ...]:
 
 
 def open_run(path: str | Path) -> FittedRun:
-    """Opens a run directory. Raises `UserError` where it is none."""
+    """Opens a run directory. Raises `UserError` if it is not one."""
     return FittedRun(models.open_run(path))
 
 
 def simulate(source: str | Path, path: str | Path | None = None, **options: Any) -> Trajectories:
-    """Measurements from a model's truth or from a run, by path; see `Specification.simulate`."""
+    """Simulated measurements from a model's truth or from a run, by path; see `Specification.simulate`."""
     subject: Specification | FittedRun = open_run(source) if models.is_run(source) else load(source)
     return subject.simulate(path, **options)
 
@@ -353,9 +353,9 @@ def figure(result: Any) -> Figure:
 
 
 def study(cases: str | Sequence[str], directory: str | Path, **options: Any) -> dict[str, Any]:
-    """Fits cases many times into a directory and gives what is in its `study.json`; see `gbspec study`.
+    """Fits cases many times into a directory and returns the content of its `study.json`; see `gbspec study`.
 
-    `options` are the fields of `StudyOptions`. Workers are processes of their own: a script that calls this with data
+    `options` are the fields of `StudyOptions`. Workers are separate processes: a script that calls this with data
     to fit needs `if __name__ == "__main__":`.
     """
     from gbspec.studies import StudyOptions, run_study, study_of

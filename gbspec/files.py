@@ -1,4 +1,4 @@
-"""Reading and writing of files and the numbers in them, with the user's mistakes as diagnostics."""
+"""Checks of paths, writing of files, and numbers for JSON; user errors become diagnostics."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from gbspec.diagnostics import Diagnostic, UserError
 
 
 def existing(path: str | Path, *, kind: str = "file") -> Path:
-    """The path, if it is a file that exists; raises `UserError` (GB801, GB802) otherwise. `kind` words the message."""
+    """The path of an existing file; else raises `UserError` (GB801, GB802). `kind` is used in the message."""
     found = Path(path)
     if not found.exists():
         raise UserError([Diagnostic("GB801", f"the {kind} `{path}` does not exist", None, help=_nearby(found))])
     if found.is_dir():
-        message = f"`{path}` is a directory; a {kind} is wanted"
-        raise UserError([Diagnostic("GB802", message, None, help=f"name the {kind} itself")])
+        message = f"`{path}` is a directory, not a {kind}"
+        raise UserError([Diagnostic("GB802", message, None, help=f"give the path of the {kind}")])
     return found
 
 
@@ -25,12 +25,12 @@ def writable(path: str | Path) -> Path:
     """The path, if a file can be written there; raises `UserError` (GB802, GB805) otherwise. Writes nothing."""
     target = Path(path)
     if target.is_dir():
-        message = f"`{path}` is a directory; a file name is wanted"
-        raise UserError([Diagnostic("GB802", message, None, help="name the file to write in it")])
+        message = f"`{path}` is a directory; a file name is needed"
+        raise UserError([Diagnostic("GB802", message, None, help="give the path of a file in it")])
     folder = target.parent
     if not folder.is_dir():
         message = f"`{path}` cannot be written: there is no folder `{folder}`"
-        raise UserError([Diagnostic("GB805", message, None, help=f"make it first: mkdir -p {folder}")])
+        raise UserError([Diagnostic("GB805", message, None, help=f"create it first: mkdir -p {folder}")])
     if not os.access(target if target.exists() else folder, os.W_OK):
         message = f"`{path}` cannot be written: permission denied"
         raise UserError([Diagnostic("GB805", message, None, help="choose another path")])
@@ -43,7 +43,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
-    """Writes a file at once: a reader sees the old file or the new one, never a half."""
+    """Writes a file atomically: a reader sees either the old or the new content."""
     target = writable(path)
     if target.exists() and not target.is_file():  # /dev/stdout and the like are written to, not replaced
         target.write_bytes(data)
@@ -61,14 +61,14 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 
 
 def _umask() -> int:
-    """The process's mask; it can only be read by setting it."""
+    """The file mode mask of the process, which can only be read by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask
 
 
 def _nearby(path: Path) -> str:
-    """A help line: the most similar name in the same folder, where there is one."""
+    """A help line: the most similar name in the same folder, if there is one."""
     import difflib
 
     try:
@@ -82,5 +82,5 @@ def _nearby(path: Path) -> str:
 
 
 def finite(value: float | None) -> float | None:
-    """A number for JSON: `null` where it is not known or not finite, since JSON has no NaN."""
+    """A number for JSON: None (`null`) if it is not finite, since JSON has no NaN."""
     return float(value) if value is not None and math.isfinite(value) else None

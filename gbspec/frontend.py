@@ -1,10 +1,10 @@
-"""The pipeline: from the text of a model to its Model, in one place for files, runs and the editor.
+"""The pipeline from the text of a model to its Model, shared by commands, runs and the editor.
 
     text ──ast──▶ File ──checked──▶ Checked ──lowered──▶ Model ──claims──▶ Model ──contracts──▶ Model
 
-`STAGES` is all of it. The Model is verified after lowering and after each pass that changes it. `gbspec compile --emit`
-writes down what there is after a stage. A stage imports what it needs when it runs: a model without claims or contracts
-loads none of their provers, and the names of the stages cost nothing.
+`STAGES` has all its stages. The Model is verified after lowering and after each pass that changes it. `gbspec compile
+--emit` writes the result of a stage. A stage imports its modules when it runs: a model without claims or contracts
+imports none of their provers, and listing the stages imports nothing.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from gbspec.syntax import File
 
 Read = Callable[[str | Path], Source]
-"""Gives the text of the model's file and of those that it extends: an editor has newer ones than the disk."""
+"""Reads the text of the model's file and of those that it extends; an editor may have newer texts than the disk."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What there is of a model so far: each stage adds its part, a pass puts its Model in place of the one before."""
+    """The intermediate results for a model: each stage adds its own, and a pass replaces the Model."""
 
     source: Source
     read: Read
@@ -39,15 +39,15 @@ class State:
 
     @property
     def text(self) -> str:
-        """What the stage made, as text that ends with a line end."""
+        """The result of the stage as text, which ends with a line end."""
         return self.source.text if self.stage is None else self.stage.text(self)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage, called as what there is after it, of which `help` tells; `run` makes it, `text` writes it down.
+    """A stage, named after its result, which `help` describes; `run` computes the result, `text` renders it.
 
-    `collects`: its errors are raised with those of the next stage, which can find more beside them.
+    `collects`: its errors are raised together with those of the next stage, which can run in spite of them.
     """
 
     name: str
@@ -58,16 +58,15 @@ class Stage:
 
 
 def load_model(path: str | Path, findings: Findings, read: Read | None = None) -> Model:
-    """The Model of a file, of a bundled model by name, or of what `read` gives; warnings remain in `findings`.
+    """The Model of a file, of a bundled model by name, or of the texts from `read`; warnings remain in `findings`.
 
-    Raises `UserError` with everything found if one is an error, `Defect` if a stage leaves a Model that is not well
-    formed.
+    Raises `UserError` with all diagnostics if one is an error, `Defect` if a stage leaves a malformed Model.
     """
     return _model(after(STAGES[-1].name, path, findings, read))
 
 
 def after(name: str, path: str | Path, findings: Findings, read: Read | None = None) -> State:
-    """What there is of a model after the stage of that name; raises as `load_model` does."""
+    """The results for a model up to the named stage; raises like `load_model`."""
     read = read or read_source
     state = State(read(path), read, findings)
     for stage in STAGES:
@@ -82,7 +81,7 @@ def after(name: str, path: str | Path, findings: Findings, read: Read | None = N
 
 
 def verified(model: Model, name: str) -> Model:
-    """The Model itself; raises `Defect`, naming the stage or pass that made it, where it is not well formed."""
+    """The given Model; raises `Defect`, with the name of the stage or pass, if it is malformed."""
     from gbspec.ir import verify
 
     try:
@@ -93,7 +92,7 @@ def verified(model: Model, name: str) -> Model:
 
 
 def resolve(path: str | Path) -> Path:
-    """The path itself where it exists; else the bundled model of that name, if there is one; else the path."""
+    """The path if it exists; else that of the bundled model with this name, if there is one; else the path."""
     from gbspec.data import shipped_models
 
     given = Path(path)
@@ -101,7 +100,7 @@ def resolve(path: str | Path) -> Path:
 
 
 def read_source(path: str | Path) -> Source:
-    """The text of a model file. Raises `UserError` (GB001 to GB003) where there is none."""
+    """The text of a model file. Raises `UserError` (GB001 to GB003) if it cannot be read."""
     from gbspec.syntax import read_source as read
 
     return read(resolve(path))
@@ -127,7 +126,7 @@ def _lower(state: State) -> State:
     from gbspec.lower import lower
 
     if state.checked is None:
-        raise Defect("lowering comes before the checks")
+        raise Defect("lowering ran before the checks")
     return replace(state, model=lower(state.checked, state.findings))
 
 
@@ -148,13 +147,13 @@ def _contracts(model: Model, findings: Findings) -> Model:
 
 
 def model_pass(name: str, help: str, run: Callable[[Model, Findings], Model], *, collects: bool = False) -> Stage:
-    """A stage that takes a Model and gives one."""
+    """A stage that transforms a Model."""
     return Stage(name, help, lambda s: replace(s, model=run(_model(s), s.findings)), _model_text, collects)
 
 
 def _model(state: State) -> Model:
     if state.model is None:
-        raise Defect("a Model is asked for before lowering")
+        raise Defect("a Model was requested before lowering")
     return state.model
 
 
@@ -183,4 +182,4 @@ STAGES: tuple[Stage, ...] = (
     model_pass("claims", "after the proof of `conserve` claims", _claims, collects=True),
     model_pass("contracts", "after the proof of contracts", _contracts),
 )
-"""The pipeline, in its order."""
+"""The stages of the pipeline, in their order."""

@@ -1,4 +1,4 @@
-"""Tables to trajectories and back: the measurements, their inputs and doses, and the cases that describe them."""
+"""Reads tables to trajectories and writes them: measurements, inputs and doses; and the cases that describe data."""
 
 import lazy_loader
 

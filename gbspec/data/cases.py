@@ -1,8 +1,8 @@
-"""Cases beside a model: how its data are made, its errors measured and its training set up, as data.
+"""Cases of a model, read from `cases.toml`: how its data are simulated, its errors measured and its training set up.
 
-A `cases.toml` beside the model files has tables `[sampling]`, `[metrics]` and `[training]` that hold for all models in
-the folder, and a table `[case.NAME]` for each case that differs. A case named like a model (upper and lower case alike)
-is that model's own.
+A `cases.toml` in the folder of the model files has tables `[sampling]`, `[metrics]` and `[training]` for all models in
+the folder, and a table `[case.NAME]` for each case that differs. A case with the name of a model (ignoring upper and
+lower case) is the default case of that model.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ Scalar = str | int | float | bool
 
 @dataclass(frozen=True)
 class MetricsOptions:
-    """At which points a model is compared with its truth.
+    """The points at which a model is compared with its truth.
 
     Solutions: from `conditions` sets of conditions (evenly over their ranges) times `points` points on the attractor,
-    `spacing` apart in time (None: evenly over `period`, or over `horizon` where there is none) after
+    `spacing` apart in time (None: evenly over `period`, or over `horizon` without one) after
     `settle`, integrated over `horizon`. Right-hand sides and functions: `rhs_points` trajectories drawn as in
     `[sampling]`, one point of each at a time drawn evenly from `window`. `scales` normalises variables whose truth does
     not vary. None means: from the sampling (`settled` below).
@@ -48,7 +48,7 @@ class MetricsOptions:
     seed: int = 1
 
     def settled(self, span: float) -> MetricsOptions:
-        """The same with everything filled in: trajectories of length `span`, their first fifth dropped."""
+        """The options with defaults filled in for trajectories of length `span`, whose first fifth is dropped."""
         horizon = span / 2 if self.horizon is None else self.horizon
         return dataclasses.replace(
             self,
@@ -60,9 +60,9 @@ class MetricsOptions:
 
 @dataclass(frozen=True)
 class TrainingDefaults:
-    """How a case is trained: values for flags of `gbspec train`, by their names with underscores.
+    """The training options of a case: values for flags of `gbspec train`, by their names with underscores.
 
-    `members` is how many fits a study makes of the case, each with a seed of its own; 0: none unless it is named.
+    `members` is the number of fits of the case in a study, each with its own seed; 0: none unless the case is named.
     """
 
     max_step: float | None = None
@@ -73,10 +73,10 @@ class TrainingDefaults:
 
 @dataclass(frozen=True)
 class Case:
-    """One case: a model, its sampling, metrics and training, and what was `published` for it (metric to number).
+    """One case: a model, its sampling, metrics and training, and its `published` results (number by metric).
 
-    `data` is a table to be read where there is one; else data are simulated as `sampling` says. `tables` names what a
-    study tells besides the errors: `eigenvalues` and `initial-states`, at and of the trajectories' starts.
+    `data` is the path of a table, if there is one; else data are simulated according to `sampling`. `tables` names the
+    results of a study besides errors: `eigenvalues` (at the initial states) and `initial-states`.
     """
 
     name: str
@@ -92,14 +92,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Cases:
-    """All cases of a folder; `base` is what holds where no case says otherwise."""
+    """All cases of a folder; `base` has the defaults for all of them."""
 
     path: Path | None
     base: Case
     cases: tuple[Case, ...] = ()
 
     def case(self, name: str) -> Case:
-        """The case of that name, upper and lower case alike; raises UserError (GB743) with the ones there are."""
+        """The case of that name, ignoring upper and lower case; raises UserError (GB743) with the known ones."""
         for case in self.cases:
             if case.name.casefold() == name.casefold():
                 return case
@@ -109,7 +109,7 @@ class Cases:
         raise UserError([Diagnostic("GB743", f"there is no case `{name}`", _place(self.path), help=advice)])
 
     def of_model(self, model: str) -> Case:
-        """The case named like the model, else the base."""
+        """The case with the name of the model, else the base."""
         for case in self.cases:
             if case.name.casefold() == model.casefold():
                 return case
@@ -117,9 +117,9 @@ class Cases:
 
 
 def find_cases(model_path: str | Path) -> Cases:
-    """The cases beside a model file; without a `cases.toml` there, the defaults alone.
+    """The cases in the folder of a model file; without a `cases.toml` there, only the defaults.
 
-    Raises UserError if the file is there and wrong.
+    Raises UserError if the file exists and has errors.
     """
     path = Path(model_path).parent / FILE
     if not path.is_file():
@@ -128,7 +128,7 @@ def find_cases(model_path: str | Path) -> Cases:
 
 
 def load_cases(path: str | Path) -> Cases:
-    """Reads a `cases.toml`. Raises UserError with everything that is wrong in it (GB740 to GB742)."""
+    """Reads a `cases.toml`. Raises UserError with all errors in it (GB740 to GB742)."""
     path = Path(path)
     findings = Findings()
     try:
@@ -154,16 +154,16 @@ def _place(path: Path | None) -> Cell | None:
 
 
 class _Reader:
-    """Turns tables into options; everything wrong is reported with the key's full name, which begins with `prefix`."""
+    """Converts tables to options; errors are reported with the key's full name, which begins with `prefix`."""
 
     def __init__(self, path: Path, findings: Findings, prefix: str) -> None:
         self.path, self.findings, self.prefix = path, findings, prefix
 
     def case(self, entry: Mapping[str, Any], base: Case) -> Case:
-        """A case: what `entry` says, over what `base` says."""
+        """A case: the values of `entry`, with those of `base` as defaults."""
         for key in entry:
             if key not in KEYS:
-                self.report("GB741", key, f"is not known here; known are {', '.join(KEYS)}")
+                self.report("GB741", key, f"is not a known key; known are {', '.join(KEYS)}")
         return Case(
             name=base.name,
             title=self.text(entry, "title", base.title),
@@ -177,7 +177,7 @@ class _Reader:
         )
 
     def sampling(self, entry: dict[str, Any], base: SimulateOptions) -> SimulateOptions:
-        """`[sampling]`; `channels` may be written as a number."""
+        """The options of `[sampling]`; `channels` may be a number."""
         if isinstance(entry.get("channels"), float):
             entry["channels"] = str(entry["channels"])
         options = overlay(base, entry, self.within("sampling"))
@@ -188,7 +188,7 @@ class _Reader:
         return options
 
     def training(self, entry: dict[str, Any], base: TrainingDefaults) -> TrainingDefaults:
-        """`[training]`; keys that are not fields of their own are kept for the training to judge."""
+        """The options of `[training]`; keys that are not fields are kept, to be checked by the training."""
         own = {field.name for field in dataclasses.fields(TrainingDefaults)} - {"more"}
         known = {key: value for key, value in entry.items() if key.replace("-", "_") in own}
         more = {key.replace("-", "_"): value for key, value in entry.items() if key not in known}
@@ -199,16 +199,16 @@ class _Reader:
         return dataclasses.replace(filled, more={**base.more, **more})
 
     def model(self, name: str) -> Path | None:
-        """The case's model file, beside the cases; without `model`, the one called like the case."""
+        """The case's model file, in the folder of the cases; without `model`, the one with the name of the case."""
         for file in (name, name.lower()):
             candidate = self.path.parent / f"{file}.gb"
             if candidate.is_file():
                 return candidate
-        self.report("GB742", "model", f"names no file: there is no `{name}.gb` beside the cases")
+        self.report("GB742", "model", f"names no file: there is no `{name}.gb` in the folder of the cases")
         return None
 
     def tables(self, given: object) -> tuple[str, ...]:
-        """The tables that a case asks for."""
+        """The tables that a case requests."""
         if isinstance(given, list) and all(name in TABLES for name in given):
             return tuple(given)
         self.report("GB742", "tables", f"must be a list of {' and '.join(map(repr, TABLES))}, not {given!r}")
@@ -219,11 +219,11 @@ class _Reader:
         candidate = self.path.parent / name
         if not name or candidate.is_file():
             return candidate if name else None
-        self.report("GB742", "data", f"names no file: there is no `{name}` beside the cases")
+        self.report("GB742", "data", f"names no file: there is no `{name}` in the folder of the cases")
         return None
 
     def table(self, entry: Mapping[str, Any], key: str) -> dict[str, Any]:
-        """A table within `entry`, empty where there is none."""
+        """A table within `entry`; empty if there is none."""
         value = entry.get(key, {})
         if isinstance(value, dict):
             return dict(value)

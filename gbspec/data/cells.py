@@ -1,4 +1,4 @@
-"""Cells to numbers and labels: what counts as not measured, and what is no number."""
+"""Converts cells to numbers and labels, with missing values, and reports cells that are not numbers."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from gbspec.data.sheet import Sheet, shown
 from gbspec.diagnostics import Cell, Findings
 
 MISSING = ("", "na", "n/a", "nan", "null", "none", "-", ".")
-"""What stands for *not measured*, besides the empty cell; upper and lower case are the same."""
+"""The texts for *not measured*, besides the empty cell; upper and lower case are equivalent."""
 
 
 def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
     """A column as float64 [n], NaN where the cell is empty or a word of `MISSING`.
 
-    Reports cells that are no numbers (GB712), infinite ones (GB713), and columns of another kind (GB730).
+    Reports cells that are not numbers (GB712), infinite ones (GB713), and columns of another kind (GB730).
     """
     series = sheet.columns[name]
     if series.dtype == pl.Null:
@@ -54,7 +54,7 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
 
 
 def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, Mask, pl.Series]:
-    """Values, which cells are marked as not measured, and the texts without blanks around them."""
+    """The values, a mask of cells marked as not measured, and the texts without surrounding blanks."""
     texts = series.fill_null("").str.strip_chars()
     missing = texts.str.to_lowercase().is_in(list(MISSING)).to_numpy()
     plain = texts.str.replace(r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$", "${1}.${2}") if decimal_comma else texts
@@ -63,7 +63,7 @@ def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, Mask, pl.
 
 
 def _report_text(sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Series | None, findings: Findings) -> None:
-    """Reports cells that are no numbers, with a guess at what was meant."""
+    """Reports cells that are not numbers, with a guess at the intended number."""
     for i, notes in shown(bad, "cells"):
         text = "" if texts is None else str(texts[i])
         row = int(sheet.rows[i])
@@ -78,7 +78,7 @@ def _report_text(sheet: Sheet, name: str, bad: NDArray[np.intp], texts: pl.Serie
 
 
 def _meant(text: str) -> str:
-    """A word of help for a text that is no number."""
+    """A help line for a text that is not a number."""
     if re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", text):
         return f"write a point as the decimal sign: `{text.replace(',', '.')}`"
     if re.fullmatch(r"[-+]?\d{1,3}([,' ]\d{3})+(\.\d+)?", text):
@@ -91,9 +91,9 @@ def _meant(text: str) -> str:
 
 
 def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDArray[np.int64]]:
-    """A column of labels: the different ones in the order of their first rows, and each row's index into them [n].
+    """A column of labels: the distinct ones in the order of their first rows, and each row's index into them [n].
 
-    Numbers are written without a fraction where they are whole (`1` for 1.0), so that the kind of file does not matter.
+    Whole numbers are written without a fraction (`1` for 1.0), so that labels do not depend on the file format.
     Reports rows without a label (GB718).
     """
     series = sheet.columns[name]
@@ -112,16 +112,16 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
         row = int(sheet.rows[i])
         findings.error(
             "GB718",
-            f"row {row} does not say to which trajectory it belongs",
+            f"row {row} has no label of a trajectory",
             Cell(sheet.path, row, name),
-            help=f"fill `{name}` in every row, or leave the column out if there is one trajectory",
+            help=f"fill `{name}` in every row, or leave the column out if there is only one trajectory",
             notes=notes,
         )
     return coded(texts)
 
 
 def coded(texts: pl.Series) -> tuple[list[str], NDArray[np.int64]]:
-    """The different texts in the order in which they first occur, and each one's index into them [n]."""
+    """The distinct texts in the order in which they first occur, and each one's index into them [n]."""
     if not len(texts):
         return [], np.zeros(0, dtype=np.int64)
     ranks = texts.rank("dense").to_numpy().astype(np.int64) - 1

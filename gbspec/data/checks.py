@@ -1,4 +1,4 @@
-"""What a table must satisfy beside being numbers: starts, constant conditions, known inputs, ranges."""
+"""Checks the records of a table: start times, constant conditions, known inputs, ranges."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gbspec.ir import Model, Range
 
 
 def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:
-    """Reports everything that is wrong with the records; `measured`: whether a measurement is required."""
+    """Reports all errors in the records; `measured`: whether a measurement is required."""
     if model.time.start is not None:
         _after_start(table, model.time.start, findings)
     for quantity, cells in table.series.items():
@@ -37,7 +37,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
 
 
 def first_times(table: Records) -> Array:
-    """The time of each trajectory's first row, measured or not [trajectories]; NaN where it has none."""
+    """The time of each trajectory's first row, measured or not [trajectories]; NaN if it has none."""
     first = np.full(len(table.labels), np.nan)
     groups, index = np.unique(table.group, return_index=True)
     first[groups] = table.time[index]
@@ -58,7 +58,7 @@ def _after_start(table: Records, start: float, findings: Findings) -> None:
 
 
 def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
-    """Warns once for a column with values outside of its declared range."""
+    """Warns once per column with values outside its declared range."""
     bounds = quantity.range
     if bounds is None:
         return
@@ -70,7 +70,7 @@ def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findi
     others = f" (so are {count - 1:,} more)" if count > 2 else " (so is one more)" if count == 2 else ""
     findings.warning(
         "GB725",
-        f"`{quantity.column}` is {value:g} in row {row}, outside of its range {_interval(bounds)}{others}",
+        f"`{quantity.column}` is {value:g} in row {row}, outside its range {_interval(bounds)}{others}",
         Cell(table.path, row, quantity.column),
         help="widen the range in the model if such values are plausible",
         subject=quantity.name,
@@ -116,13 +116,13 @@ def _one_at_a_time(table: Records, quantity: Quantity, cells: Series, findings: 
             f"the input `{quantity.name}` has two values at time {table.time[cells.key[i]]:g}: "
             f"{cells.value[i]:g} in row {cells.row[i]} and {cells.value[i + 1]:g} in row {row}",
             Cell(table.path, row, quantity.column),
-            help="an input has one value at a time; a jump is the value from then on",
+            help="an input has one value at each time; a jump is given by the value after it",
             notes=notes,
         )
 
 
 def _constant(table: Records, quantity: Quantity, default: float | None, findings: Findings) -> None:
-    """A condition has one value in each trajectory, or its default in all of those that give none."""
+    """Reports conditions that change within a trajectory, or have no value and no default."""
     cells = table.series.get(quantity)
     filled: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
     if cells is not None:
@@ -149,7 +149,7 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
         row = int(table.row[np.searchsorted(table.group, g)])
         findings.error(
             "GB720",
-            f"trajectory `{table.labels[g]}` gives no value of the condition `{quantity.name}`",
+            f"trajectory `{table.labels[g]}` has no value of the condition `{quantity.name}`",
             Cell(table.path, row, quantity.column),
             help="fill it in one row of the trajectory, or give the condition a default in the model",
             notes=notes,
@@ -157,7 +157,7 @@ def _constant(table: Records, quantity: Quantity, default: float | None, finding
 
 
 def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: Findings) -> None:
-    """An input has a value from each trajectory's start on."""
+    """Reports inputs without a value at the start of a trajectory."""
     cells = table.series[quantity]
     first = np.full(len(table.labels), np.inf)
     np.minimum.at(first, table.group[cells.key], table.time[cells.key])
@@ -165,7 +165,7 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
     for g, notes in shown(late, "trajectories"):
         at = int(np.searchsorted(table.group, g))
         row = int(table.row[at])
-        known = "it has none at all" if np.isinf(first[g]) else f"its first is at time {first[g]:g}"
+        known = "it has no value at all" if np.isinf(first[g]) else f"its first is at time {first[g]:g}"
         findings.error(
             "GB721",
             f"the input `{quantity.name}` has no value where trajectory `{table.labels[g]}` starts "
@@ -179,7 +179,7 @@ def _known_at_start(table: Records, quantity: Quantity, start: Array, findings: 
 
 
 def _measured(table: Records, fixed_start: bool, findings: Findings) -> None:
-    """Something was measured; trajectories with less than two measured times are pointed out."""
+    """Reports tables without measurements; warns of trajectories with fewer than two measured times."""
     channels = {quantity: cells for quantity, cells in table.series.items() if quantity.role == "channel"}
     hit = np.zeros(len(table.time), dtype=bool)
     for cells in channels.values():
@@ -190,11 +190,11 @@ def _measured(table: Records, fixed_start: bool, findings: Findings) -> None:
                 "GB726",
                 "nothing is measured in this table: all cells of its channels are empty",
                 Cell(table.path),
-                help="each row holds the channels that were measured at its time",
+                help="each row has the channels that were measured at its time",
             )
         return
     if findings.failed:
-        return  # what is wrong elsewhere may be why
+        return  # other errors may be the reason
     count = np.bincount(table.group[hit], minlength=len(table.labels))
     present = np.unique(table.group)
     _point_out(table, [int(g) for g in present if count[g] == 0], "GB728", findings)

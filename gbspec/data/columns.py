@@ -1,4 +1,4 @@
-"""Which column, or which name of the long layout, stands for which quantity of a model."""
+"""Assigns columns, or names of the long layout, to the quantities of a model."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Role = Literal["channel", "condition", "input", "dose", "sd"]
 
 TRAJECTORY = "trajectory"
 LONG = ("name", "value")
-"""Columns that make a table one of the long layout."""
+"""The columns by which the long layout is recognised."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Something that a table may hold: its `role`, its `index` among its kind in the model, and its column's name."""
+    """A quantity that a table may contain: `role`, `index` among its kind in the model, and its column's name."""
 
     role: Role
     index: int
@@ -33,7 +33,7 @@ class Quantity:
 
 
 def quantities(model: Model, require_channels: bool = True) -> tuple[Quantity, ...]:
-    """All that a table for the model may hold, channels first."""
+    """All quantities that a table for the model may contain, channels first."""
     found: list[Quantity] = []
     for i, channel in enumerate(model.channels):
         column = cell_name(channel.column or channel.name)
@@ -56,7 +56,7 @@ def quantities(model: Model, require_channels: bool = True) -> tuple[Quantity, .
 
 @dataclass(frozen=True)
 class Layout:
-    """How a sheet is to be read: its layout, the columns of time and trajectory, and those of quantities."""
+    """The layout of a sheet, with the columns of time, trajectory and quantities."""
 
     long: bool
     time: str
@@ -67,7 +67,7 @@ class Layout:
 def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings: Findings) -> Layout | None:
     """Finds the table's layout and columns; reports missing (GB710) and surplus (GB711) ones.
 
-    None where the table cannot be read further (no column of time).
+    None if the table cannot be read further (no column of time).
     """
     present = set(sheet.names)
     taken = {quantity.column for quantity in wanted}
@@ -93,7 +93,7 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
 
 
 def describe(quantity: Quantity) -> str:
-    """What a quantity is, for a message."""
+    """The description of a quantity for a message."""
     match quantity.role:
         case "channel":
             return f"the channel `{quantity.name}`"
@@ -112,7 +112,7 @@ def _notes(quantity: Quantity) -> tuple[str, ...]:
 
 
 def _time(sheet: Sheet, model: Model, taken: set[str]) -> str | None:
-    """The column of time: called like the model's time, else `t`."""
+    """The column of time: that with the name of the model's time, else `t`."""
     for name in (cell_name(model.time.name), "t"):
         if name in sheet.columns and name not in taken:
             return name
@@ -122,7 +122,7 @@ def _time(sheet: Sheet, model: Model, taken: set[str]) -> str | None:
 def _missing(
     sheet: Sheet, column: str, what: str, spare: list[str], findings: Findings, notes: tuple[str, ...]
 ) -> set[str]:
-    """Reports a missing column; returns the surplus column that was probably meant."""
+    """Reports a missing column; returns the surplus column that probably replaces it."""
     meant = similar(column, spare)
     findings.error(
         "GB710",
@@ -135,7 +135,7 @@ def _missing(
 
 
 def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findings: Findings) -> None:
-    """Warns of columns that the model does not know."""
+    """Warns of columns that the model does not declare."""
     for name in names:
         meant = similar(name, optional)
         findings.warning(
@@ -148,6 +148,6 @@ def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findin
 
 
 def _list(names: Iterable[str]) -> str:
-    """Names for a message, at most a dozen."""
+    """At most twelve names as a list for a message."""
     shown = [f"`{name}`" for name in names]
     return ", ".join(shown) if len(shown) <= 12 else ", ".join(shown[:12]) + f" and {len(shown) - 12} more"

@@ -1,4 +1,4 @@
-"""What identifies a trajectory: its content, so that labels and the order of rows do not matter."""
+"""Fingerprints of trajectories by their content, independent of labels and the order of rows."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from gbspec.data.trajectories import Trajectory
 
 
 def fingerprint(trajectory: Trajectory) -> str:
-    """SHA-256 (hexadecimal) of a trajectory but for its label: start, times, values, conditions, inputs, doses.
+    """The SHA-256 (hexadecimal) of a trajectory without its label: start, times, values, conditions, inputs, doses.
 
-    Two trajectories have the same one if and only if they hold the same numbers for the same model (channels and
+    Two trajectories have the same one if and only if they have the same numbers for the same model (channels and
     conditions in the same order), bit by bit; -0 counts as 0 and all NaN as one.
     """
     digest = hashlib.sha256()

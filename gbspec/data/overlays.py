@@ -1,4 +1,4 @@
-"""Tables of TOML over a frozen dataclass of options: known keys, values of the declared types."""
+"""Applies TOML tables to a frozen dataclass of options, checking keys and types."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar, Union
 
 T = TypeVar("T")
 Report = Callable[[str, str, str], None]
-"""Called with a code, the key and what is wrong with it."""
+"""A callback with a code, the key and a description of the error."""
 
 
 def overlay(base: T, entry: Mapping[str, Any], report: Report) -> T:
@@ -24,7 +24,7 @@ def overlay(base: T, entry: Mapping[str, Any], report: Report) -> T:
         name = key.replace("-", "_")
         if name not in hints:
             known = ", ".join(field.replace("_", "-") for field in hints)
-            report("GB741", key, f"is not known here; known are {known}")
+            report("GB741", key, f"is not a known key; known are {known}")
             continue
         try:
             read = convert(hints[name], value)
@@ -38,7 +38,7 @@ def overlay(base: T, entry: Mapping[str, Any], report: Report) -> T:
 
 
 def convert(hint: Any, value: object) -> Any:
-    """`value` as the type `hint`; raises ValueError saying what was expected."""
+    """`value` converted to the type `hint`; raises ValueError with the expected type."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (Union, types.UnionType):
         return _first([a for a in arguments if a is not type(None)], value)
@@ -56,7 +56,7 @@ def convert(hint: Any, value: object) -> Any:
 
 
 def _first(hints: list[Any], value: object) -> Any:
-    """The value as the first of several types that it fits."""
+    """The value converted to the first of several types that fits."""
     expected = []
     for hint in hints:
         try:
@@ -85,7 +85,7 @@ def _tuple(arguments: tuple[Any, ...], value: object) -> tuple[Any, ...]:
 
 
 def _scalar(hint: Any, value: object) -> Any:
-    """A text, number or truth value; whole numbers serve as numbers, and truth values do not."""
+    """A text, number or truth value; a whole number is accepted as a number, a truth value is not."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if hint is float and number:
         return float(value)  # type: ignore[arg-type]  # a number, as was just checked

@@ -30,10 +30,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Records:
-    """A table, whatever its layout was.
+    """The content of a table, independent of its layout.
 
     Keys are sorted by trajectory (in the order of first rows) and time: `group` [K] indexes `labels`, `time` [K], and
-    `row` [K] is the row that a key first stands in. `series` has the filled cells of each quantity that occurs.
+    `row` [K] is the first row of a key. `series` has the filled cells of each quantity that occurs.
     """
 
     path: str
@@ -46,7 +46,7 @@ class Records:
 
 
 def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
-    """Reads the cells, reporting all that are wrong; rows without a usable time are left out (and reported)."""
+    """Reads the cells and reports all invalid ones; rows without a usable time are left out (and reported)."""
     time = numbers(sheet, layout.time, findings)
     if layout.trajectory is None:
         names, group = ["1"], np.zeros(len(time), dtype=np.int64)
@@ -59,11 +59,11 @@ def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
 
 
 def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> None:
-    """Reports rows without a time, except those whose cell was reported already (a time that is no number)."""
-    told = [d.place.row or 0 for d in findings.errors if isinstance(d.place, Cell) and d.place.column == column]
-    if len(told) >= SHOWN:
-        return  # not all of the wrong cells were shown, so that they cannot be told from empty ones
-    bad = np.flatnonzero(np.isnan(time) & ~np.isin(sheet.rows, told))
+    """Reports rows without a time, except those whose cell was already reported (a time that is not a number)."""
+    reported = [d.place.row or 0 for d in findings.errors if isinstance(d.place, Cell) and d.place.column == column]
+    if len(reported) >= SHOWN:
+        return  # only some of the invalid cells were shown, so that the others look like empty ones
+    bad = np.flatnonzero(np.isnan(time) & ~np.isin(sheet.rows, reported))
     for i, notes in shown(bad, "rows"):
         row = int(sheet.rows[i])
         findings.error(
@@ -79,7 +79,7 @@ def _times_given(sheet: Sheet, column: str, time: Array, findings: Findings) -> 
 
 
 def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
-    """One row a key, one column a quantity."""
+    """Records of the wide layout: one row per key, one column per quantity."""
     keep = np.flatnonzero(~np.isnan(time))
     order = keep[np.argsort(group[keep], kind="stable")]
     group, time, row = group[order], time[order], sheet.rows[order]
@@ -99,7 +99,7 @@ def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
 def _increasing(
     path: str, column: str, names: list[str], group: Index, time: Array, row: Index, findings: Findings
 ) -> None:
-    """Reports times that do not increase within a trajectory (GB715) or stand twice (GB716)."""
+    """Reports times that decrease within a trajectory (GB715) or occur twice (GB716)."""
     same = group[1:] == group[:-1]
     for code, bad in (
         ("GB716", np.flatnonzero(same & (time[1:] == time[:-1]))),
@@ -115,7 +115,7 @@ def _increasing(
                 if twice
                 else f"time goes back {where}: from {before:g} in row {row[i]} to {here:g} in row {row[i + 1]}",
                 Cell(path, int(row[i + 1]), column),
-                help="put both into one row; replicates go into the long layout (trajectory, t, name, value)"
+                help="put both into one row; for replicates use the long layout (trajectory, t, name, value)"
                 if twice
                 else "sort the rows by time, or begin a new trajectory there",
                 notes=notes,
@@ -126,7 +126,7 @@ def _increasing(
 
 
 def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
-    """One row a measurement: `name` says of what. Rows in any order; equal times are replicates."""
+    """Records of the long layout: one row per measurement of `name`, in any order; equal times are replicates."""
     value = numbers(sheet, "value", findings)
     sd = numbers(sheet, "sd", findings) if "sd" in sheet.columns else np.full(len(value), np.nan)
     kinds, kind = coded(_names(sheet))
@@ -155,7 +155,7 @@ def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
 
 
 def _names(sheet: Sheet) -> pl.Series:
-    """The column `name`, compared as names of columns are."""
+    """The column `name`, normalised like the names of columns."""
     texts = sheet.columns["name"].cast(pl.String).fill_null("").str.strip_chars()
     different = {text: cell_name(text) for text in texts.unique()}
     if all(text == name for text, name in different.items()):
@@ -181,12 +181,12 @@ def _no_rows(sheet: Sheet, quantity: Quantity, meant: str | None, findings: Find
         Cell(sheet.path, None, "name"),
         help=f"are the rows named `{meant}` meant?"
         if meant
-        else "conditions and inputs are rows of their own in the long layout: their name, and a value at a time",
+        else "conditions and inputs have separate rows in the long layout: their name, and a value at a time",
     )
 
 
 def kept(table: Records, keep: Mask) -> Records:
-    """The records of some keys alone."""
+    """The records of the keys selected by a mask."""
     position = np.cumsum(keep) - 1
     series = {}
     for quantity, cells in table.series.items():

@@ -1,4 +1,4 @@
-"""How simulated measurements are to be taken: the options of `gbspec simulate`, and of a case's `[sampling]`."""
+"""The sampling of simulated measurements: the options of `gbspec simulate`, and of a case's `[sampling]`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def boxes(flag: str) -> Callable[[Sequence[str]], dict[str, Box]]:
             if not (name.strip() and equals and math.isfinite(box[0]) and math.isfinite(box[1]) and box[0] <= box[1]):
                 findings.error(
                     "GB750",
-                    f"`{flag} {text}` is not a name and its range",
+                    f"`{flag} {text}` is not a name with a range",
                     None,
                     help=f"write `{flag} x1=0.2:0.95`, or `{flag} x1=0.5` for one value",
                 )
@@ -50,7 +50,7 @@ class Regimen:
 
 
 def regimen(text: str) -> Regimen:
-    """`100@0,12,24`, or `80:120@0` where amounts are drawn; raises ValueError for anything else."""
+    """Parses `100@0,12,24`, or `80:120@0` for random amounts; raises ValueError for anything else."""
     amount, at, times = text.partition("@")
     low, colon, high = amount.partition(":")
     found = Regimen((float(low), float(high if colon else low)), tuple(float(time) for time in times.split(",")))
@@ -60,12 +60,12 @@ def regimen(text: str) -> Regimen:
 
 
 def doses(texts: Sequence[str]) -> dict[str, str]:
-    """Texts `NAME=AMOUNT@TIMES` as names and regimens, to be read by `regimen`."""
+    """Texts `NAME=AMOUNT@TIMES` as regimens by name, to be parsed by `regimen`."""
     return {name.strip(): rest for name, _, rest in (text.partition("=") for text in texts)}
 
 
 def clocks(texts: Sequence[str]) -> dict[str, float]:
-    """Texts `CHANNEL=INTERVAL`; raises UserError (GB750)."""
+    """Texts `CHANNEL=INTERVAL` as intervals by channel; raises UserError (GB750)."""
     found = {}
     for name, (low, high) in boxes("--clock")(texts).items():
         if low != high or low <= 0:
@@ -76,7 +76,7 @@ def clocks(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _option(default: Any, help: str, **more: Any) -> Any:
-    """A dataclass field with what the command line says of it."""
+    """A dataclass field with its help for the command line."""
     if isinstance(default, Mapping):
         return field(default_factory=dict, metadata={"help": help, **more})
     return field(default=default, metadata={"help": help, **more})
@@ -84,7 +84,7 @@ def _option(default: Any, help: str, **more: Any) -> Any:
 
 @dataclass(frozen=True)
 class SimulateOptions:
-    """The options of `gbspec simulate`, one field for each flag. Times are in the model's unit.
+    """The options of `gbspec simulate`, one field per flag. Times are in the model's unit.
 
     `initial` and `condition` are ranges by name, from which initial values and conditions are drawn uniformly; for
     other names the declared ranges are used (for a state without a range, its guess). `reject` are conditions such as
@@ -158,13 +158,13 @@ class SimulateOptions:
                     f"`--dose {name}={text}` is not a name, an amount and times",
                     None,
                     help=f"write `--dose {name or 'gut'}=100@0,12,24`, or `--dose {name or 'gut'}=80:120@0` for "
-                    "amounts that are drawn",
+                    "random amounts",
                     subject=name,
                 )
 
     @property
     def fraction(self) -> float | None:
-        """The probability of each channel at a time, where `channels` is one."""
+        """The probability of each channel at a time, if `channels` is a probability; else None."""
         try:
             value = float(self.channels)
         except ValueError:

@@ -1,7 +1,7 @@
-"""Reads a CSV, TSV or Parquet file into named columns, every cell traceable to the row a person counts.
+"""Reads a CSV, TSV or Parquet file into named columns, with the row numbers of a spreadsheet.
 
-Text cells stay text here (what they should be is known later), so that a cell that is no number is reported where it
-stands. All work over rows is vectorised.
+Text cells stay text here (their types are known later), so that a cell that is not a number is reported at its place.
+All work over rows is vectorised.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ PARQUET = frozenset({".parquet", ".pq"})
 FORMATS = "CSV (.csv), TSV (.tsv) or Parquet (.parquet)"
 SEPARATOR_NAMES = {",": "a comma", "\t": "a tab", ";": "a semicolon", "|": "a bar"}
 SHOWN = 5
-"""How many findings of one kind in one column are shown; the last says how many more there are."""
+"""The maximal number of diagnostics of one kind shown per column; the last one has the number of the others."""
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table as it is in its file: `columns` of one length, names unique, and `rows`, the row number of each record.
+    """The content of a table's file: `columns` of equal length, unique names, and `rows`, the row number of each.
 
-    Rows are counted as a spreadsheet counts them: comments and blank rows count, and without them the header is row 1.
+    Rows are counted as in a spreadsheet: comments and blank rows count, and without them the header is row 1.
     `decimal_comma`: numbers may be written `0,5`.
     """
 
@@ -50,7 +50,7 @@ class Sheet:
 
 
 def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
-    """The file's columns; None (and at least one error in `findings`) where it cannot be read as a table."""
+    """The file's columns; None (and at least one error in `findings`) if it cannot be read as a table."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SEPARATORS and suffix not in PARQUET:
@@ -78,7 +78,7 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
 
 
 def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Findings) -> Sheet | None:
-    """A CSV or TSV file. One whose cells are separated by semicolons may write decimal commas."""
+    """Reads a CSV or TSV file. With semicolons as separators, decimal commas are allowed."""
     clean = _utf8(path, data, findings)
     if clean is None:
         return None
@@ -111,7 +111,7 @@ def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Fi
     if frame.shape != (len(rows), len(names)):
         findings.error(
             "GB709",
-            "the table cannot be read: its quotes do not pair up",
+            "the table cannot be read: its quotes are unbalanced",
             Cell(path),
             help='a quoted cell begins and ends with `"`, and has `""` for each quote inside',
         )
@@ -120,13 +120,13 @@ def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Fi
 
 
 def _by_semicolons(data: bytes) -> bool:
-    """Whether the header's cells are separated by semicolons: what spreadsheets write where the comma is decimal."""
+    """Whether semicolons separate the header's cells, as in spreadsheets of locales with decimal commas."""
     header = next((line for line in data.splitlines() if line.strip() and not line.startswith(b"#")), b"")
     return b";" in header and b"," not in header
 
 
 def _utf8(path: str, data: bytes, findings: Findings) -> bytes | None:
-    """The text without byte order mark, its lines ended by LF alone; None where it is not UTF-8."""
+    """The text without byte order mark and with LF line endings; None if it is not UTF-8."""
     data = data.removeprefix(b"\xef\xbb\xbf")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         findings.error(
@@ -140,21 +140,21 @@ def _utf8(path: str, data: bytes, findings: Findings) -> bytes | None:
         row = data.count(b"\n", 0, error.start) + 1
         findings.error(
             "GB703",
-            f"row {row} holds a byte that is not UTF-8 (0x{data[error.start]:02x})",
+            f"row {row} contains a byte that is not UTF-8 (0x{data[error.start]:02x})",
             Cell(path, row),
             help="save the table as UTF-8 (`CSV UTF-8` in Excel)",
         )
         return None
     if b"\0" in data:
         row = data.count(b"\n", 0, data.index(b"\0")) + 1
-        findings.error("GB703", f"row {row} holds a zero byte: this is not a text file", Cell(path, row))
+        findings.error("GB703", f"row {row} contains a zero byte: this is not a text file", Cell(path, row))
         return None
     return data
 
 
 @dataclass(frozen=True)
 class _Records:
-    """The records of a text: the header's bytes, the rest without blank rows, each record's row and width."""
+    """The records of a text: the header's bytes, the rows that are not blank, each record's row and width."""
 
     header: bytes
     body: bytes
@@ -163,7 +163,7 @@ class _Records:
 
 
 def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Records | None:
-    """Finds where records begin and how many cells they have; a separator or line end within quotes is neither."""
+    """Finds the beginning and the number of cells of each record; separators and line ends within quotes are text."""
     data = data if data.endswith(b"\n") else data + b"\n"
     characters = np.frombuffer(data, dtype=np.uint8)
     outside = np.ones(len(characters), dtype=bool)
@@ -178,7 +178,7 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
     filled = blanks[ends] > blanks[starts]
     commas = np.concatenate([[0], np.cumsum((characters == ord(separator)) & outside)])
     widths = commas[ends] - commas[starts] + 1
-    # A row of separators alone (what a spreadsheet leaves behind) is blank too.
+    # A row of separators only, as spreadsheets write, is blank too.
     visible = characters != ord(separator)
     content = np.concatenate([[0], np.cumsum(visible & (characters != ord(" ")) & (characters != ord("\t")))])
     filled &= content[ends] > content[starts]
@@ -195,7 +195,7 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
 
 
 def _comments_above(characters: NDArray[np.uint8], starts: NDArray[np.int64], filled: Mask) -> Mask:
-    """Which lines are comments above the header: those that begin with `#`, up to the first that does not."""
+    """A mask of the comment lines above the header: those that begin with `#`, up to the first that does not."""
     comment = np.zeros(len(starts), dtype=bool)
     for line in np.flatnonzero(filled):
         if characters[starts[line]] != ord("#"):
@@ -205,7 +205,7 @@ def _comments_above(characters: NDArray[np.uint8], starts: NDArray[np.int64], fi
 
 
 def _header_ok(path: str, names: list[str], separator: str, findings: Findings) -> bool:
-    """Whether the first row can be a header; reports what is wrong with it."""
+    """Whether the first row can be a header; reports its errors."""
     before = len(findings.errors)
     if len(names) == 1:
         for other, what in SEPARATOR_NAMES.items():
@@ -219,14 +219,14 @@ def _header_ok(path: str, names: list[str], separator: str, findings: Findings) 
                 return False
     if all(_is_number(name) for name in names if name) and any(names):
         findings.error(
-            "GB706", "the first row holds numbers where names are expected", Cell(path, 1), help="name the columns"
+            "GB706", "the first row has numbers where names are expected", Cell(path, 1), help="name the columns"
         )
     for name in sorted({name for name in names if name and names.count(name) > 1}):
         findings.error(
             "GB707",
-            f"{names.count(name)} columns are called `{name}`",
+            f"{names.count(name)} columns are named `{name}`",
             Cell(path, 1, name),
-            help="give each column its own name (replicates go into the long layout)",
+            help="give each column its own name (for replicates use the long layout)",
         )
     return len(findings.errors) == before
 
@@ -240,7 +240,7 @@ def _is_number(text: str) -> bool:
 
 
 def _same_width(path: str, records: _Records, expected: int, findings: Findings) -> bool:
-    """Whether every record has as many cells as the header; reports the first few that have not."""
+    """Whether every record has as many cells as the header; reports the first few others."""
     wrong = np.flatnonzero(records.widths != expected)
     for i, notes in shown(wrong, "rows"):
         count = int(records.widths[i])
@@ -248,23 +248,23 @@ def _same_width(path: str, records: _Records, expected: int, findings: Findings)
             "GB708",
             f"row {records.rows[i]} has {count} cell{'s' * (count != 1)}, the header has {expected}",
             Cell(path, int(records.rows[i])),
-            help="a decimal comma, or text with a comma and no quotes, may have split a cell"
+            help="a decimal comma, or an unquoted text with a comma, may have split a cell"
             if count > expected
-            else "leave a cell empty rather than out",
+            else "an empty cell still needs its separator",
             notes=notes,
         )
     return not len(wrong)
 
 
 def shown(positions: Sequence[int] | NDArray[np.intp], what: str) -> Iterator[tuple[int, tuple[str, ...]]]:
-    """The first positions, each with the notes of its finding: that of the last says how many more such there are."""
+    """The first positions, each with the notes of its diagnostic; the last one's note has the number of the others."""
     for rank, position in enumerate(positions[:SHOWN], start=1):
         further = len(positions) - SHOWN
         yield int(position), (f"and {further:,} more such {what}",) if rank == SHOWN and further > 0 else ()
 
 
 def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:
-    """The columns by name; nameless ones (an index that a program wrote) get a name that says so."""
+    """The columns by name; nameless ones (such as an index column) get a generated name."""
     named: dict[str, pl.Series] = {}
     for number, (name, column) in enumerate(zip(names, columns, strict=True), start=1):
         named[name or f"column {number} (nameless)"] = column
@@ -275,7 +275,7 @@ def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:
 
 
 def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet | None:
-    """A Parquet file; its first record is called row 2, as if a header stood above it."""
+    """Reads a Parquet file; its first record counts as row 2, as if there were a header."""
     try:
         frame = pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
@@ -285,7 +285,7 @@ def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet |
     names = [cell_name(name) for name in frame.columns]
     before = len(findings.errors)
     for name in sorted({name for name in names if names.count(name) > 1}):
-        findings.error("GB707", f"{names.count(name)} columns are called `{name}`", Cell(path, 1, name))
+        findings.error("GB707", f"{names.count(name)} columns are named `{name}`", Cell(path, 1, name))
     if not names or not frame.height:
         findings.error("GB704", "the table is empty", Cell(path), help="each row is one time")
     if len(findings.errors) > before:

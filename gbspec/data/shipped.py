@@ -1,4 +1,4 @@
-"""The models that come with gbspec: in a checkout's `models/`, or inside the installed package."""
+"""The bundled models: in a checkout's `models/`, or inside the installed package."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ PACKAGE = Path(__file__).resolve().parent.parent
 
 @cache
 def models_folder() -> Path:
-    """The folder with the bundled models: the wheel's `gbspec/_models`, else `models/` beside the package."""
+    """The folder with the bundled models: the wheel's `gbspec/_models`, else `models/` next to the package."""
     installed = PACKAGE / "_models"
     return installed if installed.is_dir() else PACKAGE.parent / "models"
 
 
 @cache
 def shipped_models() -> dict[str, Path]:
-    """The bundled `.gb` files by the model's name (which is the file's), in the order of names."""
+    """The bundled `.gb` files by the model's name (that of the file), in the order of names."""
     return {path.stem: path for path in sorted(models_folder().glob("*/*.gb"), key=lambda path: path.stem)}
 
 
 def shipped_model(name: str) -> Path:
-    """The file of a bundled model, `urp_gb2` say; raises UserError (GB744) with a suggestion where there is none."""
+    """The file of a bundled model, e.g. `urp_gb2`; raises UserError (GB744) with a suggestion if there is none."""
     known = shipped_models()
     if name in known:
         return known[name]
     meant = similar(name, known)
     advice = f"is `{meant}` meant?" if meant else f"there are {', '.join(known)}"
-    raise UserError([Diagnostic("GB744", f"gbspec ships no model `{name}`", None, help=advice)])
+    raise UserError([Diagnostic("GB744", f"there is no bundled model `{name}`", None, help=advice)])

@@ -1,4 +1,4 @@
-"""Inputs over time: their values, with the limits from either side of a jump."""
+"""Inputs as functions of time: their values, and the limits from either side of a jump."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Side = Literal["left", "right"]
 def evaluate(signal: Signal, interpolation: Interpolation, t: ArrayLike, side: Side = "right") -> Array:
     """The input's value at times `t` (any shape).
 
-    At a jump of a held input, `side` "right" gives the value from there on (what a step that begins there sees), "left"
-    the one before (what a step that ends there sees). The first value holds before the first time, the last after the
+    At a jump of a held input, `side` "right" gives the value after it (for a step that begins there), "left"
+    the one before it (for a step that ends there). The first value holds before the first time, the last after the
     last; an input without any value is zero.
     """
     moments = np.asarray(t, dtype=np.float64)
@@ -32,7 +32,7 @@ def evaluate(signal: Signal, interpolation: Interpolation, t: ArrayLike, side: S
 
 
 def clipped(signal: Signal, interpolation: Interpolation, start: float, end: float) -> Signal:
-    """The signal from `start` to `end` alone, with its value at `start`, and for a linear one that at `end`."""
+    """The signal restricted to `start` to `end`, with its value at `start`, and for a linear one that at `end`."""
     inside = (signal.times > start) & (signal.times <= end)
     times = np.concatenate([[start], signal.times[inside]])
     values = np.concatenate([[evaluate(signal, interpolation, start)], signal.values[inside]])

@@ -1,4 +1,4 @@
-"""Location and scale of each measured channel: what residuals and network inputs are scaled by."""
+"""Location and scale of each measured channel, by which residuals and network inputs are scaled."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from gbspec.ir import Model, logarithmic
 MAD_TO_SD = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""
 FLAT = 1e-9
-"""Values whose standard deviation (or range) is below this part of their size count as constant."""
+"""Values whose standard deviation (or range) is below this fraction of their magnitude count as constant."""
 
 
 @dataclass(frozen=True)
 class ChannelStatistics:
-    """Of all measured values of one channel: how many, mean, standard deviation, extremes, median and robust
-    standard deviation.
+    """Statistics of one channel's measured values: number, mean, standard deviation, extremes, median, robust scale.
 
-    `spread` is 1.4826 times the median absolute deviation: the standard deviation where values are normal, and little
-    moved by outliers. NaN where nothing was measured.
+    `spread` is 1.4826 times the median absolute deviation: the standard deviation of normally distributed values, and
+    robust against outliers. NaN where nothing was measured.
     """
 
     name: str
@@ -37,7 +36,7 @@ class ChannelStatistics:
 
     @property
     def scale(self) -> float:
-        """A positive number to divide by: the deviation, or the size where the channel does not vary, or 1."""
+        """A positive scale: the standard deviation, or the magnitude if the channel does not vary, or 1."""
         for candidate in (self.sd, abs(self.mean)):
             if math.isfinite(candidate) and candidate > 0:
                 return candidate
@@ -55,9 +54,9 @@ def channel_statistics(trajectories: Trajectories) -> tuple[ChannelStatistics, .
 
 
 def measured_scale(values: Array) -> float:
-    """A positive number to divide errors by: the standard deviation of the measured values (NaN left out).
+    """A positive scale of errors: the standard deviation of the measured values (NaN left out).
 
-    Where they do not vary it is their size, and 1 where that is zero or nothing was measured.
+    If they do not vary it is their magnitude, and 1 if that is zero or nothing was measured.
     """
     measured = values[np.isfinite(values)]
     if not measured.size:
@@ -75,8 +74,8 @@ def channel_scales(trajectories: Trajectories) -> Array:
 
 
 def deviations(model: Model, trajectories: Trajectories) -> Array:
-    """What residuals are scaled by where no noise is stated: `measured_scale` of each channel [C], of logarithms where
-    its residuals are of logarithms (1 where these do not vary)."""
+    """The scale of residuals without declared noise: `measured_scale` of each channel [C]; for residuals of logarithms
+    that of the logarithms (1 if these do not vary)."""
     columns = np.concatenate([np.zeros((0, len(model.channels))), *(item.values for item in trajectories.items)]).T
     return np.array(
         [_of_logarithms(c) if log else measured_scale(c) for c, log in zip(columns, logarithmic(model), strict=True)]
@@ -90,7 +89,7 @@ def _of_logarithms(values: Array) -> float:
 
 
 def evenly_spaced(count: int, most: int) -> list[int]:
-    """All of `count` positions, or `most` of them, evenly from the first to the last."""
+    """All of `count` positions, or `most` of them, evenly spaced from the first to the last."""
     return sorted({int(i) for i in np.linspace(0, count - 1, min(count, most))}) if count else []
 
 

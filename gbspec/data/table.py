@@ -1,7 +1,7 @@
-"""Tables of measurements: files of either layout to trajectories.
+"""Reads tables of measurements of either layout to trajectories.
 
-`read` goes through four stages, each in its own module: `sheet` (the file's cells), `columns` (what they stand for),
-`records` (numbers by trajectory and time), `checks` (what must hold); then the records are cut into trajectories here.
+`read` has four stages, each in its own module: `sheet` (the file's cells), `columns` (their quantities), `records`
+(numbers by trajectory and time), `checks` (their validity); then the records are split into trajectories here.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ __all__ = ["read", "write"]
 def read(path: str | Path, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
     """The table at `path` (CSV, TSV or Parquet; wide or long layout) as trajectories for `model`.
 
-    Cells that are empty, or say NA, NaN, null, none, `-` or `.`, mean *not measured*. With `require_channels` False (a
+    Cells that are empty, or are NA, NaN, null, none, `-` or `.`, mean *not measured*. With `require_channels` False (a
     table to predict on), columns of channels may be missing and a trajectory's `times` hold every row, measured or not.
 
-    Warnings go into `findings`. Raises UserError with all findings if the table is wrong.
+    Warnings go into `findings`. Raises UserError with all diagnostics if the table has errors.
     """
     sheet = read_sheet(path, findings)
     if sheet is None:
@@ -49,7 +49,7 @@ def read(path: str | Path, model: Model, findings: Findings, require_channels: b
 
 
 def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory, ...]:
-    """The trajectories of faultless records, in the order of their first rows."""
+    """The trajectories of valid records, in the order of their first rows."""
     values, counts, sd = _measurements(table, len(model.channels))
     starts = first_times(table) if model.time.start is None else np.full(len(table.labels), model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
@@ -88,7 +88,7 @@ def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory,
 def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array]:
     """Values, numbers of measurements and standard deviations at each key, [keys, channels]; replicates averaged.
 
-    The standard deviation of an average of n is sqrt(sum of squares)/n; it is given where all of them give one.
+    The standard deviation of an average of n is sqrt(sum of squares)/n; it is given if all of them have one.
     """
     size = len(table.time)
     values, counts = np.full((size, channels), np.nan), np.zeros((size, channels))
@@ -133,13 +133,13 @@ def _pieces(table: Records, role: str, index: int) -> list[tuple[Array, Array]]:
 
 
 def _once(key: NDArray[np.int64], value: Array) -> tuple[NDArray[np.int64], Array]:
-    """The first of equal repeats at one time."""
+    """The entries without repetitions at the same time."""
     keys, first = np.unique(key, return_index=True)
     return keys, value[first]
 
 
 def _signal(piece: tuple[Array, Array], start: float, default: float | None) -> Signal:
-    """An input's signal; where there is no value at the start, its default holds from there."""
+    """An input's signal; without a value at the start, the default holds from there."""
     times, values = piece
     if default is not None and (not len(times) or times[0] > start):
         times, values = np.concatenate([[start], times]), np.concatenate([[default], values])

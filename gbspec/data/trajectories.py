@@ -1,4 +1,4 @@
-"""Measured trajectories in memory: what a table says, independent of its layout."""
+"""Measured trajectories in memory: the content of a table, independent of its layout."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class DoseEvents:
-    """Additions to one state: times [n] and amounts [n], in the order of time."""
+    """Doses into one state: times [n] and amounts [n], in the order of time."""
 
     times: Array
     amounts: Array
@@ -30,11 +30,11 @@ class DoseEvents:
 class Trajectory:
     """One trajectory of R rows and C channels, float64.
 
-    `start` is when it starts (the model's `from`, else the first row's time); `times` [R] strictly increase and hold
-    every row of the table that has a measurement; `values` [R, C] is NaN where a channel was not measured (replicates
-    are averaged); `counts` [R, C] says how many measurements an entry averages (0 where none); `sd` [R, C] is the
-    standard deviation of the entry where the data give one, else NaN. `condition` [n_conditions]; `inputs` and
-    `doses` follow the model's order. `end` is the last time anything was recorded.
+    `start` is its start time (the model's `from`, else the first row's time); `times` [R] strictly increase and have
+    each row with a measurement; `values` [R, C] is NaN where a channel was not measured (replicates are averaged);
+    `counts` [R, C] is the number of measurements that an entry averages (0 where none); `sd` [R, C] is the standard
+    deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and `doses` follow the
+    model's order. `end` is the last of `times`.
     """
 
     label: str
@@ -55,7 +55,7 @@ class Trajectory:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """A data set for one model. `channels` names the columns of `values`; `path`, `sha256` say where it came from."""
+    """A data set for one model. `channels` names the columns of `values`; `path`, `sha256` identify the file."""
 
     items: tuple[Trajectory, ...]
     channels: tuple[str, ...]
@@ -73,7 +73,7 @@ class Trajectories:
         return int(sum(np.sum(item.counts) for item in self.items))
 
     def subset(self, indices: Sequence[int]) -> Trajectories:
-        """The same data set with some of its trajectories."""
+        """The data set reduced to some of its trajectories."""
         return Trajectories(
             tuple(self.items[i] for i in indices), self.channels, self.path, self.sha256, self.rows, dict(self.meta)
         )

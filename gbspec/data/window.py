@@ -1,4 +1,4 @@
-"""The first measurements of a trajectory as numbers for a recognition network, whatever their times."""
+"""The first measurements of a trajectory as inputs of a recognition network, for any measurement times."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from gbspec.data.trajectories import Trajectory
 from gbspec.ir import Model
 
 PREFIX = "recognition."
-"""What the network's arrays are called in a member's weights: offsets, center, scale, weight, bias, of the layers
+"""The names of the network's arrays in a member's weights: offsets, center, scale, weight, bias, of the layers
 `hidden_weight`, `hidden_bias`, `weight`, `bias`, the outputs' `state_center`, `state_scale`, and their `error`."""
 LEAST = 3
-"""Measurements of a window below which a network has nothing to recognise."""
+"""The minimal number of measurements in a window for recognition."""
 
 
 def features(model: Model, item: Trajectory, begin: float, offsets: Array) -> Array | None:
-    """What is known of a window that begins at `begin` [n_features]; None where it holds too little.
+    """The features [n_features] of a window that begins at `begin`; None if it has too few measurements.
 
-    Each channel's measurements from then on, interpolated linearly at `begin + offsets` (beyond the first and the last
-    one they stay as they are), then the conditions, then the inputs at `begin`. A channel without any makes it None.
+    Each channel's measurements from then on, interpolated linearly at `begin + offsets` (constant beyond the first and
+    the last one), then the conditions, then the inputs at `begin`. A channel without any makes it None.
     """
     inside = (item.times >= begin - 1e-12) & (item.times <= begin + offsets[-1] * (1 + 1e-9))
     parts = []
@@ -39,9 +39,9 @@ def features(model: Model, item: Trajectory, begin: float, offsets: Array) -> Ar
 
 
 def recognised(weights: Mapping[str, Array], model: Model, item: Trajectory) -> tuple[Array, Array] | None:
-    """The start of a trajectory by a member's recognition network, and how far off such starts are: [n_states] each.
+    """The initial state of a trajectory by a member's recognition network, and its error: [n_states] each.
 
-    None where the member has no such network, or the trajectory too few measurements.
+    None if the member has no such network, or the trajectory too few measurements.
     """
     if PREFIX + "offsets" not in weights:
         return None

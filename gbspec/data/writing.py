@@ -1,4 +1,4 @@
-"""Trajectories to a table of the wide layout, every number in full precision."""
+"""Writes trajectories to a table of the wide layout, with numbers in full precision."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from gbspec.ir import Model
 def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
     """Writes the table, so that reading it gives the same trajectories (replicates as their averages).
 
-    Columns: `trajectory`, the time, channels, `sd_…` where there is any, inputs (filled where they are given),
-    conditions, doses. The ending of `path` says whether it becomes CSV, TSV or Parquet. Raises UserError if it cannot
+    Columns: `trajectory`, the time, channels, `sd_…` if there is any, inputs (filled where they are given),
+    conditions, doses. The suffix of `path` selects CSV, TSV or Parquet. Raises UserError if it cannot
     be written.
     """
     path = Path(path)

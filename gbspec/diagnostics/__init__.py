@@ -1,4 +1,4 @@
-"""Places, findings, the catalogue of codes, and their rendering as text and JSON."""
+"""Places in texts, diagnostics, the catalogue of codes, and rendering as text and JSON."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What gbspec says of a user's mistake: frozen data, apart from how it is rendered."""
+"""Diagnostics and exceptions: data about errors, independent of their rendering."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gbspec.diagnostics.span import Cell, Place, Span
 
 
 class Severity(Enum):
-    """Errors stop the work (exit 1); warnings do not, unless `--strict`."""
+    """Errors stop a command (exit status 1); warnings do not, except with `--strict`."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -18,7 +18,7 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Label:
-    """Another place that a finding involves, with a word on its part in it."""
+    """Another place of a diagnostic, with a short text on its role."""
 
     span: Span
     text: str
@@ -26,9 +26,9 @@ class Label:
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One finding: a code of the catalogue, a message, the place, and how to mend it.
+    """One error or warning: a code of the catalogue, a message, the place, and a remedy.
 
-    `subject` is the name that `allow CODE NAME` would accept it under.
+    `subject` is the name with which `allow CODE NAME` accepts it.
     """
 
     code: str
@@ -42,7 +42,7 @@ class Diagnostic:
     severity: Severity = field(default=Severity.ERROR)
 
     def sort_key(self) -> tuple[str, int, int, str]:
-        """Findings are shown in the order of the text (tables: of rows), warnings among errors."""
+        """The key that sorts diagnostics by place in the text (in tables by row), errors and warnings together."""
         match self.place:
             case Span(source=source, start=start, end=end):
                 return source.path, start, end, self.code
@@ -53,7 +53,7 @@ class Diagnostic:
 
 
 class Findings:
-    """Collects diagnostics while a stage runs; every stage reports all that it finds before it stops."""
+    """Collects diagnostics while a stage runs; every stage reports all of its diagnostics before it stops."""
 
     def __init__(self, initial: Iterable[Diagnostic] = ()) -> None:
         self._items: dict[Diagnostic, None] = dict.fromkeys(initial)
@@ -89,7 +89,7 @@ class Findings:
         self.add(Diagnostic(code, message, place, label, tuple(labels), tuple(notes), help, subject, Severity.WARNING))
 
     def add(self, diagnostic: Diagnostic) -> None:
-        """Records a finished diagnostic (once)."""
+        """Records a diagnostic, unless it is recorded already."""
         self._items.setdefault(diagnostic)
 
     def extend(self, diagnostics: Iterable[Diagnostic]) -> None:
@@ -114,30 +114,30 @@ class Findings:
         return any(d.severity is Severity.ERROR for d in self._items)
 
     def raise_if_failed(self) -> None:
-        """Raises `UserError` with everything found (warnings too) if there is an error."""
+        """Raises `UserError` with all diagnostics (warnings too) if there is an error."""
         if self.failed:
             raise UserError(tuple(self))
 
 
 class UserError(Exception):
-    """The user's input is wrong (exit status 1). Carries every finding."""
+    """The user's input is wrong (exit status 1). `diagnostics` has all errors and warnings."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = tuple(diagnostics)
         super().__init__("; ".join(f"{d.code}: {d.message}" for d in self.diagnostics))
 
     def __reduce__(self) -> tuple[type[UserError], tuple[tuple[Diagnostic, ...]]]:
-        """So that workers can hand it on: an exception is made again from its text otherwise."""
+        """Pickles the diagnostics, so that worker processes can raise it; by default only the text is pickled."""
         return UserError, (self.diagnostics,)
 
 
 class ComputationError(Exception):
-    """A computation failed (exit status 3): what, where, and what to try."""
+    """A computation failed (exit status 3): which, where, and a remedy."""
 
     def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
         self.what, self.where, self.remedy = what, where, remedy
         super().__init__(what)
 
 
-class Defect(Exception):  # noqa: N818 - the name says what it is: a defect of gbspec, exit status 70
-    """gbspec itself is wrong (exit status 70); never caused by a user's input alone."""
+class Defect(Exception):  # noqa: N818 - the name distinguishes a defect of gbspec (exit status 70)
+    """A bug in gbspec (exit status 70), whatever the user's input."""

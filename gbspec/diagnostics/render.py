@@ -1,4 +1,4 @@
-"""Findings as text for people and as JSON for programs."""
+"""Renders diagnostics as text and as JSON."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gbspec.diagnostics.diagnostic import Diagnostic, Severity
 from gbspec.diagnostics.span import Cell, Source, Span
 
 _TAB = 4
-_MAX_WIDTH = 140  # longer lines of the text are cut around what is marked
+_MAX_WIDTH = 140  # longer lines of the text are cut around the marks
 _CONTEXT = 40  # how much of a cut line is kept before the mark
 _COLORS = {"error": "1;31", "warning": "1;33", "gutter": "1;34", "bold": "1", "secondary": "1;34"}
 
 
 @dataclass(frozen=True)
 class _Mark:
-    """One stretch of one line to be underlined."""
+    """A part of one line to be underlined."""
 
     line: int
     start: int  # columns from 0, in code points
@@ -28,12 +28,12 @@ class _Mark:
 
 
 def render_text(diagnostics: Iterable[Diagnostic], color: bool = False) -> str:
-    """All findings as text, each with its excerpt, separated by empty lines; empty where there are none."""
+    """All diagnostics as text, each with its excerpt, separated by empty lines; empty if there are none."""
     return "\n".join(_Renderer(diagnostic, color).render() for diagnostic in diagnostics)
 
 
 def to_json(diagnostic: Diagnostic) -> dict[str, Any]:
-    """The finding as plain data; lines and columns count from 1, the end is exclusive.
+    """The diagnostic as plain data; lines and columns count from 1, the end is exclusive.
 
     A place in a table has its row as `line` and no column number; `cell` holds its row and the name of its column.
     """
@@ -52,7 +52,7 @@ def to_json(diagnostic: Diagnostic) -> dict[str, Any]:
 
 
 def summary(diagnostics: Iterable[Diagnostic]) -> str:
-    """`2 errors, 1 warning`; empty where there is nothing."""
+    """The counts, as in `2 errors, 1 warning`; empty without diagnostics."""
     severities = [diagnostic.severity for diagnostic in diagnostics]
     counts = [(severities.count(kind), kind.value) for kind in (Severity.ERROR, Severity.WARNING)]
     return ", ".join(f"{count} {word}{'s' if count > 1 else ''}" for count, word in counts if count)
@@ -70,7 +70,7 @@ def _position(place: Span | Cell | None) -> dict[str, Any]:
 
 
 class _Renderer:
-    """The text of one finding."""
+    """The text of one diagnostic."""
 
     def __init__(self, diagnostic: Diagnostic, color: bool) -> None:
         self.diagnostic, self.color = diagnostic, color
@@ -102,7 +102,7 @@ class _Renderer:
     def _excerpt(self, source: Source, marks: list[_Mark], first: bool) -> list[str]:
         """One file's lines with their marks."""
         arrow = "-->" if first else ":::"
-        shown = marks[0]  # in the finding's own file, the finding itself
+        shown = marks[0]  # in the diagnostic's own file, its own place
         place = f"{printable(source.path)}:{shown.line}:{shown.start + 1}"
         out = [f"{' ' * self.margin}{self._paint('gutter', arrow)} {place}", self._gutter()]
         previous: int | None = None
@@ -139,7 +139,7 @@ class _Renderer:
 
 
 def _marks(diagnostic: Diagnostic) -> dict[Source, list[_Mark]]:
-    """What to underline, by file, the finding's own file first."""
+    """The parts to underline, by file, the diagnostic's own file first."""
     found: dict[Source, list[_Mark]] = {}
     if not isinstance(diagnostic.place, Span):
         return found
@@ -160,7 +160,7 @@ def _cell(cell: Cell, label: str) -> str:
 
 
 def _window(text: str, marks: list[_Mark]) -> tuple[int, int]:
-    """Which part of a long line is shown."""
+    """The start and end of the visible part of a long line."""
     if len(text) <= _MAX_WIDTH:
         return 0, len(text)
     low = max(0, min(mark.start for mark in marks) - _CONTEXT)
@@ -174,7 +174,7 @@ def _shown(text: str, low: int, high: int) -> str:
 
 
 def _expand(text: str, column: int) -> str:
-    """The text with tabs as spaces and nothing that a terminal would obey."""
+    """The text with tabs as spaces and control characters replaced."""
     out = []
     for character in text:
         shown = " " * (_TAB - column % _TAB) if character == "\t" else printable(character)
@@ -184,7 +184,7 @@ def _expand(text: str, column: int) -> str:
 
 
 def display_width(text: str, column: int) -> int:
-    """How many columns of a terminal the text takes from a column on."""
+    """The number of terminal columns of a text that begins at a given column."""
     return _width(_expand(text, column))
 
 
@@ -201,7 +201,7 @@ def _character_width(character: str) -> int:
 
 
 def printable(text: str) -> str:
-    """The text with control and invisible formatting characters replaced, so that a terminal cannot be led by it."""
+    """The text with control and invisible formatting characters replaced, so that it cannot control a terminal."""
     if text.isascii() and text.isprintable():
         return text
     return "".join(

@@ -9,7 +9,7 @@ from functools import cached_property
 
 @dataclass(frozen=True)
 class Source:
-    """A text that a user wrote: where it came from and what it says (BOM removed, line ends normalised to LF)."""
+    """A text that a user wrote: its path and its content (BOM removed, line endings normalised to LF)."""
 
     path: str
     text: str
@@ -25,7 +25,7 @@ class Source:
         return line, offset - self.line_starts[line - 1] + 1
 
     def line(self, number: int) -> str:
-        """The text of one line (from 1), without its end."""
+        """The text of one line (counted from 1), without its line ending."""
         start = self.line_starts[number - 1]
         end = self.line_starts[number] - 1 if number < len(self.line_starts) else len(self.text)
         return self.text[start:end]
@@ -47,7 +47,7 @@ class Span:
 
     @property
     def text(self) -> str:
-        """What the user wrote there."""
+        """The text of the span."""
         return self.source.text[self.start : self.end]
 
     def to(self, other: Span) -> Span:
@@ -62,7 +62,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Cell:
-    """A place in a data table: row and column as a person counts them (row 1 is the header)."""
+    """A place in a data table: the row as in a spreadsheet (row 1 is the header) and the column's name."""
 
     path: str
     row: int | None = None

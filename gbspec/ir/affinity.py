@@ -1,7 +1,7 @@
-"""Whether right-hand sides are affine in states, inputs and outputs of networks, decided once from the Model.
+"""Decides whether right-hand sides are affine in states, inputs and outputs of networks.
 
-Where they are, and where all trajectories share the factors, an engine may evaluate them as products of matrices that
-are made once a solution.
+If they are, and all trajectories share the factors, an engine may evaluate them as products of matrices that are
+computed once per solution.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from gbspec.ir.model import NN, Expr, Model, Unknown
 
 
 class _Kind(IntEnum):
-    """What an expression is, from the least to the most."""
+    """The class of an expression, from the narrowest to the widest."""
 
     SHARED = 0
-    """The same number for all trajectories and times."""
+    """A number shared by all trajectories and times."""
     OWN = 1
-    """A number for each trajectory."""
+    """A number that may differ between trajectories."""
     MOVING = 2
     """Affine in states and inputs, with shared factors."""
     OUTPUT = 3
-    """Affine in outputs of networks too."""
+    """Affine also in outputs of networks."""
 
 
 class _NotAffineError(Exception):
-    """An expression is none of these."""
+    """An expression is in none of these classes."""
 
 
 def is_affine(model: Model) -> bool:
@@ -58,7 +58,7 @@ class _Reader:
         self.symbols |= {item.symbol: _Kind.MOVING for item in (*model.states, *model.inputs)}
 
     def kind(self, node: Expr, symbols: Mapping[sympy.Symbol, _Kind]) -> _Kind:
-        """What an expression is. Raises _NotAffineError if it is nothing of the sort."""
+        """The class of an expression. Raises _NotAffineError if it is in none."""
         if isinstance(node, sympy.Symbol):
             if node not in symbols:  # the time
                 raise _NotAffineError
@@ -74,7 +74,7 @@ class _Reader:
         raise _NotAffineError
 
     def _applied(self, unknown: Unknown, arguments: list[_Kind]) -> _Kind:
-        """The value of an unknown: its postulate, or the form of its contracts, at arguments of these kinds."""
+        """The value of an unknown: its postulate, or the form of its contracts, with arguments of these classes."""
         if _Kind.OUTPUT in arguments:
             raise _NotAffineError
         formals = self.model.networks[unknown.network].arguments

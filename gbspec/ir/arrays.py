@@ -1,8 +1,8 @@
-"""Arrays of states, and expressions that stand for many of a kind at once.
+"""Arrays of states, and expressions that represent all elements of an array at once.
 
-A Model has every state, balance, start and channel written out, and analysis works on these. Where the text gave one
-expression for all elements of an array, or added them up, a `Family` keeps that short form beside them, so that
-backends can compute whole arrays in one operation. Both forms come from the same text.
+A Model has an entry for every single state, balance, initial value and channel, and analysis works on these. If the
+text has one expression for all elements of an array, or sums them, a `Family` stores that short form in addition, so
+that backends can compute whole arrays in one operation. Both forms come from the same text.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gbspec.diagnostics import Defect
 from gbspec.ir.forms import Expr
 
 Vector = Literal["balances", "starts", "channels", "intermediates"]
-"""The tuples of a Model in which a family stands for entries."""
+"""The tuples of a Model whose entries a family can represent."""
 
 
 class Element(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
@@ -31,7 +31,7 @@ class Element(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
 
 
 class Total(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
-    """`sum(c)`: all elements of an array added up."""
+    """`sum(c)`: the sum of all elements of an array."""
 
     is_real = True
 
@@ -42,8 +42,8 @@ class Total(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
 
 @dataclass(frozen=True)
 class Array:
-    """`state c[1..512]`: its first index, the names of the states that it is, the place of the first of them among the
-    Model's states, and what closes its ends, by index."""
+    """`state c[1..512]`: its first index, the names of its states, the position of the first of them among the
+    Model's states, and the expressions of elements beyond its ends, by index."""
 
     name: str
     first: int
@@ -72,7 +72,7 @@ class Array:
         return f"{self.name}[{self.first}..{self.last}]"
 
     def at(self, index: int) -> Expr:
-        """What an element is: the symbol of a state, or beyond the range what closes that end."""
+        """The expression of an element: the symbol of a state, or beyond the range that of its closure."""
         if self.first <= index <= self.last:
             return sympy.Symbol(self.names[index - self.first], real=True)
         for where, value in self.ends:
@@ -99,7 +99,7 @@ class Family:
 
 
 def runs(families: Sequence[Family], vector: Vector, size: int) -> Iterator[Family | int]:
-    """The entries of a vector of that size in order: families, and places of those that stand for themselves."""
+    """The entries of a vector of that size in order: families, and positions of single entries."""
     starts = {family.begin: family for family in families if family.vector == vector}
     place = 0
     while place < size:

@@ -1,10 +1,11 @@
-"""The derivative rules of all operations of the language, once: the native kernel, the question of identifiability and,
-through a test, torch's automatic differentiation draw on this table.
+"""The derivative rules of all operations of the language, used by the native kernel and the identifiability analysis.
+A test compares torch's automatic differentiation with them.
 
 Conventions where a function has a kink: `abs` and `sign` have slope 0 at 0; where the arguments of `max` or `min` are
 equal, each has slope 1/2 (an argument that is NaN counts as not smaller and not larger); a power whose exponent is a
 variable has slope 0 in its base where the exponent is 0, and slope 0 in its exponent where the base is 0 and the
-exponent is not negative. Through a choice a derivative passes in the branch that is taken, never through the condition.
+exponent is not negative. The derivative of a conditional is that of the branch taken; the condition does not
+contribute.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ UNARY: Mapping[type[sympy.Basic], Callable[[Expr, Expr], Expr]] = {
     softplus: lambda x, v: logistic(x),
     logistic: lambda x, v: v * (1 - v),
 }
-"""Functions of one argument: the slope, x being the argument and v the function's value there."""
+"""Functions of one argument: the derivative, with x the argument and v the function's value."""
 
 Partials = list[tuple[Expr, Expr]]
 
@@ -50,8 +51,8 @@ Partials = list[tuple[Expr, Expr]]
 def partials(node: Expr, value: Expr | None = None) -> Partials:
     """The arguments of an operation, each with the partial derivative by it; conventions at kinks as `Piecewise`.
 
-    `value` stands for the operation's value in them (None: the node itself). `Max` and `Min` have two arguments here
-    (see `nested`); a choice (`Piecewise`) is no operation. Raises Defect for a node without a rule.
+    `value` represents the operation's value in them (None: the node itself). `Max` and `Min` have two arguments here
+    (see `nested`); a conditional (`Piecewise`) is not an operation. Raises Defect for a node without a rule.
     """
     v = node if value is None else value
     if type(node) in UNARY:
@@ -65,7 +66,7 @@ def partials(node: Expr, value: Expr | None = None) -> Partials:
         case sympy.Pow():
             return _power(node, v)
         case sympy.Max() | sympy.Min():
-            a, b = ordered(node)[0], ordered(node)[-1]  # with two equal arguments sympy keeps but one
+            a, b = ordered(node)[0], ordered(node)[-1]  # of two equal arguments sympy keeps only one
             loses = (a < b, b < a) if isinstance(node, sympy.Max) else (b < a, a < b)
             half = (sympy.Rational(1, 2), sympy.Eq(a, b, evaluate=False))
             return [
@@ -102,7 +103,7 @@ def _power(node: sympy.Pow, v: Expr) -> Partials:
 
 
 def _choice(*branches: tuple[Expr, Boolean] | Expr) -> sympy.Piecewise:
-    """A `Piecewise` as it stands; the last branch is what remains."""
+    """An unevaluated `Piecewise`; the last branch is the default."""
     *cases, otherwise = branches
     return sympy.Piecewise(*cases, (otherwise, True), evaluate=False)
 
@@ -114,14 +115,14 @@ def ordered(node: sympy.Basic) -> list[Expr]:
 
 
 def nested(node: Expr) -> Expr:
-    """`Max` or `Min` of several arguments as one of two, the first being that of all others."""
+    """`Max` or `Min` of several arguments as nested calls with two arguments."""
     *others, last = ordered(node)
     return node if len(others) < 2 else node.func(node.func(*others, evaluate=False), last, evaluate=False)
 
 
 @lru_cache(maxsize=8192)
 def derivative(node: Expr, symbol: sympy.Symbol) -> Expr:
-    """The derivative of an expression by a symbol, by these rules; unknowns in it count as constants.
+    """The derivative of an expression with respect to a symbol, by these rules; unknowns in it count as constants.
 
     Raises Defect for a node without a rule.
     """

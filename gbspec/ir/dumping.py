@@ -12,7 +12,7 @@ from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range,
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
-    """Floats as the double that they are: sympy's own printer cuts them to 15 digits."""
+    """Prints floats in full double precision: sympy's own printer cuts them to 15 digits."""
 
     def _print_Float(self, expr: Float) -> str:  # noqa: N802 - sympy finds it by this name
         return repr(float(expr))
@@ -27,7 +27,7 @@ def written(expression: Expr) -> str:
 
 
 def contract_text(contract: Contract) -> str:
-    """A contract as a `.gb` file writes it."""
+    """A contract in the syntax of a `.gb` file."""
     value = "" if contract.value is None else written(contract.value).replace("**", "^")
     match contract.kind:
         case "lower":
@@ -41,7 +41,7 @@ def contract_text(contract: Contract) -> str:
 
 
 def guarantee(unknown: Unknown) -> str:
-    """What holds of an unknown for every weight, and for which arguments; empty where nothing does."""
+    """The guarantees of an unknown for all weights, and for which arguments; empty if there are none."""
     if unknown.form is None or not unknown.contracts:
         return ""
     contracts = ", ".join(map(contract_text, unknown.contracts))
@@ -51,7 +51,7 @@ def guarantee(unknown: Unknown) -> str:
 
 
 def dump(model: Model) -> str:
-    """Every part of the Model, one a line, in its order; numbers in full precision. Ends with a line end."""
+    """Every part of the Model, one per line, in its order; numbers in full precision. Ends with a line end."""
     lines = [f"model {model.name}" + _quoted(model.title), *_declarations(model), *_mathematics(model)]
     lines += _section(
         "truths",
@@ -65,7 +65,7 @@ def dump(model: Model) -> str:
 
 
 def _declarations(model: Model) -> list[str]:
-    """What is declared: time, states, conditions, inputs, constants, networks."""
+    """The lines of declarations: time, states, conditions, inputs, constants, networks."""
     lines: list[str] = []
     lines.append(
         f"time {model.time.name}{_unit(model.time)}"
@@ -97,7 +97,7 @@ def _declarations(model: Model) -> list[str]:
 
 
 def _mathematics(model: Model) -> list[str]:
-    """What is expressed: postulates, intermediates, processes, balances, channels, doses, claims."""
+    """The lines of expressions: postulates, intermediates, processes, balances, channels, doses, claims."""
     lines = _section(
         "unknowns",
         (

@@ -1,4 +1,4 @@
-"""How an unknown with contracts is computed from its network, so that the contracts hold whatever the weights are.
+"""The form in which an unknown with contracts is computed from its network, so that they hold for all weights.
 
 A `Form` is an expression in the network's unscaled outputs; a `Layout` says which units of the network may depend on
 which arguments, and in which direction. Both are decided by `gbspec.passes.contracts` and printed by the backends.
@@ -63,7 +63,7 @@ def spread(argument: int) -> sympy.Symbol:
 
 
 def described(text: str) -> tuple[str, tuple[int, ...]] | None:
-    """What a symbol's name stands for: ("raw", (evaluation, output)), ("scale", (output,)), ...; None for others."""
+    """The meaning of a symbol's name: ("raw", (evaluation, output)), ("scale", (output,)), ...; None for others."""
     word, *numbers = text.split(" ")
     if not numbers or word not in ("raw", "center", "scale", "spread"):
         return None
@@ -78,8 +78,8 @@ class Form:
     """The value of an unknown: `value` in raw outputs, centres, scales, the formal arguments and constants.
 
     `evaluations`: the arguments at which the network is evaluated, as expressions in the formals; the first are usually
-    the formals themselves. `scope`: whether the contracts hold for all real arguments or within the ranges of
-    `within` alone. `notes`: what else was decided, in words (a correction kept positive, for instance).
+    the formals themselves. `scope`: whether the contracts hold for all real arguments or only within the ranges
+    of `within`. `notes`: other decisions, in words (a correction kept positive, for instance).
     """
 
     evaluations: tuple[tuple[Expr, ...], ...]
@@ -90,14 +90,14 @@ class Form:
 
 
 Shape = Literal["free", "convex", "concave", "saturating"]
-"""The activation of a unit: the network's own, or a monotone one that bends upwards, downwards, or levels off."""
+"""The activation of a unit: the network's own, or a monotone one that is convex, concave or saturating."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Units of a hidden layer that are alike.
+    """Units of a hidden layer with the same kind and activation.
 
-    `kind` has one character an argument: how the units may depend on it: `+` not decreasing, `-` not increasing,
+    `kind` has one character per argument, for how the units may depend on it: `+` not decreasing, `-` not increasing,
     `*` freely, `0` not at all.
     """
 

@@ -1,6 +1,6 @@
-"""Integrators as data: a new explicit Runge-Kutta method is one entry of `METHODS`, and nothing else.
+"""Integrators as data: adding an explicit Runge-Kutta method takes one entry of `METHODS` and no other change.
 
-Everything that takes steps reads the method from here: the generated module, the native kernel, casadi and its C code,
+All code that takes steps reads the method from here: the generated module, the native kernel, casadi and its C code,
 the packing of inputs, and `--solver`. `docs/architecture.md` ("Integrators") says how implicit and adaptive methods
 will join.
 """
@@ -19,13 +19,13 @@ Row = tuple[Fraction, ...]
 
 @dataclass(frozen=True)
 class Explicit:
-    """An explicit Runge-Kutta method by its Butcher tableau, exactly.
+    """An explicit Runge-Kutta method, by its exact Butcher tableau.
 
     Runge-Kutta stage i is the right-hand side at `t + c[i] h` and `x + h sum_j a[i][j] k_j`; a step adds
     `h sum_i b[i] k_i`. `h sum_i b_error[i] k_i` estimates the error of a step: the difference to an embedded method of
     order `embedded_order`. `source` is where the coefficients are from, `help` a line for users.
 
-    Raises ValueError where rows do not fit, or a node lies outside the step, where no input is known.
+    Raises ValueError if rows have wrong lengths, or a node lies outside the step, where inputs are unknown.
     """
 
     name: str
@@ -46,30 +46,30 @@ class Explicit:
 
     @cached_property
     def c(self) -> Row:
-        """Where in the step each Runge-Kutta stage is taken: the sums of the rows."""
+        """The nodes of the Runge-Kutta stages as fractions of the step: the sums of the rows."""
         return tuple(sum(row, Fraction(0)) for row in self.a)
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """What functions of one step call the inputs at the nodes: `u0`, `u1`, ..."""
+        """The names of the inputs at the nodes in functions of one step: `u0`, `u1`, ..."""
         return tuple(f"u{i}" for i in range(len(self.nodes)))
 
     @cached_property
     def advancing(self) -> int:
-        """How many Runge-Kutta stages a step needs; those behind serve the error estimate alone."""
+        """The number of Runge-Kutta stages that a step needs; later ones are used only by the error estimate."""
         return max(i + 1 for i, weight in enumerate(self.b) if weight)
 
     @cached_property
     def nodes(self) -> Row:
-        """The parts of a step at which inputs are needed, in order, each once.
+        """The distinct fractions of a step at which inputs are needed, in increasing order.
 
-        The step's ends are always among them: from these the slopes of inputs are told.
+        The step's ends are always among them, since the slopes of inputs are computed from these.
         """
         return tuple(sorted({Fraction(0), Fraction(1), *self.c[: self.advancing]}))
 
 
 Method: TypeAlias = Explicit
-"""Every kind of method. Match on it with `assert_never`, so that another kind finds the places that it concerns."""
+"""Every kind of method. Match on it with `assert_never`, so that mypy reports places that lack a new kind."""
 
 
 def _row(text: str) -> Row:
@@ -88,7 +88,7 @@ RK4 = Explicit(
     source="Kutta (1901), Z. Math. Phys. 46, 435",
     help="the classical method of order 4",
 )
-"""The integrator of the paper, and the default."""
+"""The default integrator."""
 
 RK38 = Explicit(
     "rk38",
@@ -124,18 +124,18 @@ METHODS: dict[str, Method] = {method.name: method for method in (RK4, RK38, DOPR
 
 
 def listed() -> str:
-    """The names with what they are, for a line of help."""
+    """The names of the methods with their descriptions, for a help line."""
     return "; ".join(f"`{name}`, {method.help}" for name, method in METHODS.items())
 
 
 def unknown_method(name: str) -> Diagnostic:
-    """What to say of a name that no method has (GB850): those that there are."""
+    """The diagnostic (GB850) for a name that no method has."""
     known = ", ".join(f"`{each}`" for each in METHODS)
     return Diagnostic("GB850", f"`--solver {name}` must be one of {known}", None, subject="solver")
 
 
 def method_named(name: str) -> Method:
-    """The method of a name. Raises UserError (GB850)."""
+    """The method with a given name. Raises UserError (GB850)."""
     if name not in METHODS:
         raise UserError([unknown_method(name)])
     return METHODS[name]

@@ -1,9 +1,9 @@
-"""The Model: what a `.gb` file means, in sympy. Immutable; every part knows its place in the text.
+"""The Model: the meaning of a `.gb` file in sympy. Immutable; every part has its place in the text.
 
-All symbols are `sympy.Symbol(name, real=True)`, one a name (see `symbol`). An application of an unknown is an undefined
-sympy function of the unknown's name: `sympy.Function("phi", real=True)(x1, x2, Da)` (see `unknown_function`); what it
-means is `Unknown.postulate`. Intermediates (`let`, process rates) stay symbols in balances and observations and are
-listed in an order in which each depends only on earlier ones; `Model.inlined` replaces them.
+All symbols are `sympy.Symbol(name, real=True)`, one per name (see `symbol`). An application of an unknown is an
+undefined sympy function of the unknown's name: `sympy.Function("phi", real=True)(x1, x2, Da)` (see `unknown_function`);
+its value is given by `Unknown.postulate`. Intermediates (`let`, process rates) stay symbols in balances and
+observations and are listed in an order in which each depends only on earlier ones; `Model.inlined` replaces them.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ Expr: TypeAlias = sympy.Expr
 
 
 def symbol(name: str) -> sympy.Symbol:
-    """The one symbol that stands for a name in every expression of a Model."""
+    """The symbol of a name, the same in every expression of a Model."""
     return sympy.Symbol(name, real=True)
 
 
 @cache
 def unknown_function(name: str) -> type[sympy.Function]:
-    """The undefined function whose applications stand for the unknown of that name."""
+    """The undefined sympy function for the unknown of that name."""
     return sympy.Function(name, real=True)  # type: ignore[no-any-return]
 
 
@@ -50,7 +50,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Declared:
-    """What every declared name has. `unit` is the text of its unit (canonical form), None where there is none."""
+    """The attributes of every declared name. `unit` is the text of its unit (canonical form), None without one."""
 
     name: str
     unit: str | None = field(default=None, kw_only=True)
@@ -59,7 +59,7 @@ class Declared:
 
     @property
     def symbol(self) -> sympy.Symbol:
-        """The symbol that stands for it."""
+        """The symbol of the name."""
         return symbol(self.name)
 
 
@@ -72,9 +72,10 @@ class Time(Declared):
 
 @dataclass(frozen=True)
 class Initial:
-    """How a state starts.
+    """The initial value of a state.
 
-    `expression`: known, `value` in constants, learnables, conditions and the symbols of other states (their starts).
+    `expression`: known, `value` in constants, learnables, conditions and the symbols of other states (their initial
+    values).
     `learned`: a trainable number for each trajectory. `measured`: the first measured value if the state itself is
     measured at the trajectory's first row, else learned (the default).
     """
@@ -86,7 +87,7 @@ class Initial:
 
 @dataclass(frozen=True)
 class State(Declared):
-    """An unknown over time. `range` is plausible, for scaling and warnings; `start` guesses where it begins."""
+    """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value."""
 
     range: Range | None = None
     start: float | None = None
@@ -95,7 +96,7 @@ class State(Declared):
 
 @dataclass(frozen=True)
 class Condition(Declared):
-    """Known, constant within a trajectory; `column` is its name in the data."""
+    """A known quantity, constant within a trajectory; `column` is its name in the data."""
 
     range: Range | None = None
     default: float | None = None
@@ -104,7 +105,7 @@ class Condition(Declared):
 
 @dataclass(frozen=True)
 class Input(Declared):
-    """Known signal of time; its symbol in an expression is its current value."""
+    """A known function of time; its symbol in an expression is its current value."""
 
     interpolation: Literal["held", "linear"] = "held"
     range: Range | None = None
@@ -130,7 +131,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Learnable(Declared):
-    """A constant to be learned, inside `range` (open ends where a bound is strict; infinite where there is none)."""
+    """A constant to be learned, inside `range` (open ends if a bound is strict; infinite without a bound)."""
 
     start: float = 1.0
     range: Range = Range()
@@ -163,15 +164,15 @@ class Contract:
 
 
 NN = symbol("nn")
-"""The network's raw output in `Unknown.postulate`; `nn` is refused as a name, so it cannot clash."""
+"""The network's raw output in `Unknown.postulate`; `nn` is reserved, so that it cannot clash with a name."""
 
 
 @dataclass(frozen=True)
 class Unknown(Declared):
     """One function to be learned: output `output` of network `network` of the Model.
 
-    Its value is `postulate` with `NN` the network's output and the formals its arguments; `postulate == NN` where the
-    user gave none. `neutral` is what `nn` is when the correction does nothing (1 where multiplied, else 0).
+    Its value is `postulate` with `NN` the network's output and the formals its arguments; `postulate == NN` if the
+    user gave none. `neutral` is the value of `nn` without a correction (1 if it is a factor, else 0).
     """
 
     network: int = 0
@@ -180,7 +181,7 @@ class Unknown(Declared):
     neutral: float = 0.0
     contracts: tuple[Contract, ...] = ()
     form: Form | None = None
-    """How it is computed so that its contracts hold (`gbspec.passes.contracts`); None: by its postulate alone."""
+    """The form that guarantees its contracts (`gbspec.passes.contracts`); None: the postulate is used directly."""
 
 
 Activation = Literal["silu", "tanh", "softplus", "relu", "gelu", "sigmoid", "elu", "sin"]
@@ -195,11 +196,11 @@ class Network:
     hidden: tuple[int, ...] = (32, 32)
     activation: Activation = "silu"
     layout: Layout | None = None
-    """The directions of its units where contracts need them monotone; None: every weight is free."""
+    """The directions of its units if contracts need them monotone; None: every weight is free."""
 
     @property
     def name(self) -> str:
-        """Names the network in weights files: its outputs joined by `_`."""
+        """The network's name in weights files: its outputs joined by `_`."""
         return "_".join(self.outputs)
 
     @property
@@ -239,7 +240,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Channel(Declared):
-    """A measured quantity; `state` is the index of the state that it is, None where it is a proper expression."""
+    """A measured quantity; `state` is the index of the state measured directly, None if it is an expression."""
 
     value: Expr = sympy.S.Zero
     state: int | None = None
@@ -275,7 +276,7 @@ class TruthConstant:
 
 @dataclass(frozen=True)
 class TruthFunction:
-    """The reference of an unknown; `value` in `parameters`, constants and (meaning their truths) learnables."""
+    """The reference of an unknown; `value` is in `parameters`, constants and learnables (at their truths)."""
 
     name: str
     parameters: tuple[str, ...]
@@ -306,9 +307,9 @@ class Model:
     truth_functions: tuple[TruthFunction, ...] = ()
     arrays: tuple[Array, ...] = ()
     families: tuple[Family, ...] = ()
-    """Short forms of entries of the vectors above, which are written out all the same (see `gbspec.ir.arrays`)."""
+    """Short forms of entries of the vectors above, which have the single entries as well (see `gbspec.ir.arrays`)."""
     text: str = ""
-    """The model as one `.gb` text, `extends` resolved; what a run directory keeps."""
+    """The model as one `.gb` text, `extends` resolved; stored in run directories."""
     allowed: tuple[tuple[str, str | None], ...] = ()
     """Warnings that the author accepts: codes, each with the name it is accepted for (None: any)."""
 
@@ -328,15 +329,15 @@ class Model:
         return {state.name: i for i, state in enumerate(self.states)}
 
     def runs(self, vector: Vector) -> Iterator[Family | int]:
-        """The entries of a vector in order: families, and places of those that stand for themselves."""
+        """The entries of a vector in order: families, and positions of single entries."""
         sizes = {"channels": len(self.channels), "intermediates": len(self.intermediates)}
         return runs(self.families, vector, sizes.get(vector, len(self.states)))
 
     def equations(self, vector: Vector | Literal["closures"]) -> list[tuple[Expr, Expr]]:
-        """Left and right sides for a reader: of a family once, with an `Element` on the left; of `closures` the ends.
+        """Left and right sides for display: one per family, with an `Element` on the left; or those of array ends.
 
-        Left are the names of states, channels or intermediates; channels that are states as they are, and starts that
-        are not expressed, are left out.
+        The left sides are the names of states, channels or intermediates. Channels that measure a state directly, and
+        initial values without an expression, are left out.
         """
         if vector == "closures":
             return [(Element(a.symbol, sympy.Integer(k)), value) for a in self.arrays for k, value in a.ends]
@@ -367,16 +368,16 @@ class Model:
 
     @cached_property
     def has_truth(self) -> bool:
-        """Whether every unknown has a truth (learnables without one stand at their start)."""
+        """Whether every unknown has a truth (learnables without one have their starting values)."""
         known = {truth.name for truth in self.truth_functions}
         return all(unknown.name in known for unknown in self.unknowns)
 
     def accepts(self, code: str, name: str | None = None) -> bool:
-        """Whether the author accepts the warning `code` about `name` by an `allow`."""
+        """Whether an `allow` accepts the warning `code` about `name`."""
         return any(allowed == code and about in (None, name) for allowed, about in self.allowed)
 
     def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
-        """The expressions with every intermediate replaced by what it stands for."""
+        """The expressions with every intermediate substituted."""
         table: dict[sympy.Symbol, Expr] = {}
         for item in self.intermediates:
             table[item.symbol] = item.value.xreplace(table)

@@ -1,4 +1,4 @@
-"""The residual: the one definition that fits, reports, studies and the native kernel agree with.
+"""The residual: the single definition used by fits, reports, studies and the native kernel.
 
 For a measured value y with prediction p, scale s and weight w (the square root of the number of measurements that y
 averages; 0 where nothing was measured)
@@ -9,7 +9,7 @@ and for a channel with log-normal noise, whose scale is that of logarithms,
 
     r = w ln(p / |y|) / s,    continued below p = LOG_FLOOR |y| by its tangent,
 
-so that predictions that become negative on the way of a fit have a finite residual that still falls towards the data.
+so that predictions that become negative during a fit have a finite residual that still falls towards the data.
 The sign is that of prediction minus measurement. Half the sum of squares of r / (standard deviation of the noise in
 units of r) is the negative log likelihood up to terms that do not depend on p.
 """
@@ -26,7 +26,7 @@ from gbspec.ir.model import Model
 LOG_FLOOR = 1e-3
 """Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
 _LEAST = 1e-300
-"""Stands for a measured zero, of which there is no logarithm."""
+"""Replaces a measured zero, which has no logarithm."""
 
 
 def logarithmic(model: Model) -> NDArray[np.bool_]:
@@ -38,7 +38,7 @@ def residuals(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[n
     """Residuals [..., C] of `predicted` and `measured` [..., C] (any number where nothing was
     measured; NaN there gives NaN where the factor is positive).
 
-    `factor` [..., C] is w / s, 0 where nothing was measured: the residual is then 0 whatever was predicted.
+    `factor` [..., C] is w / s, 0 where nothing was measured: the residual is then 0 for any prediction.
     `logarithmic` [C]: which channels have log-normal noise. `xp` is numpy for arrays or torch for tensors.
     """
     difference = predicted - measured
@@ -50,7 +50,7 @@ def residuals(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[n
 
 
 def slopes(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.bool_], xp: Any = np) -> Any:
-    """Derivatives of the residuals by the predictions [..., C]; arguments as in `residuals`."""
+    """Derivatives of the residuals with respect to the predictions [..., C]; arguments as in `residuals`."""
     out = factor + xp.zeros_like(predicted)
     if logarithmic.any():
         size = xp.clip(xp.abs(measured), _LEAST, None)
@@ -60,5 +60,5 @@ def slopes(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.b
 
 
 def _like(predicted: Any, mask: NDArray[np.bool_], xp: Any) -> Any:
-    """A mask as `predicted` is: an array, or a tensor on its device."""
+    """A mask of the type of `predicted`: an array, or a tensor on its device."""
     return mask if xp is np else predicted.new_tensor(mask, dtype=xp.bool)

@@ -1,4 +1,4 @@
-"""What must hold of every Model, checked after lowering and after each pass; a failure is a defect of gbspec."""
+"""Checks the invariants of every Model, after lowering and after each pass; a failure is a defect of gbspec."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gbspec.ir.model import NN, Expr, Model, Network, symbol
 
 
 def verify(model: Model) -> None:
-    """Checks that every symbol is declared, every application has its arity, orders and indices agree, numbers finite.
+    """Checks that symbols are declared, arities, orders and indices agree, and numbers are finite.
 
     Raises:
         Defect: naming the part of the Model that breaks a rule.
@@ -65,8 +65,8 @@ def _expressions(model: Model) -> None:
     arity = {u.name: len(model.networks[u.network].arguments) for u in model.unknowns}
 
     def check(what: str, expression: Expr, allowed: Iterable[sympy.Symbol], *, applies: bool = True) -> None:
-        strangers = sorted(str(s) for s in expression.free_symbols - set(allowed))
-        _require(not strangers, f"{what} uses {strangers}")
+        undeclared = sorted(str(s) for s in expression.free_symbols - set(allowed))
+        _require(not undeclared, f"{what} uses {undeclared}")
         for application in expression.atoms(AppliedUndef):
             name = application.func.__name__
             _require(applies and arity.get(name) == len(application.args), f"{what} applies {name}")
@@ -104,7 +104,7 @@ def _expressions(model: Model) -> None:
 
 
 def _families(model: Model) -> None:
-    """Arrays and families lie within their vectors, overlap nowhere, and use what is declared."""
+    """Checks that arrays and families lie within their vectors, do not overlap, and use only declared names."""
     arrays = {array.symbol: array for array in model.arrays}
     for array in model.arrays:
         names = [state.name for state in model.states[array.position : array.position + array.count]]
@@ -115,8 +115,8 @@ def _families(model: Model) -> None:
     values = [(f"a family of {f.vector}", f.value, {f.index}) for f in model.families]
     values += [(f"an end of `{a.name}`", value, set()) for a in model.arrays for _, value in a.ends]
     for what, value, more in values:
-        strangers = sorted(map(str, value.free_symbols - known - more))
-        _require(not strangers, f"{what} uses {strangers}")
+        undeclared = sorted(map(str, value.free_symbols - known - more))
+        _require(not undeclared, f"{what} uses {undeclared}")
         applied = {a.func.__name__ for a in value.atoms(AppliedUndef)}
         _require(applied <= model.unknown_names, f"{what} applies {sorted(applied - model.unknown_names)}")
     for vector in {family.vector for family in model.families}:
@@ -127,7 +127,7 @@ def _families(model: Model) -> None:
 
 
 def _forms(model: Model) -> None:
-    """A layout covers its network; a form evaluates it at its arguments, and uses what the evaluations give."""
+    """Checks that a layout covers its network, and that a form uses only outputs of its evaluations of the network."""
     for network in model.networks:
         if network.layout is not None:
             widths = tuple(sum(block.count for block in layer) for layer in network.layout.hidden)
@@ -149,7 +149,7 @@ def _forms(model: Model) -> None:
 
 
 def _inside(meant: tuple[str, tuple[int, ...]], form: Form, network: Network) -> bool:
-    """Whether what a symbol of a form stands for is there: an evaluation, an output (gates counted), an argument."""
+    """Whether the indices in a symbol of a form exist: an evaluation, an output (gates included), an argument."""
     outputs = len(network.outputs) + (0 if network.layout is None else network.layout.gates)
     match meant:
         case "raw", (evaluation, output):

@@ -1,4 +1,4 @@
-"""Checked syntax tree to Model: the one place where names become symbols and text becomes mathematics."""
+"""From the checked syntax tree to the Model: names become symbols, expressions become sympy expressions."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Expressions from the command line over the names of a Model."""
+"""Expressions from the command line in the names of a Model."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from gbspec.syntax import FUNCTIONS, ast
 
 
 def lower_expression(expression: ast.Expression, model: ir.Model, findings: Findings) -> Expr:
-    """An expression or condition from the command line, such as `x2 > 4`, over a Model's names.
+    """An expression or condition from the command line, such as `x2 > 4`, in a Model's names.
 
-    Names are the time, states, conditions, inputs, constants, and intermediates; unknowns may be applied. Whatever is
-    not one of them is recorded as an error, and the result is then not to be used.
+    Names are the time, states, conditions, inputs, constants, and intermediates; unknowns may be applied. Any
+    other name is recorded as an error; the result must then not be used.
     """
     names = {model.time.name, *model.constant_names}
     for group in (model.states, model.conditions, model.inputs, model.intermediates):
@@ -28,10 +28,10 @@ def lower_expression(expression: ast.Expression, model: ir.Model, findings: Find
     def missing(name: ast.Name, pool: set[str]) -> Expr:
         findings.error(
             "GB201",
-            f"nothing is called `{name.text}` in the model `{model.name}`",
+            f"there is no `{name.text}` in the model `{model.name}`",
             name.span,
             label="not declared",
-            help=suggestion(name.text, pool) or "names here are " + ", ".join(f"`{n}`" for n in sorted(pool)[:12]),
+            help=suggestion(name.text, pool) or "known names: " + ", ".join(f"`{n}`" for n in sorted(pool)[:12]),
             subject=name.text,
         )
         return sympy.S.Zero

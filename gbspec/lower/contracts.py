@@ -1,4 +1,4 @@
-"""Contracts of unknowns as parts of the Model."""
+"""Lowers the contracts of unknowns."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gbspec.syntax import ast
 
 
 def contract_values(contract: ast.Contract) -> Iterator[ast.Expression]:
-    """The expressions of a contract, in the order in which `lower_contracts` takes their values."""
+    """The expressions of a contract, in the order in which `lower_contracts` expects their values."""
     match contract:
         case ast.Bound(value=value) | ast.ZeroAt(value=value):
             yield value

@@ -1,7 +1,7 @@
-"""Expressions of the text as expressions of sympy.
+"""Builds sympy expressions from syntax trees.
 
-Integers become sympy integers, decimals sympy floats of 53 bits, so that every number prints back as the double that
-the user wrote. Chains of sums and products are built at once.
+Integers become sympy integers, decimals sympy floats of 53 bits, so that every number is printed as the double that
+the user wrote. Chains of sums and products are built in one step.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gbspec.semantics import chain, fold, operands
 from gbspec.syntax import FUNCTIONS, ast
 
 LARGEST_EXACT = 2**53
-"""Whole numbers beyond this are not all doubles, so they become floats."""
+"""Larger whole numbers are not all representable as doubles, so they become floats."""
 
 _EXACT_BITS = 64
 """Powers of rational numbers stay exact up to this size."""
@@ -39,7 +39,7 @@ _RELATIONS: dict[str, type[sympy.Rel]] = {
 
 
 def number(text: str) -> Expr:
-    """A literal: a whole number that is a double stays exact, everything else is the nearest double."""
+    """The value of a literal: exact for a whole number that is a double, else the nearest double."""
     if text.isdigit() and len(text) <= 16 and int(text) <= LARGEST_EXACT:
         return sympy.Integer(int(text))
     return sympy.Float(float(text))
@@ -81,9 +81,9 @@ Indexing = Callable[[ast.Index, Expr], Expr]
 
 
 def build(node: ast.Expression, naming: Naming, calling: Calling, indexing: Indexing | None = None) -> Expr:
-    """An expression in sympy; `naming` and `calling` say what names and calls other than elementary functions mean.
+    """The sympy expression of a syntax tree.
 
-    So does `indexing` of elements of arrays, where they are not names already.
+    `naming`, `calling` (except elementary functions) and `indexing` (if arrays are not expanded) translate the leaves.
     """
 
     def combine(part: ast.Expression, values: list[Expr]) -> Expr:
@@ -112,7 +112,7 @@ def build(node: ast.Expression, naming: Naming, calling: Calling, indexing: Inde
                 return calling(part, values)
             case ast.Index() if indexing is not None:
                 return indexing(part, values[0])
-            case ast.Index(array=array, index=ast.Number(text=text)):  # on the command line; in a file it is a name
+            case ast.Index(array=array, index=ast.Number(text=text)):  # command line only: in files it is expanded
                 return naming(ast.Name(part.span, f"{array.text}_{text}"))
             case ast.Index():
                 return naming(ast.Name(part.span, part.array.text))
@@ -123,7 +123,7 @@ def build(node: ast.Expression, naming: Naming, calling: Calling, indexing: Inde
 
 
 def parts_of(node: ast.Expression) -> tuple[ast.Expression, ...]:
-    """The operands of an expression that are lowered themselves: all but the state that `net` names."""
+    """The operands of an expression that are lowered: all but the argument of `net`."""
     net = isinstance(node, ast.Call) and node.function.text == "net"
     return () if net else operands(node)
 
@@ -144,5 +144,5 @@ def _presentable(expression: Expr) -> Expr:
 
 
 def is_finite(expression: Expr) -> bool:
-    """Whether sympy kept it a real expression: no infinity, no undefined or imaginary part."""
+    """Whether an expression contains no infinity and no undefined or imaginary part."""
     return not expression.has(sympy.zoo, sympy.nan, sympy.oo, -sympy.oo, sympy.I)

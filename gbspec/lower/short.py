@@ -1,4 +1,4 @@
-"""Short forms: one expression for all elements of an array, sums of arrays as sums, from the text as it was written."""
+"""Short forms of statements about arrays: one expression for all elements, and `sum(c)` unexpanded."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from gbspec.syntax import ast, target_name
 Build = Callable[[ast.Expression, Mapping[str, Expr]], Expr]
 
 
-class NotShort(Exception):  # noqa: N818 - no mistake of anyone: the statement stays written out
+class NotShort(Exception):  # noqa: N818 - not an error: the statement stays expanded
     """A statement that has no short form, such as one with an index that is not linear."""
 
 
 class ShortForms:
-    """Reads the statements of a checked model that are about arrays; `build` makes expressions of their text."""
+    """Reads the statements of a checked model that are about arrays; `build` translates their expressions."""
 
     def __init__(self, checked: Checked, build: Build) -> None:
         self._checked, self._build = checked, build
@@ -29,7 +29,7 @@ class ShortForms:
 
     # ---------------------------------------------------------------- elements
     def indexing(self, node: ast.Index, index: Expr) -> Expr:
-        """An element: where its index is a number, what it is by itself, else an `Element`."""
+        """An element of an array: its own symbol or end expression if its index is a number, else an `Element`."""
         name = node.array.text
         place = sympy.expand(index.xreplace(self._numbers))
         running = place.free_symbols
@@ -44,7 +44,7 @@ class ShortForms:
         return Element(symbol(name), _whole(step) * loop + _whole(offset))
 
     def name_of(self, node: ast.Index, index: Expr) -> str:
-        """The name of the state that an element is; `NotShort` where that depends on a running index."""
+        """The state's name for an element; raises `NotShort` if it depends on a running index."""
         return self._checked.arrays[node.array.text].element(_whole(sympy.expand(index.xreplace(self._numbers))))
 
     def total(self, call: ast.Call) -> Expr:
@@ -59,9 +59,9 @@ class ShortForms:
     def _end(self, name: str, index: int) -> Expr:
         return self._build(self._checked.arrays[name].ends[index].value, {})
 
-    # ---------------------------------------------------------------- what the Model holds
+    # ---------------------------------------------------------------- parts of the Model
     def arrays(self, states: Mapping[str, int]) -> tuple[Array, ...]:
-        """The arrays; `states` are the places of the states by name."""
+        """The arrays; `states` are the positions of the states by name."""
         found = []
         for name, array in self._checked.arrays.items():
             names = tuple(array.element(k) for k in range(array.first, array.last + 1))
@@ -70,7 +70,7 @@ class ShortForms:
         return tuple(found)
 
     def families(self, places: Mapping[Vector, Mapping[str, int]]) -> tuple[Family, ...]:
-        """The families; `places` are those of the entries of each vector by name."""
+        """The families; `places` are the positions of the entries of each vector by name."""
         return tuple(self._families(places))
 
     def _families(self, places: Mapping[Vector, Mapping[str, int]]) -> Iterator[Family]:
@@ -95,7 +95,7 @@ class ShortForms:
         value: ast.Expression | None,
         places: Mapping[Vector, Mapping[str, int]],
     ) -> Iterator[Family]:
-        """A statement about a name, an element, or all elements of an array."""
+        """The families of a statement about a name, an element, or all elements of an array."""
         array = self._checked.arrays.get(target_name(target).text)
         loop = arrays.running_index(target, self._checked.constants)
         if array is None or (loop is None and isinstance(target, ast.Index)):
@@ -119,7 +119,7 @@ class ShortForms:
         value: ast.Expression | None,
         places: Mapping[Vector, Mapping[str, int]],
     ) -> Iterator[Family]:
-        """A single entry, where it adds up an array."""
+        """The family of a single entry, if it sums an array."""
         if value is not None and self._checked.arrays and _adds_up(value):
             expression = self._build(value, {})
             if is_finite(expression):
@@ -141,5 +141,5 @@ def _whole(value: Expr) -> int:
 
 
 def places_of(names: Sequence[str]) -> dict[str, int]:
-    """The place of each name."""
+    """The position of each name."""
     return {name: place for place, name in enumerate(names)}

@@ -1,4 +1,4 @@
-"""Small parts of declarations: where a correction is neutral, the text of units and descriptions."""
+"""Small parts of declarations: the neutral value of `nn`, the text of units and descriptions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gbspec.syntax import ast
 
 
 def neutral(postulate: ast.Expression) -> float:
-    """What `nn` is when it corrects nothing: 1 if it occurs only as a factor (or divisor, or power of one), else 0."""
+    """The value of `nn` without correction: 1 if it occurs only as a factor (or divisor, or power of one), else 0."""
     stack: list[tuple[ast.Expression, bool]] = [(postulate, False)]
     while stack:
         node, factor = stack.pop()
@@ -29,7 +29,7 @@ def neutral(postulate: ast.Expression) -> float:
 
 
 def unit_text(unit: ast.UnitExpression | None) -> str | None:
-    """A unit in canonical text: without blanks, parentheses only where they are needed."""
+    """A unit in canonical text: without spaces, with parentheses only where needed."""
     if unit is None:
         return None
     tail: list[str] = []

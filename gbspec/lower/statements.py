@@ -1,7 +1,6 @@
-"""Statements of a checked file as parts of the Model; here and in passes names become symbols.
+"""Lowers the statements of a checked file to a Model.
 
-Functions are written out where they are called (each call with the same arguments once); `let`s and process rates stay
-symbols.
+Function calls are expanded (once per distinct call); `let`s and process rates stay symbols.
 """
 
 from __future__ import annotations
@@ -27,8 +26,7 @@ from gbspec.syntax import Kind, ast, target_name
 def lower(checked: Checked, findings: Findings) -> ir.Model:
     """The Model of a checked file.
 
-    Records an error (GB223) where simplification shows an expression to be no finite number wherever it is evaluated;
-    the Model is then not to be used.
+    Records an error (GB223) if an expression simplifies to a non-finite number; the Model must then not be used.
     """
     return _Lowering(checked, findings).model()
 
@@ -52,9 +50,9 @@ class _Lowering:
         if not is_finite(result):
             self._findings.error(
                 "GB223",
-                "this is not a finite number, whatever its variables are",
+                "this is not a finite number for any values of its variables",
                 node.span,
-                label=f"comes down to `{result}`" if result.is_Atom else "",
+                label=f"simplifies to `{result}`" if result.is_Atom else "",
             )
             return sympy.S.Zero
         return result
@@ -96,7 +94,7 @@ class _Lowering:
         return self._inlined_calls[key]
 
     def _net(self, state: str) -> Expr:
-        """What all processes add to a state in a unit of time."""
+        """The sum of all processes' contributions to a state's rate of change."""
         if not self._nets:
             parts: dict[str, list[Expr]] = {name: [] for name, d in self._table.items() if d.kind is Kind.STATE}
             for process in self._checked.all(ast.ProcessStatement):
@@ -122,7 +120,7 @@ class _Lowering:
         return sympy.Mul(sympy.S.NegativeOne if term.negative else sympy.S.One, *factors)
 
     def _fixed(self, node: ast.Expression, formals: Mapping[str, Expr] | None = None) -> Expr:
-        """An expression in which `let`s are written out, for places that know only constants and arguments."""
+        """An expression with `let`s substituted, for places in which only constants and arguments may occur."""
         result = self._expression(node, formals)
         names = {s.name for s in result.free_symbols}
         if not any(self._table[n].kind is Kind.LET for n in names if n in self._table):
@@ -174,7 +172,7 @@ class _Lowering:
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
     def _with_short_forms(self, model: ir.Model) -> ir.Model:
-        """The model with what its text says of whole arrays."""
+        """The model with the short forms of its arrays."""
         states = places_of([s.name for s in model.states])
         channels = places_of([c.name for c in model.channels])
         intermediates = places_of([i.name for i in model.intermediates])
@@ -184,12 +182,12 @@ class _Lowering:
         return replace(model, arrays=self._short.arrays(states), families=families)
 
     def _text(self) -> str:
-        """The text of the file itself where it extends none; else the statements that it and its bases come to."""
+        """The text of the file if it extends no other; else the merged statements."""
         items = self._checked.source
         sources = {item.statement.span.source for item in items}
         if len(sources) == 1 and not any(s.extends for s in self._checked.all(ast.ModelStatement)):
             return sources.pop().text
-        # Not formatted: that would parse it twice more, and every check of a model would wait for it.
+        # Not formatted: formatting parses the text twice more, which would slow down every check of a model.
         return "\n".join(item.text.rstrip() for item in items) + "\n"
 
     def _number(self, node: ast.Expression | None) -> float | None:
@@ -386,7 +384,7 @@ class _Lowering:
     def _closed(
         self, parameters: Sequence[str], nodes: Sequence[ast.Expression], given: Mapping[str, Expr]
     ) -> tuple[tuple[str, ...], list[Expr]]:
-        """Expressions with parameters; a parameter that shadows a constant which they still mean gets another name."""
+        """Expressions with parameters; a parameter that shadows a constant still used in them is renamed."""
         dummies = {name: sympy.Dummy(name, real=True) for name in parameters}
         values = [self._fixed(node, {**dummies, **given}) for node in nodes]
         taken = {s.name for value in values for s in value.free_symbols if not isinstance(s, sympy.Dummy)}

@@ -1,4 +1,4 @@
-"""The language server: what an editor asks about a `.gb` file; only `server` and `messages` speak the protocol."""
+"""The language server for `.gb` files; only `server` and `messages` depend on the protocol."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Everything `gbspec check` finds in a file as the editor has it, and where the editor shows it."""
+"""Runs the checks of `gbspec check` on a file open in the editor, and places the diagnostics in it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbspec.syntax import ast
 
 @dataclass(frozen=True)
 class Checked:
-    """The findings of a file, each with a place in that file, and the values of its constants where it is right."""
+    """The diagnostics of a file, each placed in that file, and the values of its constants if it has no errors."""
 
     source: Source
     findings: tuple[Diagnostic, ...]
@@ -23,8 +23,8 @@ class Checked:
 def check(workspace: Workspace, path: str | Path) -> Checked:
     """Checks a file through the whole pipeline, with the newest texts of the files that it extends.
 
-    Raises `UserError` where the file itself cannot be read at all; a finding in an extended file is shown where this
-    one names it, with the place itself beside it.
+    Raises `UserError` if the file itself cannot be read. A diagnostic in an extended file is placed at the `extends` of
+    this one, with the original place as a label.
     """
     from gbspec import frontend
     from gbspec.passes import examine
@@ -42,12 +42,12 @@ def check(workspace: Workspace, path: str | Path) -> Checked:
 
 
 def affected(workspace: Workspace, path: str | Path) -> tuple[Path, ...]:
-    """The open files whose findings depend on a file: itself and those that extend it."""
+    """The open files whose diagnostics depend on a file: itself and those that extend it."""
     return tuple(p for p in workspace.opened() if workspace.extends(p, path))
 
 
 def _here(diagnostic: Diagnostic, source: Source, workspace: Workspace) -> Diagnostic:
-    """The finding with a place in this text."""
+    """The diagnostic with a place in this text."""
     place = diagnostic.place
     if isinstance(place, Span) and place.source is source:
         return diagnostic

@@ -1,4 +1,4 @@
-"""What may be written next: statements, clauses, names in scope, functions, units."""
+"""Completion: statements, clauses, names in scope, functions, units."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _OUTPUTS = re.compile(r"\s*unknown\s+([^(]*)\(")
 _FORMAL = re.compile(r"(?:^|,)\s*([^\W\d]\w*)")
 _EXTENDS = re.compile(r'\bextends\s+"([^"\n]*)\Z')
 _UNITS = ("s", "min", "h", "day", "g", "kg", "mg", "L", "mL", "m", "cm", "mol", "mmol", "K", "degC", "Pa", "bar", "J")
-"""Units that are often written; every unit of pint is accepted."""
+"""Frequent units; every unit of pint is accepted."""
 
 _ABOUT = {s.entry.word.upper(): s.entry.about for s in ast.STATEMENTS if s.entry.about}
-"""Which names may follow a keyword, by its terminal in the grammar."""
+"""The kinds of names that may follow a keyword, by its terminal in the grammar."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One word that may be written; `start` is where the word before the cursor begins, which it replaces."""
+    """One possible word; `start` is where the word before the cursor begins, which it replaces."""
 
     text: str
     kind: Sort
@@ -40,7 +40,7 @@ class Candidate:
 
 
 def completions(workspace: Workspace, path: str | Path, offset: int) -> tuple[int, list[Candidate]]:
-    """The offset at which the word being written begins, and what may stand there."""
+    """The offset at which the incomplete word begins, and the candidates for it."""
     parsed = workspace.parsed(path)
     if parsed is None:
         return offset, []
@@ -65,7 +65,7 @@ def _statements() -> list[Candidate]:
 
 
 def _next(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Candidate]:
-    """What the grammar accepts after the beginning of a statement."""
+    """The candidates that the grammar accepts after the beginning of a statement."""
     last = what.read[-1][0] if what.read else ""
     first = what.read[0][0] if what.read else ""
     if "NAME" in what.terminals:
@@ -95,7 +95,7 @@ def _next(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Cand
 
 
 def _value(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Candidate]:
-    """What an expression may go on with; among a network's arguments its options."""
+    """The candidates within an expression, or the options among a network's arguments."""
     pair = tuple(kind for kind, _ in what.read[-2:])
     if pair == ("NAME", "EQUAL") and what.read[-2][1] == "activation":
         yield from (Candidate(word, "value", "an activation of a network") for word in ACTIVATIONS)
@@ -106,7 +106,7 @@ def _value(chain: Sequence[Parsed], before: str, what: Expected) -> Iterator[Can
 
 
 def _expression(chain: Sequence[Parsed], before: str) -> Iterator[Candidate]:
-    """Names with a value, functions, and the names of this statement alone."""
+    """Names with a value, functions, and the names local to this statement."""
     yield from _formals(before)
     yield from _names(chain, VALUES)
     if not any(isinstance(s, ast.TimeStatement) for parsed in chain for s in parsed.file.statements):
@@ -119,7 +119,7 @@ def _expression(chain: Sequence[Parsed], before: str) -> Iterator[Candidate]:
 
 
 def _formals(before: str) -> Iterator[Candidate]:
-    """The arguments that a statement being written has declared so far."""
+    """The arguments that an incomplete statement has declared so far."""
     found = _PARAMETERS.match(before)
     if found is not None:
         for formal in dict.fromkeys(_FORMAL.findall(found[1])):
@@ -127,14 +127,14 @@ def _formals(before: str) -> Iterator[Candidate]:
 
 
 def _outputs(before: str) -> Iterator[Candidate]:
-    """The names that an `unknown` being written declares: a contract may be about one of them."""
+    """The outputs that an incomplete `unknown` declares, for its contracts."""
     found = _OUTPUTS.match(before)
     if found is not None:
         yield from (Candidate(name.strip(), "function", "an output of this unknown") for name in found[1].split(","))
 
 
 def _names(chain: Sequence[Parsed], kinds: Container[Kind | None]) -> Iterator[Candidate]:
-    """The names of those kinds, the nearest declaration of each."""
+    """The names of the given kinds, the nearest declaration of each."""
     seen: set[str] = set()
     for parsed in chain:
         for statement in parsed.file.statements:
@@ -162,7 +162,7 @@ def _units(chain: Sequence[Parsed]) -> Iterator[Candidate]:
 
 
 def _in_unit(what: Expected) -> bool:
-    """Whether a unit stands next: the grammar allows a number or a parenthesis there, and no `if`."""
+    """Whether a unit comes next: the grammar allows a number or a parenthesis there, but not `if`."""
     return {"NAME", "NUMBER", "LPAR"} <= what.terminals and "IF" not in what.terminals
 
 
@@ -177,7 +177,7 @@ def _warnings() -> Iterator[Candidate]:
 
 
 def _extended_files(source: Source, offset: int) -> tuple[int, list[Candidate]]:
-    """Inside the string after `extends`: the models beside this one."""
+    """Inside the string after `extends`: the models in the same folder."""
     line_start = source.text.rfind("\n", 0, offset) + 1
     found = _EXTENDS.search(source.text, line_start, offset)
     if found is None:

@@ -1,4 +1,4 @@
-"""What an editor shows of the name under the cursor."""
+"""Hover: the description of the name under the cursor."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _MAX_LINES = 12
 
 @dataclass(frozen=True)
 class Hover:
-    """Markdown, and the part of the text that it is about."""
+    """Markdown, and the span of the text that it describes."""
 
     markdown: str
     span: Span
 
 
 def hover(workspace: Workspace, path: str | Path, offset: int, values: Mapping[str, float]) -> Hover | None:
-    """What is known of the name or word at an offset; `values` are those of the constants, where they are known."""
+    """The description of the name or word at an offset; `values` are those of the constants, as far as known."""
     here = at(workspace.occurrences(path), offset)
     if here is None:
         return _word(workspace, path, offset)
@@ -41,7 +41,7 @@ def _describe(workspace: Workspace, path: str | Path, here: Occurrence, values: 
         case "code":
             return code(symbol.name)
         case "argument":
-            return f"`{symbol.name}`: argument of this statement alone" + _formal(workspace.chain(path), symbol)
+            return f"`{symbol.name}`: argument, local to this statement" + _formal(workspace.chain(path), symbol)
         case "model":
             return declaration(here.statement, "model")
         case "unit":
@@ -51,7 +51,7 @@ def _describe(workspace: Workspace, path: str | Path, here: Occurrence, values: 
 
 
 def name(chain: Sequence[Parsed], wanted: str, values: Mapping[str, float]) -> str:
-    """What a model says of one of its names: its declaration, role, description, value, and statements about it."""
+    """The description of a model's name: declaration, role, description, value, and statements about it."""
     declaring = _declaring(chain, wanted)
     if declaring is None:
         return f"`{wanted}`: the time" if wanted == DEFAULT_TIME else ""
@@ -68,7 +68,7 @@ def name(chain: Sequence[Parsed], wanted: str, values: Mapping[str, float]) -> s
 
 
 def declaration(statement: ast.Statement, role: str) -> str:
-    """A statement as it is written, what it declares, and its description."""
+    """The text of a statement, the role of the name that it declares, and its description."""
     text = getattr(statement, "description", None) or getattr(statement, "title", None)
     said = f": {text.value}" if isinstance(text, ast.Text) and text.value else ""
     details = _details(statement)
@@ -77,7 +77,7 @@ def declaration(statement: ast.Statement, role: str) -> str:
 
 
 def word(text: str) -> str:
-    """A word of the language and what it means."""
+    """A word of the language and its meaning."""
     if text in words.FUNCTIONS:
         usage, meaning = words.FUNCTIONS[text]
         return f"`{usage}`: {meaning}"
@@ -90,7 +90,7 @@ def word(text: str) -> str:
 
 
 def code(text: str) -> str:
-    """What a code of the catalogue means."""
+    """The title and explanation of a code of the catalogue."""
     from gbspec.diagnostics import explain
 
     try:
@@ -101,7 +101,7 @@ def code(text: str) -> str:
 
 
 def _word(workspace: Workspace, path: str | Path, offset: int) -> Hover | None:
-    """A keyword: what stands at the offset outside strings and comments and is no name."""
+    """The hover for a keyword at the offset, outside strings and comments."""
     from gbspec.syntax import word_at
 
     parsed = workspace.parsed(path)
@@ -119,7 +119,7 @@ def _declaring(chain: Sequence[Parsed], wanted: str) -> tuple[ast.Statement, Par
 
 
 def _about(chain: Sequence[Parsed], wanted: str) -> list[ast.Statement]:
-    """The statements about a name (its balance, start, …), each from the nearest file that has it."""
+    """The statements about a name (its balance, initial value, …), each from the nearest file that has it."""
     found: dict[Key, ast.Statement] = {}
     for parsed in chain:
         for statement in parsed.file.statements:
@@ -129,7 +129,7 @@ def _about(chain: Sequence[Parsed], wanted: str) -> list[ast.Statement]:
 
 
 def _details(statement: ast.Statement) -> str:
-    """Unit and range in words."""
+    """The unit and range as text."""
     parts = []
     unit = getattr(statement, "unit", None)
     if isinstance(unit, ast.Node):
@@ -143,7 +143,7 @@ def _details(statement: ast.Statement) -> str:
 
 
 def _formal(chain: Sequence[Parsed], symbol: Symbol) -> str:
-    """Unit and range of an unknown's argument."""
+    """The unit and range of an unknown's argument."""
     statements = (s for parsed in chain for s in parsed.file.statements if isinstance(s, ast.UnknownStatement))
     owner = next((s for s in statements if home(s) == symbol.home), None)
     arguments = owner.arguments if owner is not None else ()
@@ -167,7 +167,7 @@ def _unit(chain: Sequence[Parsed], symbol: Symbol) -> str:
 
 
 def _code(statement: ast.Statement) -> str:
-    """A statement's text, cut where it is long."""
+    """A statement's text, truncated if it is long."""
     first, *rest = statement.span.text.splitlines() or [""]
     lines = [first, *(f"    {line}" if line.strip() else line for line in dedent("\n".join(rest)).splitlines())]
     return "\n".join(lines if len(lines) <= _MAX_LINES else [*lines[:_MAX_LINES], "    …"])

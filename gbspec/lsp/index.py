@@ -1,10 +1,10 @@
-"""What every name in a file refers to: one place for hover, definition, references and renaming.
+"""Resolves every name in a file to a symbol, for hover, definition, references and renaming.
 
 Names of a model are one namespace through all files that extend one another; units are another. The parameters of a
-`function`, the arguments of an `unknown` and the parameters of a `truth` are names of their statement alone and shadow
-those of the model, with two exceptions: an unknown that is somewhere named without parentheses is applied to the names
-it was declared with, and a contract is built for the range of the state, condition or input of an argument's name where
-the argument has none of its own. Those arguments *are* the model's names and are renamed with them.
+`function`, the arguments of an `unknown` and the parameters of a `truth` are local to their statement and shadow
+those of the model, with two exceptions: an unknown that is somewhere used without parentheses is applied to the names
+of its declaration, and an argument without a range takes that of the state, condition or input of the same name for
+contracts. Those arguments *are* the model's names and are renamed with them.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from gbspec.diagnostics import Span
 from gbspec.syntax import FUNCTIONS, ast, children, walk
 
 DEFAULT_TIME = "t"
-"""What the time is called in a model without a `time` statement."""
+"""The name of the time in a model without a `time` statement."""
 
 Space = Literal["name", "unit", "argument", "model", "word", "code"]
 
 
 @dataclass(frozen=True)
 class Symbol:
-    """What a name refers to. `home` is the statement of an argument, or the kind of a word of the language."""
+    """The symbol of a name. `home` is the statement of an argument, or the kind of a word of the language."""
 
     space: Space
     name: str
@@ -33,9 +33,9 @@ class Symbol:
 
 @dataclass(frozen=True)
 class Occurrence:
-    """One place where a symbol is named.
+    """One place that refers to a symbol.
 
-    `implied` where its name is not written: `phi` without parentheses takes the arguments of its declaration by name.
+    `implied`: its name is not written there: `phi` without parentheses takes the arguments of its declaration by name.
     """
 
     symbol: Symbol
@@ -47,11 +47,11 @@ class Occurrence:
 
 @dataclass(frozen=True)
 class Names:
-    """What the files of a model declare, as far as it decides what a name refers to.
+    """The declarations in the files of a model that are needed to resolve names.
 
-    `declared` has the time's name also where no statement gives it one; `arguments` are those of each unknown with the
-    statement they belong to; `bare` the unknowns that are named somewhere without parentheses; `lent` those arguments
-    of each unknown that take the range of what has their name.
+    `declared` has the time's name even if no statement declares it; `arguments` are those of each unknown with the
+    statement they belong to; `bare` the unknowns that are used somewhere without parentheses; `lent` those arguments
+    of each unknown that take the range of the model's quantity of the same name.
     """
 
     declared: frozenset[str]
@@ -65,7 +65,7 @@ Scope = Mapping[str, Symbol]
 
 
 def names_of(files: Sequence[ast.File]) -> Names:
-    """What a file and those that it extends declare; `files` has the nearest first."""
+    """The declarations of a file and of those that it extends; `files` has the nearest first."""
     found: set[str] = set()
     units: set[str] = set()
     arguments: dict[str, tuple[str, tuple[str, ...]]] = {}
@@ -84,24 +84,24 @@ def names_of(files: Sequence[ast.File]) -> Names:
 
 
 def occurrences(file: ast.File, names: Names) -> tuple[Occurrence, ...]:
-    """Every name in a file with what it refers to, in the order of the text."""
+    """Every name in a file with its symbol, in the order of the text."""
     found = [o for statement in file.statements for o in _Statement(statement, names).all()]
     return tuple(sorted(found, key=lambda o: (o.span.start, o.implied)))
 
 
 def at(found: Sequence[Occurrence], offset: int) -> Occurrence | None:
-    """What is named at an offset: the name around it, else the one that ends there."""
+    """The occurrence at an offset: the name around it, else the one that ends there; None without a name."""
     written = [o for o in found if not o.implied and o.span.start <= offset <= o.span.end]
     return max(written, key=lambda o: o.span.start, default=None)
 
 
 def home(statement: ast.Statement) -> str:
-    """What tells a statement apart from all others: the arguments of two statements are different things."""
+    """A key unique to a statement, so that the arguments of two statements are different symbols."""
     return f"{statement.span.source.path}:{statement.span.start}"
 
 
 def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]:
-    """The unknowns that stand somewhere in an expression without parentheses."""
+    """The unknowns that occur somewhere in an expression without parentheses."""
     found: set[str] = set()
     for statement in (s for file in files for s in file.statements):
         if isinstance(statement, ast.AllowStatement | ast.WithoutStatement):
@@ -123,7 +123,7 @@ def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]
 
 
 def _lent(files: Sequence[ast.File]) -> dict[str, frozenset[str]]:
-    """Of each unknown with contracts the arguments without a range that something of their name lends one."""
+    """For each unknown with contracts, the arguments whose range is that of the model's quantity of that name."""
     ranged: dict[str, bool] = {}
     unknowns: dict[str, ast.UnknownStatement] = {}
     for statement in (s for file in files for s in file.statements):
@@ -181,7 +181,7 @@ class _Statement:
                 self._visit(part, scope if self._sees_arguments(part) else {}, scope, declaring)
 
     def _scope(self) -> tuple[dict[str, Symbol], set[int]]:
-        """The names of the statement alone, and the nodes that declare them."""
+        """The names local to the statement, and the nodes that declare them."""
         match self.statement:
             case ast.FunctionStatement(parameters=parameters):
                 return self._own(parameters), {id(p) for p in parameters}
@@ -210,7 +210,7 @@ class _Statement:
         return {a: Symbol("name", a) if a in tied else Symbol("argument", a, owner) for a in arguments}
 
     def _sees_arguments(self, part: ast.Node) -> bool:
-        """Of an unknown its postulates and contracts name its arguments; of the other statements every expression."""
+        """Whether a part can use the local names: only postulates and contracts can in the case of an unknown."""
         statement = self.statement
         if isinstance(statement, ast.UnknownStatement):
             return any(part is p for p in (*statement.postulates, *statement.contracts))
@@ -246,7 +246,7 @@ class _Statement:
                     stack.extend(children(node))
 
     def _contract(self, node: ast.Contract, scope: Scope) -> list[ast.Node]:
-        """Records the names of a contract and gives its expressions."""
+        """Records the names of a contract and returns its expressions."""
         if node.name is not None:
             self._add(Symbol("name", node.name.text), node.name.span)
         match node:
@@ -285,7 +285,7 @@ class _Statement:
             self._name(function, scope)
 
     def _implied(self, name: ast.Name, scope: Scope) -> None:
-        """The arguments of this statement that an unknown without parentheses takes by their names."""
+        """Records the names to which an unknown without parentheses is implicitly applied."""
         if name.text in self.names.arguments and name.text not in scope:
             for argument in self.names.arguments[name.text][1]:
                 if argument in scope:

@@ -1,4 +1,4 @@
-"""From what gbspec knows to the protocol's messages, and from its positions to offsets."""
+"""Converts results to the protocol's messages, and the protocol's positions to offsets."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ _COMPLETION = {
 
 
 def path_of(uri: str) -> str:
-    """The path of a file; a text that is in no file yet has its address for one."""
+    """The path of a file; for an unsaved text its URI."""
     path = to_fs_path(uri) if uri.startswith("file:") else None
     return path or uri
 
 
 def uri_of(path: str | Path) -> str:
-    """The address of a file."""
+    """The URI of a file."""
     made = from_fs_path(str(path))
     return made if made is not None else str(path)
 
 
 class Messages:
-    """Messages in the units of columns that the editor counts in."""
+    """Builds messages with columns in the editor's encoding."""
 
     def __init__(self, encoding: Encoding) -> None:
         self.encoding = encoding
@@ -57,7 +57,7 @@ class Messages:
         return types.Location(uri or uri_of(span.source.path), self.range(span))
 
     def diagnostic(self, found: Diagnostic) -> types.Diagnostic:
-        """A finding whose place is a span; notes and help follow its message."""
+        """The message for a diagnostic whose place is a span; notes and help follow its message."""
         assert isinstance(found.place, Span)
         lines = [found.message, *(f"note: {note}" for note in found.notes)]
         lines += [f"help: {found.help}"] if found.help else []
@@ -108,7 +108,7 @@ class Messages:
         )
 
     def actions(self, found: Diagnostic, uri: str) -> list[types.CodeAction]:
-        """What mends a finding: the name that was meant, or accepting the warning."""
+        """The quick fixes of a diagnostic: replacing a name by the suggested one, or accepting the warning."""
         actions: list[types.CodeAction] = []
         if not isinstance(found.place, Span):
             return actions

@@ -1,4 +1,4 @@
-"""The names of a file, grouped by what they are."""
+"""The outline: the names of a file, grouped by kind of statement."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Group:
 
 
 def outline(file: ast.File) -> tuple[Group, ...]:
-    """What a file declares and says, by kind; kinds that it does not have are left out."""
+    """The statements of a file, by kind; empty kinds are left out."""
     found: dict[type[ast.Statement], list[Entry]] = {kind: [] for kind in ast.STATEMENTS}
     for statement in file.statements:
         found[type(statement)].extend(_entries(statement))

@@ -12,7 +12,7 @@ Position = tuple[int, int]
 
 
 def units(text: str, encoding: Encoding) -> int:
-    """How many code units of the encoding the text takes (UTF-16: two for what lies beyond the basic plane)."""
+    """The number of code units of a text in the encoding (UTF-16: two for characters beyond the basic plane)."""
     match encoding:
         case "utf-32":
             return len(text)
@@ -23,7 +23,7 @@ def units(text: str, encoding: Encoding) -> int:
 
 
 def to_offset(source: Source, position: Position, encoding: Encoding = "utf-16") -> int:
-    """The offset of a position; one beyond a line's end is taken to be its end, one inside a character its start."""
+    """The offset of a position; beyond a line's end it is that end, inside a character that character's start."""
     line, column = position
     if line < 0:
         return 0

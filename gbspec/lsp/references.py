@@ -1,4 +1,4 @@
-"""Where a name is declared, everywhere it is named, and what giving it another name changes."""
+"""Definition, references and renaming of a name."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from gbspec.lsp.workspace import Parsed, Workspace, key
 from gbspec.syntax import REFUSED, ast, is_name, normalise
 
 
-class Refused(Exception):  # noqa: N818 - a refusal, no fault
-    """A name cannot be changed as asked; the message says why, for a person."""
+class Refused(Exception):  # noqa: N818 - a refusal, not an error
+    """The requested renaming is impossible; the message gives the reason for the user."""
 
 
 @dataclass(frozen=True)
 class Renaming:
-    """The places to replace, by file, and what stands there afterwards."""
+    """The spans to replace, by file, and the new name."""
 
     places: Mapping[Path, tuple[Span, ...]]
     name: str
 
 
 def definitions(workspace: Workspace, path: str | Path, offset: int) -> tuple[Span, ...]:
-    """The places that declare what is named at an offset: in the nearest file of the chain that does.
+    """The declarations of the name at an offset, in the nearest file of the chain that declares it.
 
-    On the path after `extends`: the beginning of that file. On a declaration that replaces one of a file further down
-    the chain: that one, so that going on leads through the chain.
+    For the path after `extends`: the beginning of that file. For a declaration that replaces one of an extended file:
+    the replaced one, so that repeated requests lead through the chain.
     """
     chain = workspace.chain(path)
     if not chain:
@@ -53,7 +53,7 @@ def _declarations(workspace: Workspace, parsed: Parsed, symbol: Symbol) -> tuple
 
 
 def references(workspace: Workspace, path: str | Path, offset: int) -> tuple[Occurrence, ...]:
-    """All places, in all known files of the model, that name what is named at an offset; words of the language none."""
+    """All references, in all known files of the model, to the name at an offset; none for words of the language."""
     here = at(workspace.occurrences(path), offset)
     if here is None or here.symbol.space in ("word", "code"):
         return ()
@@ -61,7 +61,7 @@ def references(workspace: Workspace, path: str | Path, offset: int) -> tuple[Occ
 
 
 def everywhere(workspace: Workspace, path: str | Path, symbol: Symbol) -> tuple[Occurrence, ...]:
-    """All places where a symbol is named in the files that share it."""
+    """All references to a symbol in the files that share it."""
     return tuple(o for parsed in _family(workspace, path, symbol) for o in _in(workspace, parsed, symbol))
 
 
@@ -81,19 +81,19 @@ def _family(workspace: Workspace, path: str | Path, symbol: Symbol) -> tuple[Par
 
 
 def renamable(workspace: Workspace, path: str | Path, offset: int) -> Occurrence:
-    """What would be renamed at an offset; raises `Refused` where that is nothing a model declares."""
+    """The name to be renamed at an offset; raises `Refused` if the model does not declare it."""
     here = at(workspace.occurrences(path), offset)
     if here is None:
-        raise Refused("no name stands here")
+        raise Refused("there is no name here")
     symbol = here.symbol
     if symbol.space in ("word", "code"):
         raise Refused(f"`{symbol.name}` is a word of the language")
     if symbol.space == "unit" and symbol.name not in workspace.names(path).units:
-        raise Refused(f"the unit `{symbol.name}` is not declared in the model; it is known to everyone by this name")
+        raise Refused(f"the unit `{symbol.name}` is not declared in the model, so it cannot be renamed")
     if symbol.space == "name" and symbol.name not in workspace.names(path).declared:
-        raise Refused(f"nothing declares `{symbol.name}`")
+        raise Refused(f"`{symbol.name}` is not declared")
     if symbol == Symbol("name", DEFAULT_TIME) and not _declared_in_chain(workspace, path, symbol):
-        raise Refused(f"`{symbol.name}` is the time where no statement names it otherwise; write `time tau` first")
+        raise Refused(f"`{symbol.name}` is the time of a model without a `time` statement; write `time tau` first")
     return here
 
 
@@ -102,10 +102,10 @@ def _declared_in_chain(workspace: Workspace, path: str | Path, symbol: Symbol) -
 
 
 def rename(workspace: Workspace, path: str | Path, offset: int, name: str) -> Renaming:
-    """The edits that give what is named at an offset another name in every file that names it.
+    """The edits that rename the name at an offset in every file that uses it.
 
-    Raises `Refused` where the name is none, is taken, or would mean something else at one of its places: afterwards
-    every place must refer to what it refers to now.
+    Raises `Refused` if the new name is malformed, in use, or would resolve to another symbol at one of its places:
+    after the edits every place must refer to the same symbol as before.
     """
     symbol = renamable(workspace, path, offset).symbol
     new = normalise(name)
@@ -118,7 +118,9 @@ def rename(workspace: Workspace, path: str | Path, offset: int, name: str) -> Re
             raise Refused(f"a statement in `{Path(parsed.source.path).name}` that names `{symbol.name}` cannot be read")
         if symbol.space == "argument" and any(o.implied for o in found):
             bare = next(o.span.text for o in found if o.implied)
-            raise Refused(f"`{bare}` takes `{symbol.name}` by its name; write its arguments in parentheses first")
+            raise Refused(
+                f"`{bare}` is implicitly applied to `{symbol.name}`; write its arguments in parentheses first"
+            )
         spans = tuple(dict.fromkeys(o.span for o in found if not o.implied))
         if spans:
             places[key(parsed.source.path)] = spans
@@ -133,20 +135,20 @@ def _check_name(workspace: Workspace, family: Sequence[Parsed], symbol: Symbol, 
         raise Refused(f"`{new}` is not a name: letters of any script, digits and `_`, not beginning with a digit")
     if symbol.space == "unit":
         if any(new in workspace.names(p.source.path).units for p in family) and new != symbol.name:
-            raise Refused(f"there is a unit `{new}` already")
+            raise Refused(f"there is already a unit `{new}`")
         return
     if symbol.space == "model":
         return
     if new in REFUSED:
         raise Refused(f"`{new}` is a word of the language and cannot be a name")
     if new in ast.WORDS and _is_state(family, symbol):
-        raise Refused(f"`{new}` begins a statement, so a state cannot be called that")
+        raise Refused(f"`{new}` begins a statement, so that a state cannot have this name")
     if symbol.space == "name" and new != symbol.name:
         for parsed in family:
             names = workspace.names(parsed.source.path)
             if new in names.declared:
                 where = Path(parsed.source.path).name
-                raise Refused(f"`{new}` is declared already, in `{where}` or a file that it extends")
+                raise Refused(f"`{new}` is already declared, in `{where}` or a file that it extends")
 
 
 def _is_state(family: Sequence[Parsed], symbol: Symbol) -> bool:
@@ -155,28 +157,28 @@ def _is_state(family: Sequence[Parsed], symbol: Symbol) -> bool:
 
 
 def _same_meaning(workspace: Workspace, family: Sequence[Parsed], renaming: Renaming) -> None:
-    """Raises `Refused` where after the edits a place refers to something else, or a statement cannot be read."""
+    """Raises `Refused` if after the edits a place refers to another symbol, or a statement cannot be parsed."""
     texts = {path: replaced(spans, renaming.name) for path, spans in renaming.places.items()}
     trial = workspace.with_texts(texts)
     for parsed in family:
         path = parsed.source.path
         after = trial.parsed(path)
         if after is None or (after.broken and not parsed.broken):
-            raise Refused(f"`{renaming.name}` would not be read as a name everywhere it would stand")
+            raise Refused(f"`{renaming.name}` would not be parsed as a name at all of its places")
         if _shape(workspace.occurrences(path)) != _shape(trial.occurrences(path)):
-            raise Refused(f"`{renaming.name}` means something else at one of the places where it would stand")
+            raise Refused(f"`{renaming.name}` has another meaning at one of its places")
         if _lending(workspace, parsed) != _lending(trial, parsed):
-            raise Refused(f"in `{Path(path).name}` a contract would be built for the range of something else")
+            raise Refused(f"in `{Path(path).name}` a contract would use the range of another quantity")
 
 
 def _lending(workspace: Workspace, parsed: Parsed) -> list[tuple[bool, ...]]:
-    """Which arguments of the unknowns that a file sees take the range of what has their name."""
+    """Whether each argument of the unknowns in a file's scope takes the range of the quantity of the same name."""
     names = workspace.names(parsed.source.path)
     return [tuple(a in names.lent[output] for a in formals) for output, (_, formals) in names.arguments.items()]
 
 
 def replaced(spans: Sequence[Span], name: str) -> str:
-    """A file's text with the name at those places."""
+    """A file's text with the name substituted at the given spans."""
     text = spans[0].source.text
     for span in sorted(spans, key=lambda s: -s.start):
         text = text[: span.start] + name + text[span.end :]
@@ -184,6 +186,6 @@ def replaced(spans: Sequence[Span], name: str) -> str:
 
 
 def _shape(found: Sequence[Occurrence]) -> list[tuple[int, bool, bool]]:
-    """Which places refer to the same thing: for each the number of the first that does."""
+    """The pattern of references: for each place the index of the first with the same symbol."""
     first: dict[Symbol, int] = {}
     return [(first.setdefault(o.symbol, i), o.declares, o.implied) for i, o in enumerate(found)]

@@ -1,4 +1,4 @@
-"""The language server: an editor's requests, answered from a workspace, over standard input and output."""
+"""The language server: answers an editor's requests from a workspace, over standard input and output."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gbspec.version import __version__
 DELAY = 0.15
 """Seconds without a change after which a file is checked."""
 REQUEST_FAILED = -32803
-"""The protocol's code for a request that is sound and cannot be granted."""
+"""The protocol's error code for a valid request that cannot be fulfilled."""
 
 log = logging.getLogger("gbspec.lsp")
 P = ParamSpec("P")
@@ -39,7 +39,7 @@ R = TypeVar("R")
 
 @dataclass
 class Session:
-    """What is open, what was found last, and which checks are under way."""
+    """The open files, their latest diagnostics, and the running checks."""
 
     server: LanguageServer
     workspace: Workspace = field(default_factory=Workspace)
@@ -50,21 +50,21 @@ class Session:
 
     @property
     def messages(self) -> Messages:
-        """Messages in the units that were agreed on with the editor."""
+        """The converter of messages in the encoding negotiated with the editor."""
         agreed = self.server.workspace.position_encoding or types.PositionEncodingKind.Utf16
         return Messages(types.PositionEncodingKind(agreed).value)
 
     # ------------------------------------------------------------------------------------------------------ checking
 
     def opened(self, uri: str, text: str, delay: float) -> None:
-        """A text is new: it and all open files that extend it are checked, once nothing changes for a while."""
+        """Stores a new text; it and all open files that extend it are checked after a pause without changes."""
         path = path_of(uri)
         self.uris[key(path)] = uri
         self.workspace.put(path, text)
         self.schedule(path, delay)
 
     def closed(self, uri: str) -> None:
-        """A file is no longer open; its findings go, and those of files that extend it may change."""
+        """Forgets a closed file and its diagnostics; open files that extend it are checked again."""
         path = path_of(uri)
         task = self.pending.pop(key(path), None)
         if task is not None:
@@ -76,7 +76,7 @@ class Session:
         self.schedule(path, 0)
 
     def schedule(self, path: str | Path, delay: float) -> None:
-        """Checks the open files that depend on a file after a delay; a check that was waiting is put off."""
+        """Checks the open files that depend on a file after a delay; a pending check is postponed."""
         for dependent in affected(self.workspace, path):
             waiting = self.pending.get(dependent)
             if waiting is not None:
@@ -91,7 +91,7 @@ class Session:
             checked = await asyncio.get_running_loop().run_in_executor(self.pool, check, snapshot, source.path)
         except asyncio.CancelledError:
             raise
-        except Exception:  # a defect of ours must not end the session; the next change tries again
+        except Exception:  # a defect must not end the session; the next change starts another check
             log.exception("checking %s failed", path)
             return
         uri = self.uris.get(path)
@@ -104,17 +104,17 @@ class Session:
     # ------------------------------------------------------------------------------------------------------- places
 
     def place(self, document: types.TextDocumentIdentifier, position: types.Position) -> tuple[str, int]:
-        """The path and offset of a position; raises `UserError` where there is no such file."""
+        """The path and offset of a position; raises `UserError` if there is no such file."""
         path = path_of(document.uri)
         return path, self.messages.offset(self.workspace.source(path), position)
 
     def location(self, span: Span) -> types.Location:
-        """A span with the address that the editor knows its file by."""
+        """A span with the URI by which the editor knows its file."""
         return self.messages.location(span, self.uris.get(key(span.source.path)))
 
 
 def guarded(handler: Callable[P, R]) -> Callable[P, R | None]:
-    """The handler, whose failures are written to the log and answered with nothing; a refusal is passed on."""
+    """Wraps a handler: failures are logged and answered with None; a refusal is passed on."""
 
     @functools.wraps(handler)
     def call(*args: P.args, **kwargs: P.kwargs) -> R | None:
@@ -122,7 +122,7 @@ def guarded(handler: Callable[P, R]) -> Callable[P, R | None]:
             return handler(*args, **kwargs)
         except references.Refused as refusal:
             raise JsonRpcException(str(refusal), REQUEST_FAILED) from refusal
-        except UserError as error:  # a file that is gone or is no text: nothing can be said of it
+        except UserError as error:  # a file that no longer exists or is not text: no answer
             log.info("%s", error)
         except Exception:
             log.exception("%s failed", handler.__name__)
@@ -132,7 +132,7 @@ def guarded(handler: Callable[P, R]) -> Callable[P, R | None]:
 
 
 def create() -> LanguageServer:
-    """A server with all that it answers."""
+    """A server with all its handlers."""
     server = LanguageServer(
         "gbspec", __version__, text_document_sync_kind=types.TextDocumentSyncKind.Full, max_workers=2
     )
@@ -144,14 +144,14 @@ def create() -> LanguageServer:
 
 
 def serve() -> None:
-    """Serves one editor over standard input and output until it says `exit`; what is printed goes to the log."""
+    """Serves one editor over standard input and output until it sends `exit`; printed output goes to the log."""
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="gbspec lsp: %(levelname)s: %(message)s")
     output, sys.stdout = sys.stdout.buffer, sys.stderr
     create().start_io(sys.stdin.buffer, output)
 
 
 def _documents(server: LanguageServer, session: Session) -> None:
-    """Opening, changing, closing."""
+    """Registers the handlers for opening, changing and closing files."""
 
     @server.feature(types.INITIALIZED)
     @guarded
@@ -183,7 +183,7 @@ def _documents(server: LanguageServer, session: Session) -> None:
 
 
 def _names(server: LanguageServer, session: Session) -> None:
-    """Hover, definition, references, renaming, outline."""
+    """Registers the handlers for hover, definition, references, renaming and outline."""
 
     @server.feature(types.TEXT_DOCUMENT_HOVER)
     @guarded
@@ -239,7 +239,7 @@ def _names(server: LanguageServer, session: Session) -> None:
 
 
 def _writing(server: LanguageServer, session: Session) -> None:
-    """Completion, formatting, quick fixes."""
+    """Registers the handlers for completion, formatting and quick fixes."""
 
     @server.feature(types.TEXT_DOCUMENT_COMPLETION, types.CompletionOptions(trigger_characters=['"', ":"]))
     @guarded
@@ -275,7 +275,7 @@ def _writing(server: LanguageServer, session: Session) -> None:
 
 
 def _formatted(session: Session, source: Source) -> list[types.TextEdit]:
-    """One edit of the lines that change; none where the text is in form; raises `UserError` where it does not parse."""
+    """One edit of the lines that change; none if the text is canonical; raises `UserError` if it does not parse."""
     new = format_text(source)
     old_lines, new_lines = source.text.splitlines(keepends=True), new.splitlines(keepends=True)
     head = _common(old_lines, new_lines)
@@ -289,6 +289,6 @@ def _formatted(session: Session, source: Source) -> list[types.TextEdit]:
 
 
 def _common(first: list[str], second: list[str]) -> int:
-    """How many lines at the beginning are the same."""
+    """The number of equal lines at the beginning."""
     pairs = zip(first, second, strict=False)
     return next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(first), len(second)))

@@ -1,8 +1,8 @@
-"""The TextMate grammar, with which editors colour a file, made from the words of the language.
+"""Generates the TextMate grammar, with which editors highlight files, from the words of the language.
 
     python -m gbspec.lsp.textmate
 
-writes it anew, for editors in general and for the VS Code extension, which must have it in its own folder.
+rewrites it, for editors in general and for the VS Code extension, which needs a copy in its own folder.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gbspec.syntax import Kind, ast, grammar_file
 Pattern: TypeAlias = "dict[str, str | dict[str, dict[str, str]] | list[Pattern]]"
 
 FILES = ("gb.tmLanguage.json", "vscode/gb.tmLanguage.json")
-"""Where it stands, below the folder `grammar`."""
+"""The file's path below the folder `grammar`."""
 
 _NAME = r"[^\W\d]\w*"
 _KEYWORD = "keyword.control.statement.gb"
@@ -38,7 +38,7 @@ def grammar() -> str:
 
 
 def _match(pattern: str, scope: str = "", *captures: str, comment: str = "") -> Pattern:
-    """A rule: the scope of all that it matches, or of each of its groups (empty: none)."""
+    """A rule, with the scope of the whole match, or of each of its groups (empty: none)."""
     rule: Pattern = {"comment": comment} if comment else {}
     if scope:
         rule["name"] = scope
@@ -69,7 +69,7 @@ def _repository() -> dict[str, Pattern]:
         "statement": _match(
             rf"^(?:{_any(ast.WORDS)})$",
             _KEYWORD,
-            comment="A statement that is being written: its word stands alone in the first column.",
+            comment="An incomplete statement: only its keyword, in the first column.",
         ),
         "conditional": {
             "patterns": [
@@ -95,7 +95,7 @@ def _repository() -> dict[str, Pattern]:
         "clause": _match(
             rf"""(?<=[\s\)\]\",])(?:{_any(words.CLAUSES)})\b(?!\s*(?:[*/^,)'=]|[-+]\s))""",
             "keyword.other.clause.gb",
-            comment="A clause's word counts only where the grammar expects it; "
+            comment="A clause's keyword counts only where the grammar expects it; "
             "before an operator, a bracket or a comma it is a name.",
         ),
         "number": _match(
@@ -107,7 +107,7 @@ def _repository() -> dict[str, Pattern]:
 
 
 def _statements() -> list[Pattern]:
-    """The first words of statements with what follows them, by what that is."""
+    """The rules for keywords of statements, grouped by the scope of the following name."""
     by_scope: dict[str, list[str]] = {}
     for statement in ast.STATEMENTS:
         if statement.entry.spelled:
@@ -123,7 +123,7 @@ def _statements() -> list[Pattern]:
 
 
 def _scope(statement: type[ast.Statement]) -> str:
-    """The scope of the name after a statement's word; empty where it is coloured like any other part."""
+    """The scope of the name after a statement's keyword; empty without a special one."""
     kind = statement.entry.kind
     if statement is ast.ModelStatement:
         return "entity.name.type.gb"

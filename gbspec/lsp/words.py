@@ -1,4 +1,4 @@
-"""What the words of the language mean, in a line each: for hover and completion."""
+"""The meaning of each word of the language in one line, for hover and completion."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ CLAUSES: dict[str, str] = {
     "extends": "the file whose declarations this one replaces or adds to; in or below the same folder",
     "from": "when every trajectory starts",
     "in": "a range `[low, high]`; after `increasing` and `decreasing` the argument",
-    "as": "the column of the data where it has another name",
+    "as": "the column of the data, if it has another name",
     "held": "the input keeps its value until the next filled cell",
     "linear": "the input is interpolated linearly between filled cells",
-    "prior": "what is known of the constant beforehand: `normal(mean, sd)` or `lognormal(median, cv)`",
+    "prior": "prior knowledge about the constant: `normal(mean, sd)` or `lognormal(median, cv)`",
     "noise": "the uncertainty of a measurement: `normal(sd)` or `lognormal(cv)`; it sets the channel's weight",
     "per": "`per trajectory`: each trajectory has its own value",
     "trajectory": "`per trajectory`: each trajectory has its own value",
@@ -31,7 +31,7 @@ CLAUSES: dict[str, str] = {
 """The words within statements."""
 
 OPERATORS: dict[str, str] = {
-    "if": "`if(condition, a, b)`: a where the condition holds, else b",
+    "if": "`if(condition, a, b)`: a if the condition holds, else b",
     "and": "both conditions hold",
     "or": "one of the conditions holds, or both",
     "not": "the condition does not hold",
@@ -60,14 +60,14 @@ FUNCTIONS: dict[str, tuple[str, str]] = {
     "min": ("min(a, b, …)", "the smallest of its arguments"),
     "max": ("max(a, b, …)", "the largest of its arguments"),
     "sign": ("sign(x)", "-1, 0 or 1 as x is negative, zero or positive"),
-    "net": ("net(X)", "what all processes together add to the state X in a unit of time"),
+    "net": ("net(X)", "the sum of all processes' contributions to the rate of change of the state X"),
     "sum": ("sum(c)", "the sum of all elements of an array of states"),
 }
-"""The functions of the language: how each is written, and what it is."""
+"""The functions of the language: how each is called, and its meaning."""
 
 VALUES: dict[str, str] = {
-    "pi": "the circle's circumference over its diameter, 3.14159…",
-    "nn": "the network, in the postulate of an unknown",
+    "pi": "the ratio of a circle's circumference to its diameter, 3.14159…",
+    "nn": "the output of the network, in the postulate of an unknown",
 }
 
 DISTRIBUTIONS: dict[str, str] = {
@@ -81,7 +81,7 @@ OPTIONS: dict[str, str] = {"activation": "the function between the layers of the
 
 
 def meaning(word: str) -> str:
-    """The line on a word of the language, whichever table has it; empty where none does."""
+    """The line on a word of the language from any of the tables; empty if there is none."""
     if word in FUNCTIONS:
         return FUNCTIONS[word][1]
     tables = (STATEMENTS, CLAUSES, OPERATORS, VALUES, DISTRIBUTIONS, NETWORKS, OPTIONS)

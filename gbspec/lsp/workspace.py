@@ -1,4 +1,4 @@
-"""The texts that an editor has open before those on the disk, their trees, and how files extend one another."""
+"""The texts of files, those open in the editor before those on disk, their trees, and how they extend one another."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SKIPPED = frozenset({"node_modules", "__pycache__"})
 
 @dataclass(frozen=True)
 class Parsed:
-    """A text and what could be read of it; `broken` where a statement could not."""
+    """A text and its tree; `broken` if a statement could not be parsed."""
 
     source: Source
     file: ast.File
@@ -25,7 +25,7 @@ class Parsed:
 
 @dataclass
 class Workspace:
-    """What is open, and what was read and parsed before (kept while it does not change)."""
+    """The open texts, and a cache of the files read and parsed (valid while they do not change)."""
 
     roots: tuple[Path, ...] = ()
     _open: dict[Path, Source] = field(default_factory=dict)
@@ -36,11 +36,11 @@ class Workspace:
     # ------------------------------------------------------------------------------------------------------- texts
 
     def put(self, path: str | Path, text: str) -> None:
-        """A file was opened or changed in the editor; `text` is all of it."""
+        """Stores the full text of a file that was opened or changed in the editor."""
         self._open[key(path)] = decode(str(path), text.encode("utf-8", "replace"))
 
     def drop(self, path: str | Path) -> None:
-        """A file was closed: what counts is on the disk again."""
+        """Forgets the text of a closed file; the one on disk is used again."""
         self._open.pop(key(path), None)
 
     def opened(self) -> tuple[Path, ...]:
@@ -48,7 +48,7 @@ class Workspace:
         return tuple(self._open)
 
     def source(self, path: str | Path) -> Source:
-        """The text of a file, as the editor has it or as it is on the disk; raises `UserError` where there is none."""
+        """The text of a file, from the editor or from disk; raises `UserError` if there is none."""
         path = Path(path)
         own = self._open.get(key(path))
         if own is not None:
@@ -64,7 +64,7 @@ class Workspace:
         return known[1]
 
     def parsed(self, path: str | Path) -> Parsed | None:
-        """The tree of what can be read in a file, None where there is no such file or it is no text."""
+        """The text of a file and the tree of its readable statements; None if it does not exist or is not text."""
         try:
             source = self.source(path)
         except UserError:
@@ -93,7 +93,7 @@ class Workspace:
         return any(key(step) == wanted for step in self._steps(path))
 
     def _steps(self, path: str | Path) -> Iterator[Path]:
-        """The paths along a chain, each given before it is read."""
+        """The paths along a chain, each yielded before its file is read."""
         seen: set[Path] = set()
         current: Path | None = Path(path)
         while current is not None and key(current) not in seen:
@@ -112,7 +112,7 @@ class Workspace:
         return tuple(p for p in found.values() if p is not None)
 
     def _known(self, path: Path) -> Iterator[Path]:
-        """The open files and those in the project's folders (without any: beside the file)."""
+        """The open files and those in the project's folders (if there are none: in the file's folder)."""
         yield from self._open
         count = 0
         folders = self.roots or (path.parent,)
@@ -129,11 +129,11 @@ class Workspace:
     # --------------------------------------------------------------------------------------------------------- names
 
     def names(self, path: str | Path) -> Names:
-        """What the file and those it extends declare."""
+        """The declarations of the file and of those it extends."""
         return self._index(path)[1]
 
     def occurrences(self, path: str | Path) -> tuple[Occurrence, ...]:
-        """Every name in the file with what it refers to; none where it cannot be read."""
+        """Every name in the file with its symbol; empty if the file cannot be read."""
         return self._index(path)[2]
 
     def _index(self, path: str | Path) -> tuple[tuple[Source, ...], Names, tuple[Occurrence, ...]]:
@@ -147,7 +147,7 @@ class Workspace:
         return known
 
     def with_texts(self, texts: dict[Path, str]) -> Workspace:
-        """The same files with other texts, to see what an edit would make of them."""
+        """The same files with other texts, to inspect the result of an edit."""
         other = Workspace(self.roots, dict(self._open), dict(self._disk), dict(self._parsed), dict(self._indexed))
         for path, text in texts.items():
             other.put(path, text)
@@ -155,12 +155,12 @@ class Workspace:
 
 
 def key(path: str | Path) -> Path:
-    """A file's identity, however its path was written."""
+    """The resolved path of a file, which identifies it."""
     return Path(path).resolve()
 
 
 def extended(file: ast.File) -> Path | None:
-    """The path of the file that this one extends; whether it may do so, checking says."""
+    """The path of the file that this one extends, without checking whether that is allowed; None if it extends none."""
     for statement in file.statements:
         if isinstance(statement, ast.ModelStatement) and statement.extends is not None:
             named = statement.extends.value

@@ -1,8 +1,8 @@
-"""What the commands, the Python interface and the studies are made of, by subject.
+"""The operations behind the commands, the Python interface and the studies, by subject.
 
-`models` opens models and runs and compiles them, `tables` makes and reads data, `fitting` trains, `analysing` asks what
-a model or a run does, `reporting` draws and writes it down. Nothing here computes: each function brings together what
-the packages below have. These are imported when they are used, so that a command loads what it needs alone.
+`models` opens and compiles models and runs, `tables` creates and reads data, `fitting` trains, `analysing` analyses
+models and runs, `reporting` makes figures and reports. No numerical work is done here: each function combines those of
+lower packages, which it imports when called, so that a command loads only what it needs.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""What a model at its truth or a run does: eigenvalues, bifurcations, predictions, errors."""
+"""Analyses of a model at its truth or of a run: eigenvalues, bifurcations, predictions, errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def system(source: Subject) -> System:
 def eigen(
     source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
 ) -> Eigen:
-    """Eigenvalues of a subject; of a run beside those of its model's truth, where it has one."""
+    """Eigenvalues of a subject; for a run also those of its model's truth, if there is one."""
     from gbspec.analysis import eigen as run
 
     true = truth_of(source)
@@ -49,7 +49,7 @@ def eigen(
 
 
 def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] | None = None) -> InitialStates:
-    """Learned, bred and true initial states of a run's trajectories beside each other."""
+    """Learned, bred and true initial states of a run's trajectories, side by side."""
     from gbspec.analysis import initial_states as run
 
     true = truth_of(source)
@@ -61,7 +61,7 @@ def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] |
 def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
-    """The bifurcation diagram of a subject over one of its parameters; cycles double at most `doublings` times."""
+    """The bifurcation diagram of a subject over one parameter, with at most `doublings` period doublings followed."""
     from gbspec.analysis import BifurcationOptions, CycleOptions
     from gbspec.analysis import bifurcate as run
 
@@ -73,13 +73,13 @@ def bifurcate(
 def true_diagram(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram | None:
-    """The same of the truth of a run's model, None where there is none."""
+    """The same for the truth of a run's model; None if there is none."""
     truth = truth_of(source)
     return None if truth is None else bifurcate(truth, over, low, high, cycles=cycles, doublings=doublings)
 
 
 def joined(diagrams: Sequence[Diagram]) -> Diagram:
-    """The diagram of the first of several members, its special points with intervals over all of them."""
+    """The diagram of the first member, its special points with intervals over all members."""
     from gbspec.analysis import with_intervals
 
     return with_intervals(diagrams) if len(diagrams) > 1 else diagrams[0]
@@ -93,7 +93,7 @@ def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box,
 
 
 def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram | None:
-    """The same of the truth of a run's model, None where there is none."""
+    """The same for the truth of a run's model; None if there is none."""
     truth = truth_of(source)
     return None if truth is None else bifurcation_plane(truth, names, boxes)
 

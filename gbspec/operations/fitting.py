@@ -1,4 +1,4 @@
-"""Training: one fit, a sweep of them, the check of their steps, and the profile of a constant."""
+"""Training: a fit, a sweep of fits, the check of integration steps, and the profile of a constant."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ if TYPE_CHECKING:
 def train(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
-    """Learns from data what is unknown in the model, into a run directory; then every fit's step is checked."""
+    """Fits the learnables and unknowns of a model to data into a run directory, then checks every fit's step."""
     return with_step_checks(fit(model, data, directory, options, progress), data, options)
 
 
 def fit(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
-    """The same without the check, for studies, which judge their fits themselves."""
+    """Like `train` but without the check of steps, for studies, which have their own checks."""
     from gbspec.training import train as run
 
     return run(model, data, options, directory, progress)
 
 
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
-    """The run just fitted to `data`, with the check of each member's step, and a warning of those that depend on it."""
+    """The run fitted to `data`, with the check of each member's step and warnings for those that depend on it."""
     from gbspec.analysis import check_fit
     from gbspec.training import split
 
-    if len(data) == 1:  # of one trajectory the last rows are held out; it is known by the others
+    if len(data) == 1:  # of a single trajectory the last rows were held out; the others were trained on
         data, _ = split(data, options.holdout, options.seed)
     checks = check_fit(run, data)
     warnings = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
@@ -51,9 +51,9 @@ def sweep(
     options: TrainOptions,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
-    """Trains with each point's options into a run directory of its own; a row of results for each.
+    """Trains with each point's options into a separate run directory; returns a row of results for each.
 
-    A row's columns are those of `sweep.csv`: what was varied has its own name there.
+    A row's columns are those of `sweep.csv`; each varied option has a column with its name.
     """
     from gbspec.runs import member_numbers, open_run
     from gbspec.training import sweep as run

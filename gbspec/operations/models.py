@@ -1,4 +1,4 @@
-"""Models and runs as what can be evaluated, with values set by hand, and compiled."""
+"""Opens models and runs for evaluation, with values set by the user, and compiles them."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Subject:
-    """What can be evaluated: a model at its truth (which stands in `model`), or a run at what it learned.
+    """A model at its truth (already substituted in `model`), or a run at its learned parameters, for evaluation.
 
-    `values` are what was set by hand; they stand in `model` and in the evaluator already.
+    `values` are those set by the user; `model` and the evaluator already have them.
     """
 
     model: Model
@@ -32,7 +32,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Compiled:
-    """A model in another form; `class_name` is that of its generated module, None for a form inside the pipeline."""
+    """A model in another form; `class_name` is that of its generated module, None for a stage of the pipeline."""
 
     name: str
     content: str | bytes
@@ -40,14 +40,14 @@ class Compiled:
 
 
 def is_run(path: str | Path) -> bool:
-    """Whether a path is meant as a run directory."""
+    """Whether a path denotes a run directory."""
     return Path(path).is_dir()
 
 
 def open_run(path: str | Path, values: Mapping[str, float] | None = None) -> Run:
-    """A trained run, with `values` in place of constants, learned or known, and of conditions' defaults.
+    """A trained run, with `values` substituted for constants, learned or known, and for defaults of conditions.
 
-    Raises `UserError`: GB851 to GB853 where the path is none, or damaged; GB804 where a name cannot be set.
+    Raises `UserError`: GB851 to GB853 if the path is not a run, or damaged; GB804 if a name cannot be set.
     """
     from gbspec.runs import open_run as open_directory
 
@@ -55,7 +55,7 @@ def open_run(path: str | Path, values: Mapping[str, float] | None = None) -> Run
 
 
 def set_values(run: Run, values: Mapping[str, float] | None) -> Run:
-    """The run with other values for constants and conditions, in its truth too. Raises `UserError` (GB804)."""
+    """The run with other values for constants and conditions, also in its truth. Raises `UserError` (GB804)."""
     from gbspec.passes import with_values
 
     if not values:
@@ -65,31 +65,31 @@ def set_values(run: Run, values: Mapping[str, float] | None) -> Run:
 
 
 def specified(model: Model, values: Mapping[str, float]) -> Model:
-    """The model to be trained with other values: its text has them too, so that a run keeps what was computed with.
+    """The model with other values for training; its text has them too, so that the run stores the model that was used.
 
-    A value of a learnable is where its training starts; its truth stays. Raises `UserError`: GB804 where a name is no
-    constant, condition or input, and what else is wrong with the model that has these values.
+    A value of a learnable is its starting value; its truth is unchanged. Raises `UserError`: GB804 if a name is not a
+    constant, condition or input, and any error of the model with these values.
     """
     from gbspec.passes import with_values
     from gbspec.syntax import with_settings
 
     if not values:
         return model
-    with_values(model, values)  # every name is known and every number finite, or this says which is not
+    with_values(model, values)  # raises for unknown names and values that are not finite
     source = _source(model)
     text = Source(source.path, with_settings(source, values))
     return frontend.load_model(text.path, Findings(), lambda _: text)
 
 
 def subject(path: str | Path, values: Mapping[str, float], findings: Findings, member: int | None = None) -> Subject:
-    """A MODEL at its truth, or a RUN at what it learned, with `values` put in for constants and conditions."""
+    """A MODEL at its truth or a RUN at its learned parameters, with `values` set for constants and conditions."""
     if is_run(path):
         return learned(open_run(path), values, member)
     return reference(frontend.load_model(path, findings), values)
 
 
 def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
-    """What a member of a run learned (the best one where none is named). Raises `UserError` (GB804, GB854)."""
+    """A run at the learned parameters of a member (default: the best one). Raises `UserError` (GB804, GB854)."""
     from gbspec.backends import Evaluator
 
     run = set_values(run, values)
@@ -100,7 +100,7 @@ def learned(run: Run, values: Mapping[str, float] | None = None, member: int | N
 def reference(model: Model, values: Mapping[str, float] | None = None, method: Method = RK4) -> Subject:
     """A model at its truth, stepped by a method.
 
-    Raises `UserError` (GB803, GB804) naming the unknowns that have none, or wrong `values`.
+    Raises `UserError`: GB803 for unknowns without a truth, GB804 for wrong `values`.
     """
     from gbspec.backends import Evaluator, load_module
     from gbspec.passes import with_truth, with_values
@@ -112,7 +112,7 @@ def reference(model: Model, values: Mapping[str, float] | None = None, method: M
 
 
 def truth_of(source: Subject) -> Subject | None:
-    """The truth of a run's model with the same values set, None where there is none."""
+    """The truth of a run's model with the same values set; None if there is none."""
     from gbspec.analysis import has_reference
 
     if source.run is None or not has_reference(source.run.model):
@@ -122,7 +122,7 @@ def truth_of(source: Subject) -> Subject | None:
 
 # ------------------------------------------------------------------------------------------------------------ compiling
 def forms() -> dict[str, str]:
-    """What a model can be compiled to, each with a line of help: the stages of the pipeline, then the backends."""
+    """The forms to which a model can be compiled, each with a help line: the pipeline's stages, then the backends."""
     from gbspec.backends import backends
 
     stages = {stage.name: stage.help for stage in frontend.STAGES}
@@ -130,10 +130,10 @@ def forms() -> dict[str, str]:
 
 
 def compile_file(path: str | Path, form: str, findings: Findings, solver: str | None = None) -> Compiled:
-    """A model file, or the best member of a run, in one of `forms()`. Raises `UserError` for what is wrong with it.
+    """A model file, or the best member of a run, in one of `forms()`. Raises `UserError` if it has errors.
 
-    A form of the pipeline takes a model no further than its stage: what is wrong beyond is not found. `solver` names
-    the method of the steps (GB850 where there is none of that name); without it a run keeps its own.
+    For a stage of the pipeline the later stages are not run, so that their errors are not reported. `solver` names the
+    integration method (GB850 if there is none of that name); without it a run keeps its own.
     """
     from gbspec.backends import backends
     from gbspec.runs import files
@@ -150,7 +150,7 @@ def compile_file(path: str | Path, form: str, findings: Findings, solver: str | 
 
 
 def compile_model(model: Model, form: str, solver: str = "rk4") -> Compiled:
-    """A Model, at its truth where numbers are needed, in one of `forms()`, with steps of a solver (else GB850)."""
+    """A Model, at its truth where numbers are needed, in one of `forms()`, with a solver's steps (else GB850)."""
     from gbspec.backends import backends
 
     if form not in backends():
@@ -177,5 +177,5 @@ def _stage(path: str | Path, form: str, findings: Findings, read: frontend.Read 
 
 
 def _source(model: Model) -> Source:
-    """The text that the model keeps, which needs no other file."""
+    """The text stored in the model, which extends no other file."""
     return Source("model.gb", model.text)

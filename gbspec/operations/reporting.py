@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 
 def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
-    """The figure of one or several members' diagrams, beside the truth's."""
+    """The figure of one or several members' diagrams, together with the truth's."""
     from gbspec.report import diagram
 
     return diagram(analysing.joined(diagrams), diagrams[1:], truth)
 
 
 def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
-    """The figure of one or several members' curves, beside the truth's."""
+    """The figure of one or several members' curves, together with the truth's."""
     from gbspec.report import plane
 
     return plane(diagrams[0], diagrams[1:], truth)
 
 
 def profile_figure(run: Run, found: Profile) -> Figure:
-    """The figure of a profile, with the truth where the model states one."""
+    """The figure of a profile, with the truth if the model has one."""
     from gbspec.report import profile as draw
 
     truths = {t.name: t.value for t in run.model.truth_constants}

@@ -1,6 +1,6 @@
-"""Passes over a Model: the truth put in, values overridden, laws and claims, contracts, what data can tell.
+"""Passes over a Model: substituting the truth, overriding values, laws and claims, contracts, identifiability.
 
-What stands here is loaded when it is asked for, since `gbspec check` of a model needs only some of the passes.
+The names are imported on first use, since `gbspec check` of a model needs only some of the passes.
 """
 
 import lazy_loader

@@ -1,9 +1,9 @@
-"""`conserve` claims: each proved, or refuted with the terms that remain, whatever the unknown functions are.
+"""Proves `conserve` claims for all unknown functions, or refutes them with the remaining terms.
 
-The rate of a quantity Q(x, t) along the balances x' = f is the sum of dQ/dx_i f_i plus dQ/dt. That it equals what is
-claimed is an identity, decided in three steps of growing cost: with process rates as free symbols, with everything
-written out, and with the constants at their values. In each, applications of unknowns are free symbols, and an
-expression that does not cancel as it stands is evaluated at random points to 50 digits.
+The rate of a quantity Q(x, t) along the balances x' = f is the sum of dQ/dx_i f_i plus dQ/dt. That it equals the
+claimed rate is an identity, decided in three steps of growing cost: with process rates as free symbols, with all
+intermediates substituted, and with the constants at their values. In each, applications of unknowns are free symbols,
+and an expression that does not cancel symbolically is evaluated at random points to 50 digits.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from gbspec.passes.terms import Opened, constants_of, exact, terms
 DIGITS = 50
 POINTS = 6
 ROUNDING = sympy.Float("1e-12")
-"""With constants at their values, what cancels to this part of its terms counts as rounding of these values."""
+"""With constants at their values, a sum below this fraction of its largest term counts as rounding."""
 
 _NOTHING: Mapping[sympy.Symbol, Expr] = {}
 _PIECEWISE = (sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max, sympy.sign)
 
 
 class Verdict(Enum):
-    """What is known of an identity."""
+    """The result of deciding an identity."""
 
     HOLDS = "holds"
     FAILS = "fails"
@@ -38,7 +38,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict on a claim, and for one that fails what its rate differs by."""
+    """The verdict on a claim, and for one that fails the difference of the rates."""
 
     claim: Claim
     verdict: Verdict
@@ -46,15 +46,15 @@ class Decision:
 
 
 def check_claims(model: Model, findings: Findings) -> None:
-    """Decides every claim; reports one that fails (GB330), needs the rate of an input (GB332) or stays open (GB331)."""
+    """Decides every claim; reports those that fail (GB330), contain an input (GB332) or are undecided (GB331)."""
     for claim in model.claims:
         inputs = [i.name for i in model.inputs if i.symbol in model.inlined([claim.value])[0].free_symbols]
         if inputs:
             findings.error(
                 "GB332",
-                f"`{claim.name}` contains the input `{inputs[0]}`, whose rate of change is not known",
+                f"`{claim.name}` contains the input `{inputs[0]}`, whose rate of change is unknown",
                 claim.span,
-                help="claim something about states; an input may stand after `rate`",
+                help="state the claim in terms of states; an input may occur after `rate`",
                 subject=claim.name,
             )
             continue
@@ -64,9 +64,9 @@ def check_claims(model: Model, findings: Findings) -> None:
         elif decision.verdict is Verdict.UNDECIDED and not model.accepts("GB331", claim.name):
             findings.warning(
                 "GB331",
-                f"whether `{claim.name}` is conserved could not be decided",
+                f"could not decide whether `{claim.name}` is conserved",
                 claim.span,
-                help=f"write its parts more simply, or accept it with `allow GB331 {claim.name}`",
+                help=f"simplify its expressions, or accept it with `allow GB331 {claim.name}`",
                 subject=claim.name,
             )
 
@@ -88,7 +88,7 @@ def decide(model: Model, claim: Claim) -> Decision:
 
 
 def _difference(model: Model, claim: Claim, balances: Sequence[Expr], value: Expr, rate: Expr) -> Expr | None:
-    """The rate of `value` less what is claimed; None where `value` still holds intermediates."""
+    """The rate of `value` minus the claimed rate; None if `value` still contains intermediates."""
     if value.free_symbols & {i.symbol for i in model.intermediates}:
         return None
     parts = [sympy.diff(value, s.symbol) * balance for s, balance in zip(model.states, balances, strict=True)]
@@ -114,7 +114,7 @@ def _vanishes(model: Model, expression: Expr, numbers: Mapping[sympy.Symbol, Exp
 
 
 def _outermost(expression: Expr, opaque: dict[Expr, sympy.Dummy]) -> Expr:
-    """What has branches stands for any number: an identity that holds then holds on every branch."""
+    """Replaces the outermost expressions with branches by free symbols: an identity in them holds on every branch."""
     return expression.xreplace(opaque) if opaque else expression
 
 
@@ -137,7 +137,7 @@ def _zero_at_points(expression: Expr, numbers: Mapping[sympy.Symbol, Expr]) -> b
 
 
 def _coordinate(point: int, index: int) -> Expr:
-    """Coordinates between 0.2 and 3, by the golden ratio: far from special values and the same every time."""
+    """Coordinates between 0.2 and 3, by the golden ratio: far from special values, and deterministic."""
     fraction = (sympy.Rational(6180339887, 10**10) * (point * 101 + index * 7 + 1)) % 1
     return sympy.Rational(1, 5) + fraction * sympy.Rational(14, 5)
 
@@ -151,7 +151,7 @@ def _refuted(model: Model, decision: Decision, findings: Findings) -> None:
     remains = opened.split(opened.open(decision.difference))
     shown = _sum_as_text(_terms(remains, opened))
     places = [
-        Label(state.span, "its balance brings this in")
+        Label(state.span, "its balance contributes this")
         for state, balance in zip(model.states, model.inlined(model.balances), strict=True)
         if state.span is not None
         and set(remains) & set(opened.split(opened.open(_contribution(model, claim, state.symbol, balance))))
@@ -161,21 +161,21 @@ def _refuted(model: Model, decision: Decision, findings: Findings) -> None:
     rate = _sum_as_text(_terms(total, opened)) if total else "0"
     findings.error(
         "GB330",
-        f"`{claim.name}` does not change at the rate that is claimed"
+        f"`{claim.name}` does not change at the claimed rate"
         if claim.rate != 0
         else f"`{claim.name}` is not conserved",
         claim.span,
         label=f"{shown} remains",
         labels=places[:4],
         notes=[f"its rate of change is {rate}, not {than}"],
-        help="correct a balance, or claim what holds"
+        help="correct a balance, or the claim"
         + (f": `conserve {claim.name} = … rate {rate.strip('`')}`" if len(rate) < 60 and "…" not in rate else ""),
         subject=claim.name,
     )
 
 
 def _terms(table: Mapping[Expr, Expr], opened: Opened) -> list[Expr]:
-    """The terms of a split expression as the user knows them, the simplest first."""
+    """The terms of a split expression in the user's names, the simplest first."""
     return sorted((opened.close(key * coefficient) for key, coefficient in table.items()), key=lambda e: e.count_ops())
 
 

@@ -1,4 +1,4 @@
-"""What is conserved: all linear laws, and claims proved or refuted, whatever the unknown functions are."""
+"""Linear conservation laws of a Model, valid for all unknown functions."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ PRIME = 2**61 - 1
 """Ranks are first computed modulo this prime, constants at random residues (wrong with probability about 1e-15)."""
 
 LARGEST = 70_000
-"""Rates are written out only where expressions have at most this many nodes; else each rate counts as free."""
+"""Rates are substituted only if expressions have at most this many nodes; else each rate is a free symbol."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """A linear combination of states that does not change; coefficients in constants and learnables."""
+    """A linear combination of states that is constant in time; coefficients in constants and learnables."""
 
     coefficients: tuple[tuple[str, Expr], ...]
 
@@ -44,8 +44,8 @@ def as_text(expression: Expr) -> str:
 def linear_laws(model: Model) -> tuple[Law, ...]:
     """A basis of all constant linear combinations of states whose rate of change vanishes identically.
 
-    Each balance is a sum of terms, a constant coefficient times something that varies; what varies counts as
-    independent (so laws that rest on identities between functions, such as sin^2 + cos^2 = 1, are not found). The laws
+    Each balance is a sum of terms, a constant coefficient times a varying factor; distinct factors count as
+    independent (laws that depend on identities between functions, such as sin^2 + cos^2 = 1, are not found). The laws
     are the left null space of the matrix of coefficients, over the field of rational functions of the constants.
     """
     laws = _laws(model, model.balances, 0)
@@ -55,7 +55,7 @@ def linear_laws(model: Model) -> tuple[Law, ...]:
 
 
 def _laws(model: Model, balances: Sequence[Expr], known: int) -> tuple[Law, ...]:
-    """A basis of the laws of these balances, unless there are no more than are known."""
+    """A basis of the laws of these balances; empty if their number does not exceed `known`."""
     opened = Opened(constants_of(model))
     rows = [opened.split(opened.open(balance)) for balance in balances]
     conserved, count = _left_null_support(rows)
@@ -70,7 +70,7 @@ def _laws(model: Model, balances: Sequence[Expr], known: int) -> tuple[Law, ...]
 
 
 def _completed(laws: tuple[Law, ...], every: tuple[Law, ...]) -> tuple[Law, ...]:
-    """The laws that hold whatever the rates are, then as many others as are independent of them."""
+    """The laws that hold for all rates, then those of the others that are independent of them."""
     kept: list[Law] = []
     for law in (*laws, *every):
         rows = [{sympy.Symbol(name): c for name, c in other.coefficients} for other in (*kept, law)]
@@ -83,9 +83,9 @@ def _completed(laws: tuple[Law, ...], every: tuple[Law, ...]) -> tuple[Law, ...]
 
 
 def _left_null_support(rows: Sequence[Mapping[Expr, Expr]]) -> tuple[list[int], int]:
-    """The rows that take part in some vanishing combination, and how many independent ones there are, modulo a prime.
+    """The rows that occur in some vanishing combination, and the dimension of these combinations, modulo a prime.
 
-    Constants stand at residues drawn once from a fixed sequence, so that the answer is the same every time.
+    Constants have residues from a fixed sequence, so that the result is deterministic.
     """
     values: dict[sympy.Symbol, int] = {}
     numeric = [{column: _residue(c, values) for column, c in row.items()} for row in rows]
@@ -115,9 +115,9 @@ def _left_null_support(rows: Sequence[Mapping[Expr, Expr]]) -> tuple[list[int], 
 
 
 def _core(rows: Sequence[Mapping[Expr, int]]) -> list[int]:
-    """The rows that are left when those are taken away, again and again, that have a column to themselves.
+    """The rows that remain when rows with the only entry of a column are removed repeatedly.
 
-    Such a row takes part in no vanishing combination; what is left has little fill-in where elimination begins.
+    A removed row occurs in no vanishing combination; elimination on the remaining rows causes little fill-in.
     """
     users: dict[Expr, set[int]] = {}
     for index, row in enumerate(rows):
@@ -147,7 +147,7 @@ def _subtract(target: dict[K, int], other: Mapping[K, int], factor: int) -> None
 
 
 def _residue(coefficient: Expr, values: dict[sympy.Symbol, int]) -> int:
-    """A coefficient modulo the prime; what is not a rational function of symbols counts as one more random number."""
+    """A coefficient modulo the prime; a part that is not a rational function of symbols gets a random residue."""
     if coefficient.is_Rational:
         return int(coefficient.p) * pow(int(coefficient.q), -1, PRIME) % PRIME
     atoms = coefficient.replace(lambda e: not _is_rational_operation(e), lambda e: sympy.Dummy(str(e)))
@@ -170,7 +170,7 @@ def _is_rational_operation(e: Expr) -> bool:
 
 
 def _null_space(rows: Sequence[Mapping[Expr, Expr]]) -> list[list[Expr]]:
-    """A basis of the combinations of rows that vanish, without denominators, the first coefficient positive."""
+    """A basis of the vanishing combinations of rows, without denominators, the first coefficient positive."""
     columns = {column: i for i, column in enumerate(dict.fromkeys(c for row in rows for c in row))}
     distinct = list(dict.fromkeys(c for row in rows for c in row.values()))
     domain, elements = sympy.construct_domain(distinct or [sympy.S.One], field=True, extension=True)

@@ -1,15 +1,15 @@
-"""Functions that meet demands whatever the weights are: expressions in a network's raw outputs.
+"""Functions that satisfy requirements for all weights: expressions in a network's raw outputs.
 
-A raw output x is a multilayer perceptron without its last centre c and scale s; where directions are asked for, it is
-monotone by the signs of its weights (`gbspec.passes.layouts`). On it stand, in this order:
+A raw output x is a multilayer perceptron without its last centre c and scale s; if directions are required, it is
+monotone by the signs of its weights (`gbspec.passes.layouts`). On it are built, in this order:
 
-- *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: it starts at c, rises with
-  slope 0.63 s there, and never saturates at the start. Two bounds: `L + W logistic(...)`, slope s at the start.
+- *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: initially c, with
+  slope 0.63 s and not saturated. Two bounds: `L + W logistic(...)`, initially with slope s.
 - *zeros*: a difference `x(v) - x(zero)` of a function of one argument; or a factor that vanishes there:
-  `d/sqrt(d^2 + l^2)`, its size, or its square, d the distance and l the argument's scale; or, where directions would
-  not survive these, a generalised Monod factor `d/(d + K)` whose half-saturation `K = l (2.02 - 2 logistic(g))`, g an
+  `d/sqrt(d^2 + l^2)`, its size, or its square, d the distance and l the argument's scale; or, if these would
+  violate directions, a generalised Monod factor `d/(d + K)` whose half-saturation `K = l (2.02 - 2 logistic(g))`, g an
   extra output of the same directions, falls where the value rises.
-- *bounds around a zero*: an increasing map that leaves 0 where it is.
+- *bounds around a zero*: an increasing map that maps 0 to 0.
 
 `docs/contracts.md` has the proofs.
 """
@@ -26,10 +26,10 @@ from gbspec.passes.requirements import Link, Refused, Wanted, Zero, shown
 from gbspec.passes.signs import Prover
 
 START = sympy.Float(0.541324854612918)
-"""`softplus(START) = 1`."""
+"""The argument at which softplus is 1."""
 
 LEAST = sympy.Float(0.3)
-"""The start of a bounded value lies at least this many scales from its bound, so that it can move."""
+"""The initial bounded value has at least this many scales distance from its bound, so that it can change."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Builder:
 
     # ---------------------------------------------------------------- entry points
     def correction(self, demands: Wanted) -> Construction:
-        """A function of its own that meets the demands."""
+        """A function without a link that satisfies the requirements."""
         if demands.zeros:
             value = self._with_zeros(demands)
         else:
@@ -66,7 +66,7 @@ class Builder:
         return self._finished(value, demands)
 
     def linked(self, demands: Wanted, bounds: Wanted, link: Link) -> Construction:
-        """The postulate corrected on the scale of a link; `demands` are the directions of the correction."""
+        """The postulate corrected on the scale of a link; `demands` are the directions required of it."""
         lower, upper = bounds.lower, bounds.upper
         if lower is not None and upper is not None:
             value = self._odds_link(lower, upper, link)
@@ -86,7 +86,7 @@ class Builder:
 
     # ---------------------------------------------------------------- bounds
     def _bounded(self, demands: Wanted, x: Expr, start: Expr, size: Expr) -> Expr:
-        """A value within the bounds that starts at `start` (inside them) where x is 0, with slope about `size`."""
+        """A value within the bounds that is `start` (inside them) at x = 0, with slope about `size` there."""
         lower, upper = demands.lower, demands.upper
         if lower is None and upper is None:
             return start + size * x
@@ -104,7 +104,7 @@ class Builder:
         return upper - (size * softplus(START - x) if moving else self._positive(-x, upper - start, size))
 
     def _positive(self, x: Expr, start: Expr, size: Expr) -> Expr:
-        """A positive value that starts at `start` (or `LEAST` sizes), with slope 0.63 `size` there."""
+        """A positive value that is `start` (at least `LEAST` sizes) at x = 0, with slope 0.63 `size` there."""
         width = sympy.Max(start, LEAST * size)
         return width * softplus(size / width * x + START)
 
@@ -112,7 +112,7 @@ class Builder:
         return bound is not None and bool(bound.free_symbols & set(self.formals))
 
     def _check_moving(self, demands: Wanted) -> None:
-        """Bounds that depend on arguments must follow the directions themselves."""
+        """Raises `Refused` if a bound that depends on arguments does not have the required directions."""
         for i, direction in demands.directions.items():
             for kind, bound in (("lower", demands.lower), ("upper", demands.upper)):
                 if bound is None or self.formals[i] not in bound.free_symbols:
@@ -123,10 +123,10 @@ class Builder:
                     contracts = [c for c in self.unknown.contracts if c.kind in (kind, word)]
                     raise Refused(
                         "GB607",
-                        f"`{self.unknown.name}` is to be {word} in `{self.formals[i].name}`, but its bound"
+                        f"`{self.unknown.name}` must be {word} in `{self.formals[i].name}`, but its bound"
                         f" `{shown(bound)}` is not proved to be {word}",
                         contracts,
-                        "let the bound be constant, or follow the same direction",
+                        "use a constant bound, or one with the same direction",
                     )
 
     # ---------------------------------------------------------------- zeros
@@ -146,7 +146,7 @@ class Builder:
             raise Refused(
                 "GB607",
                 f"`{self.unknown.name}` with zeros in several arguments, increasing or decreasing in each, has a"
-                " construction only where its sign is known",
+                " construction only if its sign is known",
                 [zero.contract for zero in gated],
                 "add `>= 0` or `<= 0`, or give the arguments ranges that end at the zeros",
             )
@@ -165,10 +165,10 @@ class Builder:
         return self.formals[zero.argument] - zero.value
 
     def _factor(self, zero: Zero, needs_sign: bool) -> Expr:
-        """A factor that vanishes at the zero and levels off at 1; never negative where `needs_sign`.
+        """A factor that vanishes at the zero and saturates at 1; never negative if `needs_sign`.
 
-        It is then 0 beyond a zero at the end of the argument's range: were it positive there, a substance that is used
-        up could be used further, without end.
+        It is then 0 beyond a zero at the end of the argument's range: if it were positive there, a depleted substance
+        would still be consumed.
         """
         d, size = self._distance(zero), spread(zero.argument)
         root = sympy.sqrt(d**2 + size**2)
@@ -182,7 +182,7 @@ class Builder:
         return d**2 / (d**2 + size**2)
 
     def _sign(self, demands: Wanted) -> int | None:
-        """1 or -1 where the bounds at the zeros leave one sign, None where they leave both or there are none."""
+        """1 or -1 if the bounds at the zeros allow one sign only, None if they allow both or there are none."""
         lower, upper = demands.lower, demands.upper
         for bound, side in ((lower, 1), (upper, -1)):
             if bound is None:
@@ -193,10 +193,10 @@ class Builder:
             if not self.prover.zero(bound) and not self.prover.positive(-side * bound):
                 raise Refused(
                     "GB607",
-                    f"the bound `{shown(bound)}` is not proved to be 0, or to leave 0 inside, where"
+                    f"the bound `{shown(bound)}` is not proved to be 0 or to allow 0 where"
                     f" `{self.unknown.name}` has its zero",
                     [c for c in self.unknown.contracts if c.kind in ("lower", "upper")],
-                    "let the bound be a number, or bound the constants in it: `learn k > 0`",
+                    "use a number as bound, or bound the constants in it: `learn k > 0`",
                 )
         signs = [side for bound, side in ((lower, 1), (upper, -1)) if bound is not None and self.prover.zero(bound)]
         if len(signs) == 2:
@@ -215,9 +215,9 @@ class Builder:
                 raise Refused(
                     "GB607",
                     f"a zero at `{shown(zero.value)}`, which moves with `{min(s.name for s in moving)}`, in which"
-                    f" `{self.unknown.name}` is to be monotone, has no construction",
+                    f" `{self.unknown.name}` must be monotone, has no construction",
                     [zero.contract],
-                    "let the zero stand at a constant",
+                    "use a constant as the place of the zero",
                 )
         seen: dict[int, Zero] = {}
         for zero in gated:
@@ -232,7 +232,7 @@ class Builder:
                 )
 
     def _sign_of_range(self, demands: Wanted, gated: Sequence[Zero]) -> int | None:
-        """The sign that directions and ranges give: increasing from a zero at the low end, for instance."""
+        """The sign implied by directions and ranges, for instance positive if increasing from a zero at the low end."""
         signs = set()
         for zero in gated:
             d = self._distance(zero) * demands.directions[zero.argument]
@@ -243,13 +243,13 @@ class Builder:
 
     # ---------------------------------------------------------------- zeros with directions
     def _half(self, zero: Zero, side: Expr) -> Expr:
-        """A positive half-saturation by an extra output; it falls (side 1) or rises (-1) as the value rises."""
+        """A positive half-saturation from an extra output; it falls (side 1) or rises (-1) as the value rises."""
         gate = raw(0, self.first_gate + self.gates)
         self.gates += 1
         return spread(zero.argument) * (sympy.Float(2.02) - 2 * logistic(side * gate))
 
     def _one_sided(self, gated: Sequence[Zero], demands: Wanted, sign: int) -> Expr:
-        """A value of one sign whose size rises away from each zero, on the side where it may, and is 0 beyond."""
+        """A value of one sign whose magnitude rises away from each zero on the allowed side, and is 0 on the other."""
         value = self._core(sign)
         for zero in gated:
             d = _beyond(sign * demands.directions[zero.argument] * self._distance(zero))
@@ -259,7 +259,7 @@ class Builder:
                     f"the contracts leave `{self.unknown.name}` only the value 0 in the range of"
                     f" `{self.formals[zero.argument].name}`",
                     [zero.contract, *(c for c in self.unknown.contracts if c.argument == zero.contract.argument)],
-                    "turn the direction round, or move the zero to the other end of the range",
+                    "reverse the direction, or move the zero to the other end of the range",
                 )
             value *= d / (d + self._half(zero, sympy.Integer(sign)))
         return value
@@ -269,20 +269,20 @@ class Builder:
         return known and self.ranges.nonnegative(-side * self._distance(zero))
 
     def _difference(self, zero: Zero) -> Expr:
-        """x - x(at the zero), for a single argument: there the second evaluation is of one point, not of a batch."""
+        """x - x(at the zero), for a single argument: then the second evaluation is a single point, not a batch."""
         there = tuple(zero.value if i == zero.argument else f for i, f in enumerate(self.formals))
         if there not in self.evaluations:
             self.evaluations.append(there)
         return self.s * (self.x - raw(self.evaluations.index(there), self.unknown.output))
 
     def _two_sided(self, zero: Zero, demands: Wanted) -> Expr:
-        """A positive rising part on one side of the zero, minus the mirror of it on the other."""
+        """A positive rising part on one side of the zero, minus its mirror image on the other."""
         d = demands.directions[zero.argument] * self._distance(zero)
         side = sympy.sign(d)
         return self.s * d * softplus(side * self.x + START) / (sympy.Abs(d) + self._half(zero, side))
 
     def _around_zero(self, value: Expr, demands: Wanted, sign: int | None) -> Expr:
-        """The value pressed between bounds that leave 0 inside, by an increasing map with 0 -> 0 and slope 1 there."""
+        """The value mapped into bounds around 0 by an increasing map with 0 -> 0 and slope 1 there."""
         lower = None if demands.lower is None or self.prover.zero(demands.lower) else -demands.lower
         upper = None if demands.upper is None or self.prover.zero(demands.upper) else demands.upper
         if (lower is not None or upper is not None) and demands.directions:
@@ -291,10 +291,10 @@ class Builder:
                 contracts = [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
                 raise Refused(
                     "GB607",
-                    f"the bound `{shown(moving[0])}` moves with an argument, which together with a zero and a direction"
+                    f"the bound `{shown(moving[0])}` depends on an argument, which together with a zero and a direction"
                     " has no construction",
                     contracts,
-                    "let the bound be constant",
+                    "use a constant bound",
                 )
         if sign is not None:
             bound = upper if sign > 0 else lower
@@ -308,7 +308,7 @@ class Builder:
 
     # ---------------------------------------------------------------- links
     def _softplus_link(self, start: Expr, x: Expr) -> Expr:
-        """`s softplus(softplus^-1(start) + x)`; `start` is in scales, and at least 0.05."""
+        """`s softplus(softplus^-1(start) + x)`; `start` is in units of the scale, at least 0.05."""
         r = sympy.Max(start, sympy.Float(0.05))
         return self.s * softplus(r + sympy.log(1 - sympy.exp(-r)) + x)
 
@@ -326,7 +326,7 @@ class Builder:
 
 
 def _beyond(d: Expr) -> Expr:
-    """d where it is not negative, else 0; at 0 its derivative is 1, that of the side where the value moves."""
+    """d where it is not negative, else 0; its derivative at 0 is 1, the one from the right."""
     return sympy.Piecewise((d, d >= 0), (sympy.S.Zero, True))
 
 

@@ -1,4 +1,4 @@
-"""Contracts on unknowns: for each, a construction that keeps them whatever the weights are, or the reason why not."""
+"""Contracts of unknowns: a construction that satisfies them for all weights, or the reason why there is none."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from gbspec.passes.signs import Prover
 def with_contracts(model: Model, findings: Findings) -> Model:
     """The model with a form for every unknown whose network has contracts, and a layout for the network.
 
-    Records an error (GB603, GB605, GB607, GB608) for each contract that cannot be kept; the network is then left as it
-    was.
+    Records an error (GB603, GB605, GB607, GB608) for each contract that cannot be guaranteed; the network is then left
+    unchanged.
     """
     networks, unknowns = list(model.networks), list(model.unknowns)
     for index, network in enumerate(model.networks):
@@ -45,7 +45,7 @@ def with_contracts(model: Model, findings: Findings) -> Model:
 
 @dataclass(frozen=True)
 class _Plan:
-    """How one output is made: its construction, the proofs' scope, and what was decided."""
+    """The plan for one output: its construction, the scope of the proofs, and notes on the decisions."""
 
     unknown: Unknown
     built: Construction
@@ -53,7 +53,7 @@ class _Plan:
     within: tuple[str, ...]
 
     def form(self) -> Form:
-        """The form of the unknown: the construction in the place of `nn`, or by itself where it is a link."""
+        """The form of the unknown: the construction in place of `nn`, or alone if it is a link."""
         value = self.built.value
         if self.needs.link is None:
             value = self.unknown.postulate.xreplace({NN: value})
@@ -102,7 +102,7 @@ def _attempt(
     if demands.lower is not None and demands.upper is not None and not prover.positive(demands.upper - demands.lower):
         raise Refused(
             "GB607",
-            f"the upper bound `{shown(demands.upper)}` is not proved to lie above the lower bound"
+            f"the upper bound `{shown(demands.upper)}` is not proved to be above the lower bound"
             f" `{shown(demands.lower)}`",
             [c for c in unknown.contracts if c.kind in ("lower", "upper")],
             "bound the constants in them: `learn k in [1, 2]`",
@@ -125,7 +125,7 @@ def _attempt(
 
 
 def _boxes(model: Model, network: Network) -> tuple[Box, Box]:
-    """Intervals of the constants, and of the arguments: their own, else those of states and the like of their name."""
+    """Intervals of the constants, and of the arguments: their own, else those of the states or inputs of that name."""
     constants: dict[sympy.Symbol, Interval] = {c.symbol: Interval(c.value, c.value) for c in model.constants}
     # Training keeps a learnable strictly inside its bounds.
     constants |= {k.symbol: of_range(k.range, strict=True) for k in model.learnables}
@@ -136,7 +136,7 @@ def _boxes(model: Model, network: Network) -> tuple[Box, Box]:
 
 
 def _consistent(unknown: Unknown, demands: Wanted, prover: Prover) -> None:
-    """Raises `Refused` (GB603) where bounds contradict each other."""
+    """Raises `Refused` (GB603) if bounds contradict each other."""
     lower, upper = demands.lower, demands.upper
     if lower is None or upper is None:
         return

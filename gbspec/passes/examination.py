@@ -1,4 +1,4 @@
-"""What can be known of a Model before anything runs, beyond whether it is right."""
+"""Structural analysis of a valid Model: conservation laws and identifiability."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from gbspec.passes.identifiability import Identifiability, identifiability
 
 @dataclass(frozen=True)
 class Examination:
-    """Linear conservation laws, and what no data could separate."""
+    """Linear conservation laws, and sets of parameters that no data can separate."""
 
     laws: tuple[Law, ...]
     identifiability: Identifiability
 
 
 def examine(model: Model, findings: Findings) -> Examination:
-    """Finds both; what cannot be separated is recorded as warnings (GB401, GB402)."""
+    """Finds both; parameters that cannot be separated are recorded as warnings (GB401, GB402)."""
     return Examination(linear_laws(model), identifiability(model, findings))

@@ -1,7 +1,7 @@
-"""Interval arithmetic on sympy expressions: what values an expression can take when its symbols lie in given intervals.
+"""Interval arithmetic on sympy expressions: encloses the values of an expression for symbols in given intervals.
 
-Ends are floats with a mark for an end that is not reached, so that `x > 0` can be told from `x >= 0`. Ends are not
-rounded outwards: a proof holds up to the rounding of double precision, as does the evaluation that it speaks of.
+Ends are floats and may be open, so that `x > 0` differs from `x >= 0`. Ends are not rounded outwards: a proof holds up
+to rounding in double precision, like the evaluation that it is about.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def _hull(ends: Iterable[tuple[float, bool]]) -> Interval:
 
 
 def enclosure(expression: Expr, box: Box) -> Interval | None:
-    """An interval that holds every value of the expression; None where it may be undefined or is beyond the rules."""
+    """An interval that holds every value of the expression; None if it may be undefined or no rule applies."""
     if isinstance(expression, sympy.Symbol):
         return box.get(expression, REAL)
     if not expression.free_symbols:
@@ -144,7 +144,7 @@ def _combined(expression: Expr, parts: list[Interval]) -> Interval | None:
 
 
 def _safe(function: Callable[[float], float]) -> Callable[[float], float]:
-    """The function with its overflow and its poles at the ends of its domain as infinities."""
+    """The function with infinities for overflow and for poles at the ends of its domain."""
 
     def evaluate(x: float) -> float:
         try:

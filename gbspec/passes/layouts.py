@@ -1,16 +1,15 @@
-"""Which units of a network may depend on which arguments, so that its outputs have their directions.
+"""Layouts of networks: which units may depend on which arguments, so that the outputs have their directions.
 
-Every unit has a kind, one character an argument: `+` (not decreasing in it), `-`, `*` (freely), `0` (not at all).
-A weight from a unit of kind a to one of kind b may be positive if every direction of a is allowed by b, negative if
-every direction of a turned round is, of either sign if both, and is absent if neither: by induction over the layers
-each unit then depends on the arguments as its kind says, provided that the units on the way are monotone functions of
-their inputs.
+Every unit has a kind, one character per argument: `+` (not decreasing in it), `-`, `*` (freely), `0` (not at all). A
+weight from a unit of kind a to one of kind b may be positive if every direction of a is allowed by b, negative if every
+reversed direction of a is, of either sign if both, and is absent if neither: by induction over the layers each unit
+then depends on the arguments according to its kind, provided that the units in between are monotone functions of their
+inputs.
 
-Units whose kind names a direction get monotone activations: some bend upwards, some downwards, some level off (Runje
-and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023). In a single layer there are thirds of each.
-In several layers, each has one activation for all such units, which costs less and fits as well: where other units
-stand beside them all layers bend, else layers that bend and layers that level off take turns. Other units keep the
-network's own activation.
+Units whose kind has a direction get monotone activations: some convex, some concave, some saturating (Runje
+and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023). A single layer has a third of each.
+Of several layers, each has one activation for all such units, which costs less and fits as well: convex if there are
+other units too, else convex and saturating layers alternate. Other units keep the network's activation.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ _BENDS: tuple[Shape, ...] = ("convex", "concave")
 _LEVELS: tuple[Shape, ...] = ("saturating",)
 
 
-class TooNarrow(Exception):  # noqa: N818 - an answer, told to the user with the place of the network
+class TooNarrow(Exception):  # noqa: N818 - not an error: reported with the place of the network
     """A hidden layer has fewer units than there are kinds; `needed` is the least width."""
 
     def __init__(self, needed: int) -> None:
@@ -35,10 +34,10 @@ class TooNarrow(Exception):  # noqa: N818 - an answer, told to the user with the
 
 
 def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | None:
-    """The layout for outputs of the given kinds (those of the extra outputs last); None where all are free.
+    """The layout for outputs of the given kinds (those of the extra outputs last); None if all are free.
 
     Raises:
-        TooNarrow: where a hidden layer cannot hold a unit of every kind.
+        TooNarrow: a hidden layer cannot have a unit of every kind.
     """
     if all(set(kind) <= {"*"} for kind in kinds):
         return None
@@ -60,10 +59,10 @@ def monotone(kind: str) -> bool:
 
 
 def _groups(kinds: Sequence[str]) -> list[tuple[str, int]]:
-    """Kinds of hidden units with their shares: those of the outputs, and what the free arguments feed into them."""
+    """Kinds of hidden units with their shares: those of the outputs, and those for their free arguments."""
     found: dict[str, int] = {}
     for kind in kinds:
-        if kind.translate(TURNED) not in found:  # turned round it is the same unit with the opposite sign
+        if kind.translate(TURNED) not in found:  # reversed, it is the same unit with the opposite sign
             found[kind] = 2
     for kind in kinds:
         free = kind.translate(str.maketrans("+-", "00"))
@@ -73,7 +72,7 @@ def _groups(kinds: Sequence[str]) -> list[tuple[str, int]]:
 
 
 def _blocks(groups: Sequence[tuple[str, int]], total: int, width: int, shapes: tuple[Shape, ...]) -> tuple[Block, ...]:
-    """A layer's units: each kind its share, monotone kinds evenly divided among the shapes."""
+    """A layer's units: its share for each kind, divided evenly among the shapes for monotone kinds."""
     counts = [max(1, width * share // total) for _, share in groups]
     while sum(counts) > width:
         counts[counts.index(max(counts))] -= 1

@@ -1,4 +1,4 @@
-"""`--set NAME=VALUE`: other values for constants, learnables and the defaults of conditions and inputs."""
+"""`--set NAME=VALUE`: overrides the values of constants, learnables and the defaults of conditions and inputs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ D = TypeVar("D", Condition, Input)
 
 
 def with_values(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with these values: of a constant; of a learnable its start and its truth; of a condition its default.
+    """The model with new constants, starting values and truths of learnables, and defaults of conditions and inputs.
 
-    A learnable's bounds are widened where the value lies outside them. The text is left as it was.
+    A learnable's bounds are widened if the value lies outside them. The text is unchanged.
 
     Raises:
-        UserError: GB804, one finding for each name that is none of these, or whose value is not finite; GB6xx where a
-            contract cannot be kept with these values.
+        UserError: GB804, one diagnostic for each name that is none of these, or whose value is not finite; GB6xx if a
+            contract cannot be guaranteed with these values.
     """
     names = [*model.constant_names, *(c.name for c in model.conditions), *(i.name for i in model.inputs)]
     problems = [problem for name, value in values.items() if (problem := _problem(name, value, names)) is not None]
@@ -39,7 +39,7 @@ def with_values(model: Model, values: Mapping[str, float]) -> Model:
         inputs=tuple(_default(i, values) for i in model.inputs),
         truth_constants=tuple(TruthConstant(name, value) for name, value in truths.items()),
     )
-    # What was proved of contracts may rest on the values that were replaced.
+    # Proofs about contracts may depend on the values that were replaced.
     findings = Findings()
     changed = with_contracts(changed, findings)
     findings.raise_if_failed()
@@ -52,7 +52,7 @@ def _problem(name: str, value: float, names: list[str]) -> Diagnostic | None:
         known = ", ".join(f"`{n}`" for n in names[:12]) or "none"
         help_ = f"did you mean `{close[0]}`?" if close else f"names that can be set are: {known}"
         return Diagnostic(
-            "GB804", f"`{name}` cannot be set: it is no constant or condition of the model", None, help=help_
+            "GB804", f"`{name}` cannot be set: it is not a constant, condition or input of the model", None, help=help_
         )
     if not math.isfinite(value):
         return Diagnostic("GB804", f"the value {value} for `{name}` is not a finite number", None)

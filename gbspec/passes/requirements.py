@@ -1,8 +1,8 @@
-"""What an unknown's contracts ask of its correction `nn`, given the postulate that `nn` stands in.
+"""The requirements of an unknown's contracts on its correction `nn`, given the postulate that contains `nn`.
 
-Without a postulate they ask of `nn` what they ask of the unknown. With one, either a simple demand on `nn` (nothing, a
-sign, directions, zeros) is proved to be enough, or the bounds are kept by a link: the postulate's own value is carried
-into a scale without bounds, corrected there, and carried back, as in a generalised linear model.
+Without a postulate the requirements on `nn` are those on the unknown. With one, either a simple requirement on `nn`
+(none, a sign, directions, zeros) is proved to be sufficient, or the bounds are guaranteed by a link: the postulate's
+value is mapped to an unbounded scale, corrected there, and mapped back, as in a generalised linear model.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def shown(expression: Expr) -> str:
     return written(expression).replace("**", "^")
 
 
-class Refused(Exception):  # noqa: N818 - not an error: the answer that a guarantee cannot be given
-    """A contract that cannot be kept: why, in words, with its code and a way out."""
+class Refused(Exception):  # noqa: N818 - not an error: no guarantee is possible
+    """A contract that cannot be guaranteed: the reason, its code and a remedy."""
 
     def __init__(self, code: str, message: str, contracts: Sequence[Contract], help: str = "") -> None:
         self.code, self.message, self.contracts, self.help = code, message, tuple(contracts), help
@@ -43,7 +43,7 @@ class Zero:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A set of demands on one function: bounds, zeros, and directions (1 or -1) by number of argument."""
+    """The requirements on one function: bounds, zeros, and directions (1 or -1) by index of argument."""
 
     lower: Expr | None = None
     upper: Expr | None = None
@@ -58,7 +58,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Link:
-    """Bounds kept by a link: `base` is the postulate's own value; `product` says that `nn` stands as a factor."""
+    """Bounds guaranteed by a link: `base` is the postulate without `nn`; `product`: `nn` is a factor, not a term."""
 
     base: Expr
     product: bool
@@ -67,7 +67,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Requirements:
-    """Demands on `nn` and, where bounds are kept by a link, that link; `notes` says in words what was decided."""
+    """Requirements on `nn` and the link if bounds need one; `notes` describes the decisions."""
 
     correction: Wanted
     link: Link | None = None
@@ -75,10 +75,10 @@ class Requirements:
 
 
 def wanted(unknown: Unknown, network: Network) -> Wanted:
-    """The contracts of an unknown as demands on its value; bounds of the same kind are joined.
+    """The contracts of an unknown as requirements on its value; bounds of the same kind are joined.
 
     Raises:
-        Refused: GB603 where two contracts name opposite directions.
+        Refused: GB603 if two contracts name opposite directions.
     """
     names = [argument.name for argument in network.arguments]
     lower, upper, zeros = [], [], []
@@ -115,10 +115,10 @@ def _joined(extremum: type[Expr], values: Iterable[Expr]) -> Expr | None:
 
 
 def requirements(unknown: Unknown, network: Network, value: Wanted, prover: Prover) -> Requirements:
-    """What is asked of `nn`; `value` is asked of the unknown.
+    """The requirements on `nn` that imply those on the unknown (`value`).
 
     Raises:
-        Refused: GB605 where no demand is proved to be enough.
+        Refused: GB605 if no requirement is proved to be sufficient.
     """
     if unknown.postulate == NN:
         return Requirements(value)
@@ -150,7 +150,7 @@ class _Translation:
         return self._linked()
 
     def _bounds_hold(self, prover: Prover) -> bool:
-        """Whether the postulate keeps the bounds for every `nn` in its domain."""
+        """Whether the postulate satisfies the bounds for every `nn` in its domain."""
         lower, upper = self.value.lower, self.value.upper
         return (lower is None or prover.nonnegative(self.postulate - lower)) and (
             upper is None or prover.nonnegative(upper - self.postulate)
@@ -158,7 +158,7 @@ class _Translation:
 
     # ---------------------------------------------------------------- directions
     def _directions(self, prover: Prover) -> dict[int, int]:
-        """The directions that `nn` must have, with those of the postulate's own part proved."""
+        """The directions that `nn` must have; those of the rest of the postulate are proved."""
         if not self.value.directions:
             return {}
         slope = prover.slope(self.postulate, NN)
@@ -171,9 +171,9 @@ class _Translation:
                 raise Refused(
                     "GB605",
                     f"`{contract.kind} in {self.symbols[i].name}` cannot be kept: it is not clear in which direction"
-                    f" `{shown(self.postulate)}` moves with `nn`",
+                    f" `{shown(self.postulate)}` depends on `nn`",
                     (contract,),
-                    self._ranges_help() or "let `nn` stand as `f + nn`, `f*nn` with f of one sign, or `exp(nn)`",
+                    self._ranges_help() or "use `nn` as in `f + nn`, `f*nn` with f of one sign, or `exp(nn)`",
                 )
             out[i] = direction * sign
         return out
@@ -207,7 +207,7 @@ class _Translation:
 
     # ---------------------------------------------------------------- zeros
     def _zeros(self) -> tuple[Zero, ...]:
-        """The zeros that `nn` must have; none where the postulate vanishes by itself."""
+        """The zeros that `nn` must have; none where the postulate vanishes for every `nn`."""
         needed = []
         for zero in self.value.zeros:
             at = self.postulate.xreplace({self.symbols[zero.argument]: zero.value})
@@ -218,7 +218,7 @@ class _Translation:
                 raise Refused(
                     "GB605",
                     f"`zero at {name} = {shown(zero.value)}` cannot be kept: there the postulate is `{shown(at)}`,"
-                    " which `nn = 0` does not make 0",
+                    " which is not 0 for `nn = 0`",
                     (zero.contract,),
                     f"choose a postulate that vanishes at `{name} = {shown(zero.value)}`",
                 )
@@ -227,14 +227,14 @@ class _Translation:
 
     # ---------------------------------------------------------------- links
     def _linked(self) -> Requirements:
-        """Bounds by a link, for a postulate that is a sum or a product with `nn`."""
+        """The requirements with a link, for a postulate that is a sum or a product with `nn`."""
         bounds = [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
         factor = sympy.diff(self.postulate, NN)
         rest = self.postulate.xreplace({NN: sympy.S.Zero})
         if factor.has(NN) or rest.has(sympy.nan, sympy.zoo) or self.postulate.has(sympy.Piecewise):
             raise Refused(
                 "GB605",
-                f"the bounds cannot be kept: `{shown(self.postulate)}` leaves them for some `nn`, and `nn` is neither"
+                f"the bounds cannot be kept: `{shown(self.postulate)}` violates them for some `nn`, and `nn` is neither"
                 " a term nor a factor of it",
                 bounds,
                 "write the postulate as `f + nn` or `f*nn`, or leave the bound out",
@@ -249,11 +249,11 @@ class _Translation:
             self._check_reach(base, bounds)
         sign = 1 if product else self.prover.sign(factor) or 1
         directions = {i: sign * direction for i, direction in self.value.directions.items()}
-        note = "bounds are kept by a link that starts at the postulate"
+        note = "bounds are guaranteed by a link that starts at the postulate"
         return Requirements(Wanted(directions=directions), Link(base, product, factor), (note,))
 
     def _check_reach(self, base: Expr, bounds: Sequence[Contract]) -> None:
-        """Between two bounds a factor scales the odds of the postulate's place: beyond one it moves nothing."""
+        """Refuses a factor (which scales the odds between two bounds) if the postulate is beyond a bound."""
         for bound, side, where in (
             (self.value.upper, 1, "never less than the upper bound"),
             (self.value.lower, -1, "never more than the lower bound"),
@@ -261,7 +261,7 @@ class _Translation:
             if bound is not None and self.prover.nonnegative(side * (base - bound)):
                 raise Refused(
                     "GB605",
-                    f"the bounds cannot be kept: `{shown(base)}` is {where} `{shown(bound)}`, so no factor `nn` moves"
+                    f"the bounds cannot be kept: `{shown(base)}` is {where} `{shown(bound)}`, so no factor `nn` brings"
                     " the value between them",
                     bounds,
                     "choose a postulate that lies between the bounds, or correct them",
@@ -286,22 +286,22 @@ class _Translation:
                     f"`{contract.kind} in {self.symbols[i].name}` together with a bound or a factor of `nn` that"
                     f" depends on `{self.symbols[i].name}` has no construction",
                     (contract, *bounds),
-                    "let the bounds be constant",
+                    "use constant bounds",
                 )
         if not product and self.prover.sign(factor) not in (1, -1):
             raise Refused(
                 "GB605",
                 f"the bounds cannot be kept: the sign of `{shown(factor)}` is not clear",
                 bounds,
-                self._ranges_help() or "multiply `nn` by what has one sign, or leave the bound out",
+                self._ranges_help() or "multiply `nn` by an expression of one sign, or leave the bound out",
             )
         inside_lower = lower is None or self.prover.nonnegative(base - lower)
         inside_upper = upper is None or self.prover.nonnegative(upper - base)
         if product and not two_sided and not (inside_lower and inside_upper):
             raise Refused(
                 "GB605",
-                f"the bound cannot be kept: `{shown(base)}` is not proved to lie within it, so no factor `nn` near 1"
-                " keeps it there",
+                f"the bound cannot be kept: `{shown(base)}` is not proved to satisfy it, so a factor `nn` near 1"
+                " may violate it",
                 bounds,
                 self._ranges_help() or "choose a postulate that keeps the bound by itself",
             )

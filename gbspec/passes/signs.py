@@ -1,9 +1,9 @@
 """A prover of signs: is an expression >= 0 (or > 0) whenever its symbols lie in given intervals?
 
-It answers yes or "not proved", never no. What it tries, cheapest first: intervals; the signs of factors; a common
-denominator; a polynomial whose coefficients are all of one sign after its variables have been counted from the ends of
-their intervals (Bernstein's form where both ends are finite); intervals again on halves of the box. A point where the
-claim is false ends an attempt at once; large expressions and a spent budget end it too, so a check never hangs. The
+It answers yes or "not proved", never no. The methods, cheapest first: intervals; the signs of factors; a common
+denominator; a polynomial whose coefficients are all of one sign after its variables have been shifted to the ends of
+their intervals (Bernstein's form if both ends are finite); intervals again on halves of the box. A point where the
+claim is false ends an attempt at once; large expressions and a spent budget end it too, so that every check ends. The
 budget counts steps, not seconds, so that the answer does not depend on the machine.
 """
 
@@ -19,21 +19,21 @@ from gbspec.ir import Expr
 from gbspec.passes.intervals import REAL, Box, Interval, enclosure
 
 BUDGET = 2000
-"""Enclosures that a prover computes at most, all its questions together; then everything is `not proved`."""
+"""The maximal number of enclosures that a prover computes for all its questions; then all others are `not proved`."""
 
 SECONDS = 5.0
-"""The same in seconds of this thread's processor time, in which other programs do not count: a guard against single
-steps that take long, never reached by expressions of a usual size."""
+"""The limit in seconds of this thread's processor time: a guard against single steps that take long, not reached by
+expressions of a usual size."""
 
 LARGEST = 300
-"""Expressions with more operations than this are given to intervals alone."""
+"""Expressions with more operations than this are tried by intervals only."""
 
 BOXES = 60
-"""How many parts the box is divided into at most."""
+"""The maximal number of parts into which the box is divided."""
 
 
 class _Budget:
-    """What is left of the steps and of the time; one for all provers that come of each other."""
+    """The remaining steps and time, shared by all provers derived from one another."""
 
     def __init__(self) -> None:
         self._steps = 0
@@ -45,7 +45,7 @@ class _Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether to stop."""
+        """Whether no steps or no time remain."""
         return self._steps > BUDGET or time.thread_time() > self._until
 
 
@@ -58,7 +58,7 @@ class Prover:
         self._known: dict[tuple[Expr, bool], bool] = {}
 
     def with_box(self, more: Box) -> Prover:
-        """The same prover, with what is left of its budget, for a box with other intervals for some symbols."""
+        """A prover that shares this one's budget, for a box with other intervals for some symbols."""
         return Prover({**self.box, **more}, self._budget)
 
     # ---------------------------------------------------------------- questions
@@ -91,7 +91,7 @@ class Prover:
         return enclosure(expression, self.box) is not None
 
     def slope(self, expression: Expr, variable: sympy.Symbol) -> Expr | None:
-        """The derivative, None where it says nothing of steps: the variable stands in an `if` or a `sign`."""
+        """The derivative; None if the expression may jump, since the variable occurs in an `if` or a `sign`."""
         jumps = expression.atoms(sympy.Piecewise, sympy.sign)
         if any(variable in jump.free_symbols for jump in jumps):
             return None
@@ -102,7 +102,7 @@ class Prover:
     def _holds(self, expression: Expr, strict: bool) -> bool:
         key = (expression, strict)
         if key not in self._known:
-            self._known[key] = False  # an attempt that comes back to its own question has not proved it
+            self._known[key] = False  # a circular attempt proves nothing
             self._known[key] = self._prove(expression, strict)
         return self._known[key]
 
@@ -144,7 +144,7 @@ class Prover:
         return False
 
     def _product(self, factors: tuple[Expr, ...], strict: bool) -> bool:
-        """An even number of factors of negative sign, the others of positive sign."""
+        """Whether an even number of factors is proved negative and the others positive."""
         negative = False
         for factor in factors:
             if self._holds(factor, strict):
@@ -172,14 +172,14 @@ class Prover:
         return self._polynomial(expression, strict)
 
     def _polynomial(self, expression: Expr, strict: bool) -> bool:
-        """All coefficients >= 0 (one that is a positive number, where it is to be strict) in shifted variables."""
+        """Whether all coefficients in shifted variables are >= 0 (with a positive constant one if strict)."""
         try:
             polynomial = sympy.Poly(expression)
         except sympy.PolynomialError:
             return False
         if polynomial.total_degree() > 12 or len(polynomial.gens) > 6:
             return False
-        # Generators count as independent, each in its interval: that allows more than there is, so a proof stays one.
+        # Generators are treated as independent, each in its interval: that is conservative, so a proof remains valid.
         stand_ins = [sympy.Dummy(f"g{i}", real=True) for i in range(len(polynomial.gens))]
         numerator = _rational(polynomial.as_expr(*stand_ins))
         fresh, left = [], []
@@ -211,7 +211,7 @@ class Prover:
         return bool(constant > 0) if strict else True
 
     def _halves(self, expression: Expr, strict: bool) -> bool:
-        """Divides the box along its widest finite side until intervals answer on every part."""
+        """Bisects the box along its widest finite side until intervals decide on every part."""
         sides = [s for s in expression.free_symbols if _finite(self.box.get(s, REAL))]
         if not sides:
             return False
@@ -240,7 +240,7 @@ def _says(interval: Interval, strict: bool) -> bool:
 
 
 def _inside(interval: Interval, share: float) -> float:
-    """A number inside; of an infinite end a distance of up to 100 counts."""
+    """A number inside the interval; an infinite end is replaced by a distance of up to 100."""
     low = interval.low if math.isfinite(interval.low) else min(-100.0, interval.high - 100)
     high = interval.high if math.isfinite(interval.high) else max(100.0, low + 100)
     return low + (high - low) * share
@@ -251,7 +251,7 @@ def _finite(interval: Interval) -> bool:
 
 
 def _shifted(interval: Interval, free: sympy.Symbol) -> tuple[Expr, Expr] | None:
-    """A number of the interval as numerator / denominator in `free` >= 0; None where it may be any real number."""
+    """A number of the interval as numerator / denominator in `free` >= 0; None if it may be any real number."""
     low, high = _exact(interval.low), _exact(interval.high)
     if _finite(interval):
         return low + high * free, 1 + free
@@ -263,7 +263,7 @@ def _shifted(interval: Interval, free: sympy.Symbol) -> tuple[Expr, Expr] | None
 
 
 def _rational(polynomial: Expr) -> Expr:
-    """The polynomial with its decimal coefficients as exact fractions: a division of decimals leaves a remainder."""
+    """The polynomial with exact fractions for its decimal coefficients, since division of floats leaves a remainder."""
     return polynomial.xreplace({number: _exact(float(number)) for number in polynomial.atoms(sympy.Float)})
 
 

@@ -1,4 +1,4 @@
-"""Right sides as sums of terms, each a constant coefficient times something that varies; unknowns stay as they are."""
+"""Right sides as sums of terms, each a constant coefficient times a varying factor; unknowns stay symbols."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from sympy.core.function import AppliedUndef
 from gbspec.ir import Expr, Model
 
 MOST_TERMS = 2000
-"""A product of sums that would have more terms than this is left as it is."""
+"""A product of sums that would have more terms than this is not expanded."""
 
 
 def exact(expression: Expr) -> Expr:
-    """The expression with every float as the decimal number that it was written as, so that sums cancel exactly."""
+    """The expression with every float as its exact decimal fraction, so that sums cancel exactly."""
     floats = expression.atoms(sympy.Float)
     return expression.xreplace({f: sympy.Rational(repr(float(f))) for f in floats}) if floats else expression
 
@@ -32,7 +32,7 @@ def larger_than(model: Model, most: int) -> bool:
 
 
 def term_count(expression: Expr) -> int:
-    """How many terms the expression has once its products are multiplied out (powers of sums are not)."""
+    """The number of terms of an expression after expanding its products (but not powers of sums)."""
     if expression.is_Add:
         return sum(term_count(part) for part in expression.args)
     if expression.is_Mul:
@@ -46,7 +46,7 @@ def term_count(expression: Expr) -> int:
 
 
 def terms(expression: Expr) -> list[Expr]:
-    """The terms of an expression with its products of sums multiplied out, unless that would make it huge.
+    """The terms of an expression with its products of sums expanded, unless they are too many.
 
     (`sympy.expand_mul` also multiplies out denominators, after which equal terms need not look equal.)
     """
@@ -60,13 +60,13 @@ def terms(expression: Expr) -> list[Expr]:
 
 
 def _again(term: Expr) -> list[Expr]:
-    """A product may have become a sum: `2*(a + b)` is one to sympy."""
+    """The terms of a product that sympy has expanded to a sum, such as `2*(a + b)`."""
     return terms(term) if term.is_Add else [term]
 
 
 @dataclass
 class Opened:
-    """Expressions in which each distinct application of an unknown is a symbol of its own: it may be any number.
+    """Expressions in which each distinct application of an unknown is replaced by its own free symbol.
 
     `applications` maps them; those whose arguments are all constant are constant themselves.
     """
@@ -90,11 +90,11 @@ class Opened:
         return expression.xreplace(self.applications)
 
     def close(self, expression: Expr) -> Expr:
-        """The applications put back."""
+        """The expression with applications substituted for their symbols."""
         return expression.xreplace({dummy: application for application, dummy in self.applications.items()})
 
     def split(self, expression: Expr) -> dict[Expr, Expr]:
-        """Coefficients (of constants alone) by what varies; a term without it stands under 1."""
+        """Coefficients (of constants only) by varying factor; constant terms have the key 1."""
         table: dict[Expr, list[Expr]] = {}
         constant = self.constants | self.fixed
         for term in terms(expression):

@@ -1,4 +1,4 @@
-"""The model with its reference in place of what is learned."""
+"""Substitutes the truth for the learnables and unknowns of a model."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from gbspec.ir import Constant, Expr, Model, TruthFunction, symbol, unknown_func
 
 
 def with_truth(model: Model) -> Model:
-    """A model without unknowns: the body of its truth stands where an unknown was applied.
+    """A model without unknowns: each application of an unknown is replaced by the body of its truth.
 
-    Learnables become constants of their truth, else of their start; so a complete model needs no truth at all. The
-    order of the constants' vector is kept: known constants first, then what was learnable.
+    Learnables become constants with the value of their truth, else their starting value, so that a complete model needs
+    no truth. The order of the constants' vector is kept: known constants first, then former learnables.
 
     Raises:
-        UserError: GB803, one finding for each unknown that has no truth.
+        UserError: GB803, one diagnostic for each unknown without a truth.
     """
     truths = {truth.name: truth for truth in model.truth_functions}
     missing = [unknown for unknown in model.unknowns if unknown.name not in truths]
@@ -26,7 +26,7 @@ def with_truth(model: Model) -> Model:
         raise UserError(
             Diagnostic(
                 "GB803",
-                f"the unknown `{unknown.name}` has no truth, so the model is not complete",
+                f"the unknown `{unknown.name}` has no truth, so the model is incomplete",
                 unknown.span,
                 label="to be learned",
                 help=f"add `truth {unknown.name}"
@@ -60,7 +60,7 @@ def with_truth(model: Model) -> Model:
 
 
 def _substitution(truths: dict[str, TruthFunction]) -> Callable[[Expr], Expr]:
-    """Replaces every application of an unknown by its truth's body, arguments first where they hold applications."""
+    """A function that replaces every application of an unknown by its truth's body, nested applications first."""
     bodies = {unknown_function(name): truth for name, truth in truths.items()}
     done: dict[Expr, Expr] = {}
 
@@ -78,5 +78,5 @@ def _substitution(truths: dict[str, TruthFunction]) -> Callable[[Expr], Expr]:
 
 
 def _nesting(application: Expr) -> int:
-    """How many applications an application holds, itself counted: inner ones sort first."""
+    """The number of applications in an application, itself included: inner ones sort first."""
     return len(application.atoms(sympy.core.function.AppliedUndef))

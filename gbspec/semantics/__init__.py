@@ -1,4 +1,4 @@
-"""Meaning: scope, balances, calls, numbers; the checks that come before sympy can rewrite the evidence."""
+"""Checks on the syntax tree: scope, balances, calls, numbers, units; before sympy simplifies the expressions."""
 
 import lazy_loader
 

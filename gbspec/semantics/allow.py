@@ -18,7 +18,7 @@ WARNINGS = re.compile(r"GB4\d\d|GB307|GB314|GB331|GB55\d|GB65\d")
 
 
 def allowed(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> Allowed:
-    """What is accepted; an error where a code is no warning, or a name is not declared."""
+    """The accepted warnings; an error if a code is not a warning's, or a name is not declared."""
     accepted: list[tuple[str, str | None]] = []
     for item in items:
         if not isinstance(item.statement, ast.AllowStatement):
@@ -28,14 +28,14 @@ def allowed(items: Iterable[Item], table: Table, findings: Findings, merged: Mer
             error = re.fullmatch(r"GB\d\d\d", code.text)
             findings.error(
                 "GB234",
-                f"`{code.text}` cannot be accepted" + (": it is an error" if error else ": it is no code of a warning"),
+                f"`{code.text}` cannot be accepted" + (": it is an error" if error else ": no warning has this code"),
                 code.span,
-                help="`allow` takes the code of a warning as it stands in brackets, such as `allow GB403`",
+                help="`allow` takes the code of a warning as shown in brackets, such as `allow GB403`",
             )
         elif name is not None and name.text not in table and merged.lacks(name.text):
             findings.error(
                 "GB201",
-                f"nothing is called `{name.text}`",
+                f"undeclared name `{name.text}`",
                 name.span,
                 label="not declared",
                 help=suggestion(name.text, table) or f"to accept every `{code.text}`, leave the name out",
@@ -47,7 +47,7 @@ def allowed(items: Iterable[Item], table: Table, findings: Findings, merged: Mer
 
 
 def is_accepted(diagnostic: Diagnostic, accepted: Allowed) -> bool:
-    """Whether a finding is a warning that an `allow` names."""
+    """Whether a diagnostic is a warning that an `allow` names."""
     return diagnostic.severity is Severity.WARNING and any(
         code == diagnostic.code and name in (None, diagnostic.subject) for code, name in accepted
     )

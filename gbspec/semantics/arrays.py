@@ -1,7 +1,7 @@
-"""Arrays of states, written out: `state c[1..N]` becomes `c_1` to `c_N`, a balance with an index one for each element.
+"""Expands arrays of states: `state c[1..N]` becomes `c_1` to `c_N`, a balance with an index one balance per element.
 
-What an index means is decided here, so that all later checks see names only. An element that does not exist, such as
-`c[0]`, stands for what closes that end: `c[0] = …`.
+Indices are resolved here, so that all later checks see names only. An element beyond an end, such as `c[0]`, is
+replaced by the expression of its closure: `c[0] = …`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LARGEST = 2000
 
 @dataclass
 class Array:
-    """A declared array: its range of indices, and the expressions that close its ends."""
+    """A declared array: its range of indices, and the expressions for elements beyond its ends."""
 
     statement: ast.StateStatement
     first: int
@@ -43,12 +43,12 @@ class Array:
         return f"{self.first} to {self.last}"
 
     def element(self, index: int) -> str:
-        """The name of the state that an element is."""
+        """The name of the state for an element."""
         return f"{self.name}_{index}" if index >= 0 else f"{self.name}_m{-index}"
 
 
 def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, Array]]:
-    """The statements with arrays written out, and the arrays; without arrays they are returned as they are."""
+    """The statements with arrays expanded, and the arrays; without arrays the statements are returned unchanged."""
     indexed = [
         i.statement
         for i in merged.items
@@ -60,7 +60,7 @@ def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, Array]
 
 
 def running_index(target: ast.Name | ast.Index, constants: Container[str]) -> str | None:
-    """The running index of a statement for every element: a bare name that is no constant."""
+    """The running index of a statement for every element: a bare name that is not a constant; else None."""
     if isinstance(target, ast.Index) and isinstance(target.index, ast.Name) and target.index.text not in constants:
         return target.index.text
     return None
@@ -90,7 +90,7 @@ def _is_place(node: ast.Expression) -> bool:
 
 
 def _variables(statement: ast.Statement) -> tuple[ast.Name, ...]:
-    """What a statement declares for use in expressions, the time apart."""
+    """The names that a statement declares for use in expressions, except the time."""
     return () if statement.entry.kind in (Kind.TIME, Kind.CHANNEL) else statement.declares()
 
 
@@ -121,7 +121,7 @@ class _Expansion:
         return expanded, self._arrays
 
     def _constants(self) -> dict[str, float]:
-        """Values of the constants, as far as they can be told; what is wrong with others is found later."""
+        """The values of the constants that can be evaluated; errors in the others are reported later."""
         waiting = [i.statement for i in self._merged.items if isinstance(i.statement, ast.ConstStatement)]
         values: dict[str, float] = {}
         evaluate = Evaluator(values, self._functions)
@@ -141,7 +141,7 @@ class _Expansion:
         value = Evaluator({**self._values, **(extra or {})}, self._functions)(node)
         if value is not None and value == int(value):
             return int(value)
-        if not self._first_at(node):  # of an index that is wrong for many elements, one is told
+        if not self._first_at(node):  # an index that is wrong for many elements is reported once
             return None
         self._findings.error(
             "GB240",
@@ -152,7 +152,7 @@ class _Expansion:
         return None
 
     def _first_at(self, node: ast.Node, most: int = 1) -> bool:
-        """Whether fewer than `most` mistakes were told of this place in the text; counts this one."""
+        """Whether fewer than `most` errors were reported at this place in the text; counts this one."""
         self._told[node.span] += 1
         return self._told[node.span] <= most
 
@@ -185,10 +185,11 @@ class _Expansion:
         if array.first <= index <= array.last:
             self._findings.error(
                 "GB241",
-                f"`{array.name}[{index}]` is a state, so it needs a balance and not an equation",
+                f"`{array.name}[{index}]` is a state: it needs a balance, not an equation",
                 statement.target.span,
                 labels=[Label(array.statement.declarator.span, f"from {array.range}")],
-                help=f"an equation closes an end: `{array.name}[{array.first - 1}] = …`; a start is `initial`",
+                help=f"an equation is for an element beyond an end: `{array.name}[{array.first - 1}] = …`; an"
+                " initial value is given by `initial`",
             )
         array.ends[index] = statement
 
@@ -197,7 +198,7 @@ class _Expansion:
             known = name.text in self._declared
             self._findings.error(
                 "GB204" if known else "GB201",
-                f"`{name.text}` is not an array" if known else f"no array is called `{name.text}`",
+                f"`{name.text}` is not an array" if known else f"no array is named `{name.text}`",
                 name.span,
                 labels=[Label(self._declared[name.text].span, "declared here")] if known else [],
                 help=f"declare it with its indices: `state {name.text}[1..10]`",
@@ -233,7 +234,7 @@ class _Expansion:
         return Item(dataclasses.replace(item.statement, **changes), item.text)  # type: ignore[arg-type] # fields by name
 
     def _about(self, item: Item, target: ast.Name | ast.Index) -> list[Item]:
-        """A statement about an element, about every element (`c[i]`, or the array's name), or about a plain name."""
+        """Expands a statement about an element, every element (`c[i]`, or the array's name), or a plain name."""
         name = target.array if isinstance(target, ast.Index) else target
         array = self._arrays.get(name.text)
         if array is None:
@@ -260,20 +261,20 @@ class _Expansion:
             target.span,
             label="again",
             labels=[Label(array.statement.declarator.span, "first declared here")],
-            help=f"to measure it as it is write `observe {target.span.text}`; an expression needs a name of its own",
+            help=f"to measure it directly write `observe {target.span.text}`; an expression needs another name",
         )
 
     def _exists(self, array: Array, index: int, node: ast.Node, help_text: str = "") -> bool:
         if array.first <= index <= array.last:
             return True
-        if not self._first_at(node, most=2):  # both ends are told of an index that is wrong for many elements
+        if not self._first_at(node, most=2):  # an index that is wrong for many elements is reported at both ends
             return False
         self._findings.error(
             "GB242",
             f"`{array.name}` has no element {index}",
             node.span,
             labels=[Label(array.statement.declarator.span, f"from {array.range}")],
-            help=help_text or f"close this end by an equation: `{array.name}[{index}] = …`",
+            help=help_text or f"define it by an equation: `{array.name}[{index}] = …`",
         )
         return False
 
@@ -326,7 +327,7 @@ class _Expansion:
         within: tuple[tuple[str, int], ...],
     ) -> ast.Expression:
         array = self._arrays.get(node.array.text)
-        nothing = node.array  # a name that the checks to come leave alone, for what is wrong here was told
+        nothing = node.array  # a name that later checks ignore, since the error here was reported
         if array is None:
             self._no_array(node.array)
             return nothing

@@ -1,4 +1,4 @@
-"""Statements about states and channels: one balance each, one start, one measurement of a name."""
+"""Checks statements about states and channels: at most one balance, initial value and measurement per name."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from gbspec.semantics.vocabulary import suggestion
 from gbspec.syntax import Key, Kind, ast, target_name
 
 _TWICE = {
-    "balance": ("GB302", "`{0}` has two balances", "one of them is too many; add their right sides, or delete one"),
-    "initial": ("GB202", "the start of `{0}` is given twice", "delete one of them"),
+    "balance": ("GB302", "`{0}` has two balances", "add their right sides, or delete one of them"),
+    "initial": ("GB202", "the initial value of `{0}` is given twice", "delete one of them"),
     "observe": ("GB202", "`{0}` is observed twice", "delete one of them, or give one another name: `observe y = …`"),
     "dose": ("GB202", "doses into `{0}` are declared twice", "delete one of them"),
     "truth": ("GB202", "the truth of `{0}` is given twice", "delete one of them"),
 }
 
 MEASURABLE = frozenset({Kind.STATE, Kind.LET, Kind.PROCESS})
-"""What `observe NAME` alone can measure."""
+"""The kinds that `observe NAME` can measure without an expression."""
 
 
 def once(items: Iterable[Item], findings: Findings) -> None:
-    """Each kind of statement about a name occurs once."""
+    """Reports every second statement of one kind about a name."""
     first: dict[Key, ast.About] = {}
     for statement in (item.statement for item in items):
         if not isinstance(statement, ast.About):
@@ -47,20 +47,20 @@ def once(items: Iterable[Item], findings: Findings) -> None:
 
 
 def _both_declare(a: ast.About, b: ast.About) -> bool:
-    """Two channels of one name are a name declared twice, which is told there."""
+    """Whether both declare a channel: then the name is declared twice, which `table.build` reports."""
     return all(isinstance(s, ast.ObserveStatement) and s.value is not None for s in (a, b))
 
 
 def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> None:
-    """Balances, starts and doses are of states; what is observed by name alone can be measured."""
+    """Checks that balances, initial values and doses are for states, and that directly observed names can be."""
     for statement in (item.statement for item in items):
         if not isinstance(statement, ast.About):
             continue
         match statement:
             case ast.BalanceStatement(target=target):
-                _state(target, table, findings, "GB303", "a balance is of a state", merged)
+                _state(target, table, findings, "GB303", "a balance is for a state", merged)
             case ast.InitialStatement(target=target):
-                _state(target, table, findings, "GB309", "only a state has a start", merged)
+                _state(target, table, findings, "GB309", "only a state has an initial value", merged)
             case ast.DoseStatement(target=target):
                 _state(target, table, findings, "GB313", "a dose adds to a state", merged)
             case ast.ObserveStatement(target=target, value=value):
@@ -82,7 +82,7 @@ def _state(
             states = [n for n, d in table.items() if d.kind is Kind.STATE]
             findings.error(
                 "GB201",
-                f"no state is called `{name.text}`",
+                f"no state is named `{name.text}`",
                 name.span,
                 label="not declared",
                 help=suggestion(name.text, states) or f"declare it: `state {name.text}`",
@@ -105,7 +105,7 @@ def _measurable(target: ast.Name, table: Table, findings: Findings, merged: Merg
             pool = [n for n, d in table.items() if d.kind in MEASURABLE]
             findings.error(
                 "GB201",
-                f"nothing is called `{target.text}`",
+                f"undeclared name `{target.text}`",
                 target.span,
                 label="not declared",
                 help=suggestion(target.text, pool) or f"say what is measured: `observe {target.text} = …`",
@@ -114,7 +114,7 @@ def _measurable(target: ast.Name, table: Table, findings: Findings, merged: Merg
     elif declaration.kind not in MEASURABLE:
         findings.error(
             "GB312",
-            f"`{target.text}` is {declaration.kind.value}, and cannot be observed by its name alone",
+            f"`{target.text}` is {declaration.kind.value}, and cannot be observed without an expression",
             target.span,
             labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
             help=f"give the channel a name and an expression: `observe {target.text}_measured = …`",
@@ -130,7 +130,7 @@ def coverage(
     findings: Findings,
     merged: Merged,
 ) -> None:
-    """Every state has a balance or takes part in a process; a balance with processes has `net`; `net` is not empty."""
+    """Checks for states without balance or process, balances that omit `net`, and `net` without processes."""
     balanced: set[str] = set()
     for balance in (item.statement for item in items):
         if isinstance(balance, ast.BalanceStatement):
@@ -145,7 +145,7 @@ def coverage(
 
 
 def _no_balance(states: Iterable[Declaration], findings: Findings) -> None:
-    """One finding for each statement that declares states without a balance: elements of an array are told together."""
+    """Reports each statement that declares states without a balance, once for all elements of an array."""
     together: dict[Span | None, list[str]] = {}
     for declaration in states:
         together.setdefault(declaration.span, []).append(declaration.name)
@@ -175,7 +175,7 @@ def _net_omitted(
     places = [Label(span, "takes part here") for p in processes if (span := table[p].span) is not None]
     findings.warning(
         "GB307",
-        f"the balance of `{name}` leaves out what processes do to `{name}`",
+        f"the balance of `{name}` omits the processes that consume or produce `{name}`",
         balance.span,
         labels=places[:4],
         help=f"add `net({name})` to the right side, or accept it with `allow GB307 {name}`",
@@ -189,7 +189,7 @@ def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], find
             if state not in takers and merged.lacks(state):
                 findings.warning(
                     "GB314",
-                    f"`net({state})` is zero, for no process consumes or produces `{state}`",
+                    f"`net({state})` is zero, since no process consumes or produces `{state}`",
                     span,
                     help=f"name `{state}` in a process, delete `net({state})`, or accept it with `allow GB314 {state}`",
                     subject=state,
@@ -197,7 +197,7 @@ def _empty_nets(sites: Iterable[Site], takers: Mapping[str, Iterable[str]], find
 
 
 def start_cycles(items: Iterable[Item], sites: Sites, table: Table, findings: Findings) -> None:
-    """No start may rest on itself through other states' starts."""
+    """Reports initial values that depend on themselves through other states' initial values."""
     edges: dict[str, dict[str, Span]] = {}
     for start in (item.statement for item in items):
         if isinstance(start, ast.InitialStatement) and start.value is not None:
@@ -220,9 +220,9 @@ def start_cycles(items: Iterable[Item], sites: Sites, table: Table, findings: Fi
                 circle = [*path[path.index(other) :], other]
                 findings.error(
                     "GB310",
-                    "a start depends on itself: " + " -> ".join(f"`{n}`" for n in circle),
+                    "an initial value depends on itself: " + " -> ".join(f"`{n}`" for n in circle),
                     edges[name][other],
-                    help="give one of them a start of its own, or `initial X learn`",
+                    help="give one of them an independent initial value, or `initial X learn`",
                 )
                 done.update(path)
                 break

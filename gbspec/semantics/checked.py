@@ -1,4 +1,4 @@
-"""What semantics hands to lowering: the statements of a model that is right, and what its names mean."""
+"""The result of the semantic checks: the statements of a model without errors, and its names."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ S = TypeVar("S", bound=ast.Node)
 
 @dataclass(frozen=True)
 class Checked:
-    """A model without mistakes, before it becomes mathematics.
+    """A model without errors, before lowering.
 
     `order` has the names of `let`s and processes, each after all it depends on; `constants` the values of the `const`s;
     `terms` the sides of each process (True: consumed); `truths` the values of the truths of learnables; `allowed` the
-    warnings that the author accepts; `warnings` whether any is left is told by the findings, not here.
+    warnings that the author accepts.
     """
 
     items: tuple[Item, ...]
@@ -35,7 +35,7 @@ class Checked:
     truths: Mapping[str, float]
     allowed: Allowed
     source: tuple[Item, ...] = ()
-    """The statements as they are written, arrays not written out."""
+    """The statements before arrays are expanded."""
     arrays: Mapping[str, Array] = field(default_factory=dict)
 
     def all(self, kind: type[S]) -> Iterator[S]:

@@ -1,4 +1,4 @@
-"""The checks that need meaning, in the order in which each can rely on those before it."""
+"""Runs the semantic checks, in an order in which each can rely on the earlier ones."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     """Checks a parsed file, with the files it extends, and records everything wrong with it.
 
     Args:
-        file: the syntax tree. Where statements are missing from it (they could not be read), nothing is said that their
-            absence alone could explain.
+        file: the syntax tree. If statements are missing from it (they had syntax errors), nothing is reported that
+            their absence could explain.
         findings: where to record errors and warnings; warnings that the file accepts by `allow` are left out.
         load: reads a file that is extended; may raise `OSError`, `UnicodeDecodeError` or `UserError`.
 
     Returns:
-        What lowering needs, or None if there is any error.
+        The checked model, or None if there is any error.
     """
     local = Findings()
     read = merge(file, local, load)
@@ -98,7 +98,7 @@ def _units(
     numbers: Numbers,
     findings: Findings,
 ) -> None:
-    """Units of all expressions in which nothing else is wrong; of models that name none, nothing is loaded for it."""
+    """Checks the units of all expressions without other errors; a model that names no unit does not import pint."""
     if not names_a_unit(items):
         return
     from gbspec.semantics import unit_rules
@@ -121,7 +121,7 @@ def _takers(places_of: Sites, names: Table) -> dict[str, list[str]]:
 
 
 def _terms(places_of: Sites, names: Table, findings: Findings) -> Terms:
-    """The terms of every process; which side a site is, its statement tells."""
+    """The terms of every process, consumed and produced."""
     found: Terms = {}
     for site in places_of:
         if site.process is not None and site.references.complete:

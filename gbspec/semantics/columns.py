@@ -1,4 +1,4 @@
-"""Columns of the data: no two things may be read from the same one."""
+"""Checks the columns of the data: no two quantities may be read from the same one."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from gbspec.syntax import Kind, ast, target_name
 
 
 def check(items: Iterable[Item], table: Table, findings: Findings) -> None:
-    """Channels, inputs, conditions, doses, the time and `trajectory` have columns of different names."""
+    """Reports channels, inputs, conditions, doses, the time and `trajectory` that share a column."""
     first: dict[str, tuple[str, Span | None]] = {"trajectory": ("the number of the trajectory", None)}
     first.update({d.name: ("the time", d.span) for d in table.values() if d.kind is Kind.TIME})
     for column, what, span in _columns(items):
         earlier = first.setdefault(column, (what, span))
-        if earlier[1] is span or earlier[0] == what:  # a name declared or observed twice is told elsewhere
+        if earlier[1] is span or earlier[0] == what:  # a name declared or observed twice is reported elsewhere
             continue
         findings.error(
             "GB231",
             f"{what} would be read from the column `{column}`, which is that of {earlier[0]}",
             span,
             labels=[Label(earlier[1], "this one")] if earlier[1] is not None else [],
-            help='give it a column of its own: `as "another name"`, or another name',
+            help='give it another column, `as "another name"`, or another name',
         )
 
 

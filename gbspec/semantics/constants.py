@@ -1,4 +1,4 @@
-"""The value of an expression of numbers and constants, in float64, over the syntax tree; nothing runs as Python."""
+"""Evaluates expressions of numbers and constants in float64 on the syntax tree; no text is run as Python."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _COMPARE: dict[str, Callable[[float, float], bool]] = {
 Functions = Mapping[str, ast.FunctionStatement]
 DEEPEST = 100
 MOST_CALLS = 100_000
-"""Functions that call each other deeper, or more often, are not evaluated: they may go round in a circle."""
+"""Functions that call each other deeper, or more often, are not evaluated: they may be recursive."""
 
 NotFinite = Callable[[ast.Expression, float, bool], None]
-"""Told the expression, its value, and whether it is a division by zero."""
+"""A callback with the expression, its value, and whether it is a division by zero."""
 
 
 def apply(function: str, arguments: list[float]) -> float:
-    """A function of the language at numbers; nan or inf where it has no finite real value."""
+    """The value of a function of the language; nan or inf if it has no finite real value."""
     try:
         if function == "min":
             return min(arguments)
@@ -51,7 +51,7 @@ def apply(function: str, arguments: list[float]) -> float:
 
 
 def power(base: float, exponent: float) -> float:
-    """`base^exponent` over the reals; nan or inf where there is no finite one."""
+    """`base^exponent` over the reals; nan or inf if there is no finite value."""
     try:
         return math.pow(base, exponent)
     except OverflowError:
@@ -61,10 +61,10 @@ def power(base: float, exponent: float) -> float:
 
 
 class Evaluator:
-    """Evaluates expressions whose names are constants; what depends on anything else is None, and so is all above it.
+    """Evaluates expressions of constants; a sub-expression with any other name, and all that contain it, give None.
 
     `not_finite` is called with the smallest sub-expression that is inf or nan; its value is then None, so that one
-    mistake is told once. Branches of an `if` count only where they are taken.
+    error is reported once. Branches of an `if` count only if they are taken.
     """
 
     def __init__(self, values: Mapping[str, float], functions: Functions, not_finite: NotFinite | None = None) -> None:
@@ -139,19 +139,19 @@ class Evaluator:
             if self._depth == DEEPEST or self._calls == MOST_CALLS:
                 return None
             formals = dict(zip((p.text for p in declared.parameters), values, strict=True))
-            told, self._not_finite = self._not_finite, None  # what is wrong inside is told of the call
+            saved, self._not_finite = self._not_finite, None  # errors inside are reported at the call
             self._depth += 1
             self._calls += 1
             try:
                 return self(declared.value, formals)
             finally:
                 self._depth -= 1
-                self._not_finite = told
+                self._not_finite = saved
         return apply(name, values) if name in _ONE or name in ("min", "max", "atan2") else None
 
 
 def _counted(node: ast.Expression) -> tuple[ast.Expression, ...]:
-    """The parts that are always evaluated: of an `if`, only its condition."""
+    """The operands that are always evaluated: for an `if`, only its condition."""
     return (node.condition,) if isinstance(node, ast.Conditional) else operands(node)
 
 
@@ -163,7 +163,7 @@ def _divides_by_zero(node: ast.Expression, values: list[float | None]) -> bool:
 
 
 def _chain_value(node: ast.Binary, values: list[float]) -> float:
-    """A sum or product from left to right, as the text says it."""
+    """The value of a sum or product, computed from left to right."""
     total = values[0]
     for (inverted, _), value in zip(chain(node)[1:], values[1:], strict=True):
         if node.operator in "+-":

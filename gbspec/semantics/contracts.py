@@ -1,6 +1,6 @@
-"""Contracts of unknowns as they are written: whether the names in them are arguments and outputs.
+"""Checks that the names in the contracts of unknowns are arguments and outputs.
 
-Whether they can be kept is decided on the Model (`gbspec.passes.contracts`), where postulates are expressions.
+Whether the contracts can hold is decided on the Model (`gbspec.passes.contracts`), where postulates are expressions.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from gbspec.syntax import ast
 
 
 def check(unknown: ast.UnknownStatement, findings: Findings) -> None:
-    """Records what is wrong with the names in an unknown's contracts (GB601, GB602, GB604)."""
+    """Reports wrong names in an unknown's contracts (GB601, GB602, GB604)."""
     for contract in unknown.contracts:
         _output(contract, unknown, findings)
         match contract:
@@ -26,7 +26,7 @@ def check(unknown: ast.UnknownStatement, findings: Findings) -> None:
 
 
 def outputs_of(contract: ast.Contract, unknown: ast.UnknownStatement) -> tuple[str, ...]:
-    """The outputs that a contract is about: the one that it names, else all."""
+    """The outputs that a contract constrains: the one that it names, else all."""
     return tuple(n.text for n in unknown.names) if contract.name is None else (contract.name.text,)
 
 
@@ -36,7 +36,7 @@ def _output(contract: ast.Contract, unknown: ast.UnknownStatement, findings: Fin
         return
     findings.error(
         "GB602",
-        f"the contract is on `{contract.name.text}`, which is no output of this unknown",
+        f"the contract is on `{contract.name.text}`, which is not an output of this unknown",
         contract.name.span,
         labels=[Label(unknown.names[0].span.to(unknown.names[-1].span), "its outputs")],
         help=suggestion(contract.name.text, names)
@@ -52,10 +52,10 @@ def _argument(argument: ast.Name, unknown: ast.UnknownStatement, findings: Findi
     labels = [Label(unknown.arguments[0].span.to(unknown.arguments[-1].span), "its arguments")] if names else []
     findings.error(
         "GB601",
-        f"`{argument.text}` is no argument of `{unknown.names[0].text}`",
+        f"`{argument.text}` is not an argument of `{unknown.names[0].text}`",
         argument.span,
         labels=labels,
-        help=suggestion(argument.text, names) or f"a contract speaks of the arguments {listed}",
+        help=suggestion(argument.text, names) or f"a contract can use the arguments {listed}",
     )
     return False
 

@@ -1,4 +1,4 @@
-"""Units through the whole model: every sum, call, balance and process. Only models that name a unit are checked."""
+"""The units of a model's names and expressions: sums, calls, balances, processes. Skipped if no unit is named."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SAME = frozenset({"abs", "min", "max"})
 _HALF = Fraction(1, 2)
 
 NEEDS_UNIT = frozenset({Kind.TIME, Kind.STATE, Kind.CONDITION, Kind.INPUT, Kind.CONST, Kind.LEARN, Kind.UNKNOWN})
-"""What declares a unit, or should where others do; the units of `let`s and rates follow."""
+"""The kinds that should declare a unit in a model with units; the units of `let`s and rates follow from them."""
 
 Formals = Mapping[str, Unit]
 
@@ -34,16 +34,16 @@ class Units:
     solution: Solution
     declared: dict[str, Unit] = field(default_factory=dict)
     arguments: dict[str, list[Unit]] = field(default_factory=dict)
-    told: set[tuple[int, int]] = field(default_factory=set)
+    reported: set[tuple[int, int]] = field(default_factory=set)
     broken: bool = False
     _within: list[Span] = field(default_factory=list)
-    """The calls in which a function's body is being looked at, outermost first."""
+    """The calls whose function bodies are being checked, outermost first."""
     _calls: dict[tuple[str, tuple[Unit, ...]], Unit] = field(default_factory=dict)
 
     # ------------------------------------------------------------------------------------------------------- reading
 
     def read(self, unit: ast.UnitExpression | None, name: str) -> Unit:
-        """The declared unit, or an unknown one under the name."""
+        """The declared unit, or the undetermined unit of the name."""
         if unit is not None:
             found = read(unit, self.solution.namespace, self.findings)
             if found is not None:
@@ -99,7 +99,7 @@ class Units:
         return self.of(node.text)
 
     def same(self, nodes: Sequence[ast.Expression], units: Sequence[Unit], how: str) -> Unit:
-        """Makes the units of several parts equal; what disagrees with the first is reported, and their unit unknown."""
+        """The common unit of several operands; a new unknown unit if one differs from the first (reported)."""
         agreed = True
         for node, unit in zip(nodes[1:], units[1:], strict=True):
             if not self.solution.equal(units[0], unit, node.span):
@@ -122,7 +122,7 @@ class Units:
         return ONE
 
     def pure(self, node: ast.Expression, unit: Unit, what: str) -> None:
-        """What must be a pure number."""
+        """Reports an expression that must be a pure number and is not."""
         if not self.solution.equal(unit, ONE, node.span) and self._once(node.span, node.span):
             self.findings.error(
                 "GB503",
@@ -193,13 +193,13 @@ class Units:
         return self.of(state).times(self.of(time), Fraction(-1))
 
     def agrees(self, node: ast.Expression, wanted: Unit, what: str, at: Span, formals: Formals | None = None) -> None:
-        """An expression has the unit that its place needs."""
+        """Reports an expression whose unit is not `wanted`."""
         unit = self.expression(node, formals)
         if not self.solution.equal(wanted, unit, node.span) and self._once(node.span, at):
             self._mismatch(what, at, wanted, node, unit)
 
     def carries(self, node: ast.Expression, wanted: Unit, what: str, at: Span, formals: Formals | None = None) -> None:
-        """The same, where a pure number carries the declared unit."""
+        """Like `agrees`, but a pure number is taken to be in the wanted unit."""
         if any(isinstance(part, ast.Name) and part.text != "pi" for part in walk(node)):
             self.agrees(node, wanted, what, at, formals)
 
@@ -219,7 +219,7 @@ class Units:
             )
 
     def channel_disagrees(self, name: ast.Name, wanted: Unit) -> None:
-        """Reports a channel that declares another unit than what it measures."""
+        """Reports a channel whose declared unit differs from that of its expression."""
         unit = self.of(name.text)
         if self._once(name.span, name.span):
             a, b = self.solution.shown(wanted), self.solution.shown(unit)
@@ -230,7 +230,7 @@ class Units:
                 "GB504",
                 f"the channel `{name.text}` is in `{a}`, but what it measures is in `{b}`",
                 name.span,
-                help="nothing converts silently"
+                help="units are never converted implicitly"
                 + (
                     f"; measure `{name.text}_converted = {factor:.12g}*…` with a constant in `{a}/({b})`"
                     if factor
@@ -243,9 +243,9 @@ class Units:
     def _once(self, first: Span, second: Span) -> bool:
         key = (first.start, second.start)
         self.broken = True
-        if key in self.told:
+        if key in self.reported:
             return False
-        self.told.add(key)
+        self.reported.add(key)
         return True
 
     def _disagree(self, first: ast.Expression, one: Unit, second: ast.Expression, other: Unit, how: str) -> None:
@@ -281,11 +281,11 @@ class Units:
         if factor is None and any(name in _OFFSET for name, _ in ratio.names):
             return "scales of temperature with different zeros do not convert by a factor; use one of them throughout"
         if factor is None:
-            return f"a factor with the unit `{ratio}` is missing, or there is one too many"
+            return f"a factor with the unit `{ratio}` is missing, or there is a superfluous one"
         return f"multiply `{text}` by a constant that converts: `const per : {ratio} = {factor:.12g}`"
 
     def _origins(self, *units: Unit) -> list[Label]:
-        """Where the units of names that declare none were settled."""
+        """The places at which undeclared units of names were inferred."""
         labels = [Label(self._within[0], "in this call")] if self._within else []
         for unit in units:
             for name, _ in unit.unknowns:

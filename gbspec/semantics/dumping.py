@@ -1,4 +1,4 @@
-"""What semantics found of a model as text, for whoever follows what the compiler understood."""
+"""The result of the semantic checks as text (`--dump`)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gbspec.syntax import ast, prefix, statement_lines
 
 
 def dump(checked: Checked) -> str:
-    """Names, constants, processes and the like, then the statements, merged and with arrays written out.
+    """Names, constants and processes, then the statements, merged and with arrays expanded.
 
     Ends with a line end.
     """
@@ -29,7 +29,7 @@ def dump(checked: Checked) -> str:
 
 
 def _statement(statement: ast.Statement) -> list[str]:
-    """With the file, since a model may extend another."""
+    """The lines of a statement, with the name of its file, since a model may extend another."""
     return statement_lines(statement, Path(statement.span.source.path).name)
 
 

@@ -1,7 +1,7 @@
-"""Walking expressions without recursion, so that no text can exhaust the stack.
+"""Traversal of expressions without recursion, so that no text can exhaust the stack.
 
 A long sum `a + b + c + …` is a left-leaning tree as deep as it is long. `operands` shows such a chain as one node with
-many operands; its depth is then what a person would call the nesting of the expression.
+many operands, so that its depth is the visible nesting of the expression.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def chain(node: ast.Binary) -> list[tuple[bool, ast.Expression]]:
 
 
 def operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
-    """The parts of an expression, chains of `+ -` and of `* /` flattened; empty for numbers and names."""
+    """The operands of an expression, chains of `+ -` and of `* /` flattened; empty for numbers and names."""
     match node:
         case ast.Number() | ast.Name():
             return ()
@@ -56,7 +56,7 @@ def operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
 
 
 def walk(root: ast.Expression) -> Iterator[ast.Expression]:
-    """Every node, an expression before its parts, in the order of the text."""
+    """Every node, an expression before its operands, in the order of the text."""
     stack = [root]
     while stack:
         node = stack.pop()
@@ -69,7 +69,7 @@ def fold(
     combine: Callable[[ast.Expression, list[T]], T],
     parts: Callable[[ast.Expression], tuple[ast.Expression, ...]] = operands,
 ) -> T:
-    """Computes a value for the root from the values of its parts, from the leaves up."""
+    """Computes a value for the root from the values of its operands, bottom up."""
     results: list[T] = []
     stack: list[tuple[ast.Expression, int]] = [(root, -1)]
     while stack:

@@ -1,4 +1,4 @@
-"""What depends on what among constants, `let`s, functions and processes: cycles, an order, and what each rests on."""
+"""The dependency graph of constants, `let`s, functions and processes: cycles, an order of evaluation, dependencies."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gbspec.semantics.table import Table
 from gbspec.syntax import Kind
 
 NODES = frozenset({Kind.CONST, Kind.LET, Kind.FUNCTION, Kind.PROCESS})
-"""What has a value given by an expression of other names."""
+"""The kinds whose values are given by expressions."""
 
 
 @dataclass(frozen=True)
 class Graph:
-    """`order`: names, each after all it depends on. `leaves`: the names of other kinds that each comes down to.
+    """`order`: names, each after all it depends on. `leaves`: the names of other kinds that each depends on.
 
-    `broken`: names whose value is not known because of a mistake that was told.
+    `broken`: names whose value is unknown because of an error already reported.
     """
 
     order: tuple[str, ...]
@@ -51,12 +51,12 @@ def build(sites: Iterable[Site], table: Table, takers: Mapping[str, Iterable[str
     edges = {name: edges_of(site, table, takers) for name, site in values.items()}
     order, cycles = _sort({name: [n for n in found if n in edges] for name, found in edges.items()})
     broken = {name for name, site in values.items() if not site.references.complete}
-    told: set[str] = set()
+    reported: set[str] = set()
     for cycle in cycles:
-        if told.isdisjoint(cycle):  # circles that share a name are one mistake
+        if reported.isdisjoint(cycle):  # cycles that share a name are one error
             _report(cycle, edges, table, findings)
-        told.update(cycle)
-    broken |= told
+        reported.update(cycle)
+    broken |= reported
     leaves: dict[str, dict[Kind, str]] = {}
     nets: dict[str, frozenset[str]] = {}
     for name in order:
@@ -78,8 +78,8 @@ def build(sites: Iterable[Site], table: Table, takers: Mapping[str, Iterable[str
 
 
 def _sort(edges: Mapping[str, list[str]]) -> tuple[list[str], list[list[str]]]:
-    """Names, each after what it depends on, and the cycles found (one for each way back)."""
-    state = dict.fromkeys(edges, 0)  # 0 new, 1 on the path, 2 done
+    """Names, each after what it depends on, and the cycles found (one per back edge)."""
+    state = dict.fromkeys(edges, 0)  # 0 new, 1 on the current path, 2 done
     order: list[str] = []
     cycles: list[list[str]] = []
     for root in edges:
@@ -119,5 +119,5 @@ def _report(cycle: list[str], edges: Mapping[str, Mapping[str, Span]], table: Ta
         places[0],
         label=f"needs `{nexts[0]}`" if len(turned) > 1 else "needs itself",
         labels=[Label(s, f"needs `{n}`") for s, n in list(zip(places, nexts, strict=True))[1:8]],
-        help="a value cannot rest on itself; break the circle by writing one of them out",
+        help="a value cannot depend on itself; break the cycle by writing one of them in terms of other names",
     )

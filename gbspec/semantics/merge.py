@@ -1,9 +1,9 @@
 """`extends` and `without`: several files become the statements of one model.
 
 What a file declares replaces what its base declared under the same name; balances, `initial`, `observe`, `dose` and
-`truth` replace those of the same kind and target. A replacement takes the place of what it replaces, so that the order
-of states does not change; everything new comes last. `without NAME` removes a declaration together with the statements
-that are about nothing else (its balance, start, observation, dose, truth).
+`truth` replace those of the same kind and target. A replacement takes the position of the statement it
+replaces, so that the order of states does not change; everything new comes last. `without NAME` removes a declaration
+together with the statements about it alone (its balance, initial value, observation, dose, truth).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TARGETED = frozenset(kind.entry.word for kind in ast.STATEMENTS if issubclass(ki
 
 @dataclass(frozen=True)
 class Item:
-    """A statement that is part of the model, and its text."""
+    """A statement of the model, and its text."""
 
     statement: ast.Statement
     text: str
@@ -39,8 +39,8 @@ class Item:
 class Merged:
     """The statements of a model after `extends`.
 
-    `complete` is False where a base could not be read; `uncertain` are names in statements that could not be read,
-    `arrays` names of arrays, of which only the elements are names by themselves, `in_indices` names in their indices.
+    `complete` is False if a base could not be read; `uncertain` are names in statements that could not be parsed,
+    `arrays` names of arrays (after expansion only their elements are names), `in_indices` names in their indices.
     """
 
     items: tuple[Item, ...]
@@ -50,12 +50,12 @@ class Merged:
     in_indices: frozenset[str] = frozenset()
 
     def lacks(self, name: str) -> bool:
-        """Whether what is not found under a name is really not there, and not merely unreadable."""
+        """Whether a name that is not found is certainly undeclared (no unreadable statement could declare it)."""
         return self.complete and name not in self.uncertain and name not in self.arrays
 
 
 def names_a_unit(items: Iterable[Item]) -> bool:
-    """Whether a model says anything about units."""
+    """Whether a model names any unit."""
     return any(
         isinstance(item.statement, ast.UnitStatement)
         or any(isinstance(part, _UNITS) for part in children(item.statement))
@@ -65,7 +65,7 @@ def names_a_unit(items: Iterable[Item]) -> bool:
 
 
 def merge(file: ast.File, findings: Findings, load: Load) -> Merged:
-    """Reads the files that this one extends, nearest first, and puts them together, farthest first."""
+    """Reads the files that this one extends, nearest first, and merges them, farthest first."""
     files, complete = _chain(file, findings, load)
     items: list[Item] = []
     for position, current in enumerate(reversed(files)):
@@ -90,7 +90,7 @@ def _without_extends(item: Item) -> Item:
 
 
 def _chain(file: ast.File, findings: Findings, load: Load) -> tuple[list[ast.File], bool]:
-    """The file, what it extends, what that extends, …; False where one of them could not be read."""
+    """The file, what it extends, what that extends, …; False if one of them could not be read."""
     from gbspec.syntax import parse
 
     files = [file]
@@ -109,8 +109,8 @@ def _chain(file: ast.File, findings: Findings, load: Load) -> tuple[list[ast.Fil
                 "GB211",
                 "a model extends itself: " + " -> ".join(f"`{step.name}`" for step in circle),
                 string.span,
-                label="this closes the circle",
-                help="take the common part into a file of its own that extends nothing",
+                label="this closes the cycle",
+                help="move the common part to a separate file that extends nothing",
             )
             return files, False
         source = _load(path, string, findings, load)
@@ -136,7 +136,7 @@ def _base_path(file: ast.File, string: ast.Text, findings: Findings) -> Path | N
         f"the path `{string.value}` leaves the folder of this file" if string.value else "the path is empty",
         string.span,
         label="must name a file in or below the folder of this file",
-        help='write the path from this file on, as in `extends "base.gb"` or `extends "parts/base.gb"`',
+        help='write the path relative to this file, as in `extends "base.gb"` or `extends "parts/base.gb"`',
     )
     return None
 
@@ -146,7 +146,7 @@ def _load(path: Path, string: ast.Text, findings: Findings, load: Load) -> Sourc
         return load(path)
     except UserError as error:
         inside = [d for d in error.diagnostics if isinstance(d.place, Span)]
-        if inside:  # the file is there, and something in it cannot be read
+        if inside:  # the file exists, and something in it cannot be read
             findings.extend(inside)
             return None
         reason, help_ = "; ".join(d.message for d in error.diagnostics), error.diagnostics[0].help
@@ -165,7 +165,7 @@ def _load(path: Path, string: ast.Text, findings: Findings, load: Load) -> Sourc
 
 
 def _replaced(base: Sequence[Item], own: Sequence[Item]) -> list[Item]:
-    """The base with what `own` says anew put in its place, then the rest of `own`."""
+    """The base with statements replaced by those of `own` under the same keys, then the rest of `own`."""
     newest: dict[Key, list[int]] = {}
     for i, item in enumerate(own):
         for key in item.statement.replaces():
@@ -206,7 +206,7 @@ def _removed(
 
 
 def _remove(base: list[Item], removal: ast.WithoutStatement) -> list[Item] | None:
-    """The base without what is named, or None where it is not there."""
+    """The base without the named statement; None if it has no such statement."""
     name = removal.name.text
     kind = removal.kind.text if removal.kind is not None else None
     found = False
@@ -225,7 +225,7 @@ def _remove(base: list[Item], removal: ast.WithoutStatement) -> list[Item] | Non
             hit = kind == "unit" and statement.name.text == name
         else:
             measures = isinstance(statement, ast.ObserveStatement) and statement.value is not None
-            if kind is None and about:  # goes with its name; a channel of its own is found by its name
+            if kind is None and about:  # removed with its name; a channel with an expression is found by its own name
                 found = found or measures
                 continue
             hit = False
@@ -242,7 +242,7 @@ def _nothing_to_remove(
     if not extends:
         findings.error(
             "GB212",
-            f"there is nothing that `without {what}` could remove, for this file extends no other",
+            f"there is nothing that `without {what}` could remove, since this file extends no other",
             removal.span,
             help='`without` removes what comes from a base: `model NAME extends "base.gb"`; here, delete the statement',
         )
@@ -258,7 +258,7 @@ def _nothing_to_remove(
 
 
 def _cut_outputs(item: Item, gone: Iterable[str]) -> Item:
-    """A statement of several outputs of one network without some of them, in the tree and in the text."""
+    """The declaration of several outputs of a network without some of them, in the tree and in the text."""
     statement = item.statement
     if not isinstance(statement, ast.UnknownStatement):
         return item
@@ -280,7 +280,7 @@ def _cut_outputs(item: Item, gone: Iterable[str]) -> Item:
 
 
 def _cut(parts: tuple[N, ...], keep: Sequence[bool], cuts: list[Span]) -> tuple[N, ...]:
-    """The parts that are kept; what separates a part that goes from its neighbour goes too."""
+    """The parts that are kept; the separator next to a removed part is removed too."""
     first_kept = next((i for i, stays in enumerate(keep) if stays), None)
     for i, (part, stays) in enumerate(zip(parts, keep, strict=True)):
         if stays:
@@ -295,7 +295,7 @@ def _cut(parts: tuple[N, ...], keep: Sequence[bool], cuts: list[Span]) -> tuple[
 
 
 def _past_separator(source: Source, start: int, end: int, *, nearest: int) -> int:
-    """The far end of the comma between two neighbours; the near end where something else stands between them."""
+    """The far end of the comma between two neighbours; the near end if there is something else between them."""
     between = source.text[start:end]
     if between.strip() in ("", ","):
         return nearest

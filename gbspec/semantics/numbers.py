@@ -1,4 +1,4 @@
-"""Everything that must be a fixed number: constants, ranges, bounds, starts, defaults, noise, priors."""
+"""Checks all fixed numbers: constants, ranges, bounds, starting and initial values, defaults, noise, priors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbspec.semantics.table import Table
 from gbspec.syntax import CONST_VALUE, Kind, ast
 
 GEOMETRIC_FROM = 100.0
-"""From this ratio of positive bounds on, the start of a learnable without one is the geometric mean of its bounds."""
+"""From this ratio of positive bounds on, the default starting value of a learnable is the bounds' geometric mean."""
 
 
 def functions_of(table: Table) -> dict[str, ast.FunctionStatement]:
@@ -25,14 +25,14 @@ def functions_of(table: Table) -> dict[str, ast.FunctionStatement]:
 
 
 def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findings) -> dict[str, float]:
-    """Values of the constants; and everywhere, what no value of the variables could make a finite number."""
+    """The values of the constants; reports all sub-expressions that are finite for no value of the variables."""
     values: dict[str, float] = {}
-    told: list[ast.Expression] = []
+    wrong: list[ast.Expression] = []
     sites = list(sites)
     by_owner = {s.owner: s for s in sites if s.rule is CONST_VALUE and s.references.complete}
 
     def not_finite(node: ast.Expression, value: float, by_zero: bool) -> None:
-        told.append(node)
+        wrong.append(node)
         what = "not a real number" if math.isnan(value) else "not a finite number"
         findings.error(
             "GB223", f"this is {what}", node.span, label="a division by zero" if by_zero else _reason(node, value)
@@ -41,11 +41,11 @@ def constants(sites: Iterable[Site], graph: Graph, table: Table, findings: Findi
     evaluate = Evaluator(values, functions_of(table), not_finite)
     for name in graph.order:
         if table[name].kind is Kind.CONST and name in by_owner and name not in graph.broken:
-            site, count = by_owner[name], len(told)
+            site, count = by_owner[name], len(wrong)
             value = evaluate(site.expression)
             if value is not None:
                 values[name] = value
-            elif len(told) == count and all(n in values for n in site.references.names if table[n].kind is Kind.CONST):
+            elif len(wrong) == count and all(n in values for n in site.references.names if table[n].kind is Kind.CONST):
                 _not_known(site.expression, name, findings)
     for site in sites:
         if site.rule is not CONST_VALUE and site.references.complete:
@@ -69,18 +69,18 @@ def _reason(node: ast.Expression, value: float) -> str:
 
 @dataclass
 class Numbers:
-    """Checks the statements' numbers; `value` is None for what was already reported."""
+    """Checks the numbers in statements; `value` is None for those already reported."""
 
     findings: Findings
     evaluate: Evaluator
     sites: Sites
 
     def value(self, node: ast.Expression | None) -> float | None:
-        """The value of an expression of constants; None where there is none or a mistake in it was told."""
+        """The value of an expression of constants; None without an expression or after a reported error in it."""
         return None if node is None or not self.sites.complete(node) else self.evaluate(node)
 
     def check(self, items: Iterable[Item]) -> None:
-        """Ranges ordered, starts and defaults in them, noise and priors of a known kind with positive scales."""
+        """Checks that ranges are ordered and contain starting values and defaults, and checks noise and priors."""
         for item in items:
             match item.statement:
                 case ast.StateStatement(range=interval, start=start):
@@ -105,7 +105,7 @@ class Numbers:
                     assert_never(item.statement)
 
     def interval(self, interval: ast.Interval | None) -> tuple[float, float] | None:
-        """The ends of a range; an error where they are not in order."""
+        """The ends of a range; an error if they are not in order."""
         if interval is None:
             return None
         low, high = self.value(interval.low), self.value(interval.high)
@@ -139,7 +139,7 @@ class Numbers:
     def _interpolation(self, statement: ast.InputStatement) -> None:
         self.findings.error(
             "GB227",
-            f"it is not said what the input `{statement.name.text}` does between its rows",
+            f"the input `{statement.name.text}` does not specify its interpolation between rows",
             statement.name.span,
             help=f"write `input {statement.name.text} held` (constant to the next filled cell) or "
             f"`input {statement.name.text} linear`",
@@ -148,15 +148,17 @@ class Numbers:
     # -------------------------------------------------------------------------------------------------- learnables
 
     def start(self, statement: ast.LearnStatement) -> float | None:
-        """Where learning begins: at the start that was given, else at the centre of the prior; None without either."""
+        """The starting value of a learnable: the given one, else the centre of the prior; None without either."""
         given = self.value(statement.start)
         if given is not None or statement.prior is None:
             return given
         return self.value(statement.prior.arguments[0]) if statement.prior.arguments else None
 
     def bounds(self, statement: ast.LearnStatement) -> tuple[float, float] | None:
-        """The range and all bounds of a learnable together, that of a lognormal prior (above zero) among them; None
-        where one of them was reported."""
+        """The intersection of the range and all bounds of a learnable (zero included for a lognormal prior).
+
+        None if one of them was reported.
+        """
         positive = statement.prior is not None and statement.prior.kind.text == "lognormal"
         low, high = 0.0 if positive else -math.inf, math.inf
         if statement.range is not None:
@@ -192,7 +194,7 @@ class Numbers:
         elif statement.start is None and statement.prior is None and not (math.isfinite(low) or math.isfinite(high)):
             self.findings.error(
                 "GB226",
-                f"`{name.text}` has neither a start nor a bound, so learning would not know where to begin",
+                f"`{name.text}` has neither a starting value nor a bound from which to derive one",
                 name.span,
                 help=f"write `learn {name.text} = 1` or `learn {name.text} in [0, 10]` with sensible numbers",
             )
@@ -208,10 +210,10 @@ class Numbers:
             return
         self.findings.error(
             "GB222",
-            f"the start {value:g} of `{statement.name.text}` does not keep its bounds",
+            f"the starting value {value:g} of `{statement.name.text}` violates its bounds",
             statement.start.span,
             labels=[Label(_bounds_span(statement), "the bounds")],
-            help="choose a start inside them",
+            help="choose a starting value inside them",
         )
 
     def _distribution(self, distribution: ast.Distribution, what: str, count: int, *scales: str) -> None:
@@ -254,9 +256,9 @@ def _bounds_span(statement: ast.LearnStatement) -> Span:
 
 
 def default_start(low: float, high: float) -> float:
-    """Where a learnable without a start begins: the middle of its bounds, or of their logarithms if far apart.
+    """The default starting value of a learnable: the middle of its bounds, or of their logarithms if far apart.
 
-    With one bound, at its side by its own size (by 1 if that is less): 1 for `> 0`.
+    With a single bound b it is b plus or minus max(|b|, 1), on the feasible side: 1 for `> 0`.
     """
     if not math.isfinite(high):
         return low + max(1.0, abs(low))

@@ -1,4 +1,4 @@
-"""Names in places where they may not stand, directly or inside a `let` or a function that is named there."""
+"""Reports names in places where they are not allowed, directly or through a `let` or a function used there."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gbspec.syntax import ANY, Kind
 
 
 def enforce(sites: Iterable[Site], table: Table, graph: Graph, findings: Findings) -> None:
-    """Reports, for each expression, the first name in it that may not stand there, directly or through others."""
+    """Reports, for each expression, the first name that is not allowed in it, directly or through others."""
     for site in sites:
         if site.rule is not ANY and site.references.complete:
             _enforce(site, table, graph, findings)

@@ -75,11 +75,11 @@ def _report(node: ast.Expression, states: list[ast.Name], findings: Findings) ->
     if len(states) > 1:
         names = " and ".join(f"`{s.text}`" for s in states)
         message = f"this term of a process names {names}; a term has one state"
-        help_ = "separate what is consumed or produced by `+`: `A + B -> C`; the law of its speed goes after `rate`"
+        help_ = "separate what is consumed or produced by `+`: `A + B -> C`; its rate law goes after `rate`"
     elif states:
         message = "the coefficient of this term of a process depends on a state"
-        help_ = "what a process converts is fixed: `2*A -> B`; how fast, in terms of states, goes after `rate`"
+        help_ = "the coefficients of a process are fixed: `2*A -> B`; dependence on states goes after `rate`"
     else:
-        message = "this term of a process has no state of its own"
+        message = "this term of a process has no state"
         help_ = "each term is a state, or a number, constant or learnable constant times a state: `2*A`, `A/Y`"
     findings.error("GB305", message, node.span, help=help_)

@@ -1,4 +1,4 @@
-"""Expressions rewritten without recursion, so that no text can exhaust the stack."""
+"""Rewrites expressions without recursion, so that no text can exhaust the stack."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def rebuilt(
     put: Callable[[ast.Expression], ast.Expression],
     wanted: Callable[[ast.Expression], bool],
 ) -> ast.Expression:
-    """The expression with `put` applied to its outermost parts that are `wanted`; unchanged parts are shared."""
+    """The expression with `put` applied to the outermost sub-expressions that are `wanted`; the rest is shared."""
     results: list[ast.Expression] = []
     stack: list[tuple[ast.Expression, int]] = [(root, -1)]
     while stack:
@@ -35,7 +35,7 @@ def rebuilt(
 
 
 def with_expressions(statement: ast.Statement, change: Callable[[Place], ast.Expression]) -> ast.Statement:
-    """The statement with what `change` makes of each of its expressions; unchanged parts are shared."""
+    """The statement with `change` applied to each of its expressions; unchanged parts are shared."""
     changed = {id(place.expression): change(place) for place in statement.places()}
 
     def put(part: object) -> object:

@@ -1,4 +1,4 @@
-"""What the names in an expression mean. Each mistake is told once, however often it occurs."""
+"""Resolves the names in expressions. Each error is reported once, however often it occurs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PLACES = 4
 
 @dataclass
 class Missing:
-    """A name that nothing declares: where it stands, what could have been meant, whether it is called."""
+    """An undeclared name: where it occurs, the names it may be a misspelling of, whether it is called."""
 
     spans: list[Span]
     candidates: frozenset[str]
@@ -27,16 +27,16 @@ class Missing:
 
 @dataclass
 class Resolver:
-    """Resolves expressions one after the other and keeps what was not found, to tell each name once."""
+    """Resolves expressions one after the other and collects undeclared names, to report each once."""
 
     table: Table
     findings: Findings
     missing: dict[str, Missing] = field(default_factory=dict)
     unapplied: list[tuple[ast.Name, Declaration, list[ast.Name]]] = field(default_factory=list)
-    """Unknowns named without arguments, with the arguments of their declaration that mean nothing there."""
+    """Unknowns used without arguments, with those of their declared arguments that are not names of the model."""
 
     def resolve(self, site: Site) -> None:
-        """Fills the site's references; reports wrong calls, wrong places of `nn`, arrays."""
+        """Fills the site's references; reports wrong calls and misplaced `nn` and arrays."""
         stack: list[tuple[ast.Expression, bool]] = [(site.expression, True)]
         while stack:
             node, smooth = stack.pop()
@@ -59,13 +59,13 @@ class Resolver:
                 stack.extend((part, smooth) for part in reversed(parts))
 
     def report_missing(self, merged: Merged) -> None:
-        """One finding for each name that nothing declares, at its first place."""
+        """Reports each undeclared name once, at its first place."""
         names = [name for name in self.missing if merged.lacks(name)]
         for number, name in enumerate(names):
             missing = self.missing[name]
             places = {(s.source.path, s.start): s for s in missing.spans}
             spans = [places[key] for key in sorted(places)]
-            what = "no function is called" if missing.called else "nothing is called"
+            what = "no function is named" if missing.called else "undeclared name"
             self.findings.error(
                 "GB201",
                 f"{what} `{name}`",
@@ -80,23 +80,23 @@ class Resolver:
             )
 
     def report_unapplied(self, merged: Merged) -> None:
-        """One finding for each unknown named without arguments where these are no names of the model."""
+        """Reports each unknown used without arguments whose declared arguments are not all names of the model."""
         told: set[str] = set()
-        for node, unknown, strangers in self.unapplied:
+        for node, unknown, undeclared in self.unapplied:
             lacking = all(
-                n.text in merged.arrays or (merged.lacks(n.text) and n.text not in self.missing) for n in strangers
+                n.text in merged.arrays or (merged.lacks(n.text) and n.text not in self.missing) for n in undeclared
             )
             if not lacking or unknown.name in told:
                 continue
             told.add(unknown.name)
-            names = " and ".join(f"`{n.text}`" for n in strangers)
+            names = " and ".join(f"`{n.text}`" for n in undeclared)
             self.findings.error(
                 "GB206",
-                f"`{node.text}` is named without arguments, but {names} of its declaration is no name of the model",
+                f"`{node.text}` is used without arguments, but {names} of its declaration is not a name of the model",
                 node.span,
                 label="applied to what?",
-                labels=[Label(n.span, "declared with this argument") for n in strangers],
-                help=f"say what it is applied to: `{_usage(unknown)}` with values of this model",
+                labels=[Label(n.span, "declared with this argument") for n in undeclared],
+                help=f"give its arguments: `{_usage(unknown)}` with values of this model",
             )
 
     # ------------------------------------------------------------------------------------------------------- names
@@ -125,7 +125,7 @@ class Resolver:
                 site.references.complete = False
                 self.findings.error(
                     "GB217",
-                    "`nn` stands for the network, and only the postulate of an unknown has one",
+                    "`nn` is the output of the network, which only the postulate of an unknown has",
                     node.span,
                     help="write it in the declaration: `unknown f(x) = g(x)*nn`, and `f` here",
                 )
@@ -146,21 +146,21 @@ class Resolver:
                 self._bare_unknown(node, declaration, site, smooth)
 
     def _bare_unknown(self, node: ast.Name, unknown: Declaration, site: Site, smooth: bool) -> None:
-        """An unknown named without parentheses is applied to the names it was declared with, as they mean here."""
+        """Resolves an unknown without parentheses: it is applied to the names of its declaration in this scope."""
         assert isinstance(unknown.statement, ast.UnknownStatement)
-        strangers = []
+        undeclared = []
         for argument in unknown.statement.arguments:
             text = argument.name.text
             declaration = self.table.get(text)
             if text in site.formals:
                 continue
             if declaration is None or declaration.kind in (Kind.FUNCTION, Kind.UNKNOWN, Kind.CHANNEL, Kind.CLAIM):
-                strangers.append(argument.name)
+                undeclared.append(argument.name)
             else:
                 self._use(text, node.span, site, smooth)
-        if strangers:
+        if undeclared:
             site.references.complete = False
-            self.unapplied.append((node, unknown, strangers))
+            self.unapplied.append((node, unknown, undeclared))
 
     def _without_arguments(self, node: ast.Name, site: Site, what: str, usage: str, at: Span | None = None) -> None:
         site.references.complete = False
@@ -227,7 +227,7 @@ class Resolver:
                 "`net(…)` takes the name of one state",
                 node.span if argument is None else argument.span,
                 label="not a state" if argument is not None else "",
-                help="`net(X)` is what all processes together add to the state `X` in a unit of time",
+                help="`net(X)` is the sum of all processes' contributions to the rate of change of the state `X`",
             )
 
     def _not_a_function(self, node: ast.Call, what: str, at: Span | None, site: Site) -> None:
@@ -240,7 +240,7 @@ class Resolver:
             f"`{name}` is {what}, not a function",
             node.span,
             labels=[Label(at, "declared here")] if at is not None else [],
-            help=f"`{name}` alone is its value at the current time"
+            help=f"write `{name}` for its value at the current time"
             if current
             else f"to multiply, write `{name}*(…)`; a function is declared with `function {name}(x) = …`",
         )
@@ -265,7 +265,7 @@ class Resolver:
 
 
 def _usage(declaration: Declaration) -> str:
-    """How a function is written with the arguments of its declaration."""
+    """A call of a function with the arguments of its declaration, as text."""
     match declaration.statement:
         case ast.FunctionStatement(parameters=parameters):
             names = [p.text for p in parameters]

@@ -1,4 +1,4 @@
-"""Every expression of a model, with the place it stands in."""
+"""Every expression of a model with its place."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gbspec.syntax import Kind, Place, ast, rules
 
 @dataclass
 class References:
-    """What an expression names, its own arguments apart.
+    """The names that an expression refers to, except its own arguments.
 
-    `smooth`: names that stand somewhere outside the condition of an `if`. `complete` is False where something in the
-    expression was wrong and has been told; what depends on it is then left alone.
+    `smooth`: names that occur somewhere outside the condition of an `if`. `complete` is False if an error in the
+    expression was reported; further checks that depend on it are then skipped.
     """
 
     names: dict[str, Span] = field(default_factory=dict)
@@ -27,13 +27,13 @@ class References:
 
 @dataclass
 class Site(Place):
-    """A place, and what its expression names."""
+    """A place, and the names that its expression refers to."""
 
     references: References = field(default_factory=References)
 
 
 class Sites:
-    """All expressions of a model, in order; each is found by itself, for equal ones may stand in several places."""
+    """All expressions of a model, in order; looked up by identity, since equal ones may occur in several places."""
 
     def __init__(self, items: Iterable[Item], table: Table) -> None:
         self._all = tuple(_sites(items, table))
@@ -46,7 +46,7 @@ class Sites:
         return self._by_expression[id(expression)]
 
     def complete(self, expression: ast.Expression | None) -> bool:
-        """Whether an expression of the model stands here in which nothing was reported."""
+        """Whether an expression is one of the model's and has no reported error."""
         site = self._by_expression.get(id(expression))
         return site is not None and site.references.complete
 
@@ -64,7 +64,7 @@ def _sites(items: Iterable[Item], table: Table) -> Iterator[Site]:
 
 
 def truth_parameters(truth: ast.TruthStatement, table: Table) -> tuple[str, ...]:
-    """The parameters of a truth; of an unknown named without parentheses, its arguments as declared."""
+    """The parameters of a truth; without parentheses, the declared arguments of its unknown."""
     if truth.parameters is not None:
         return tuple(parameter.text for parameter in truth.parameters)
     declaration = table.get(truth.target.text)

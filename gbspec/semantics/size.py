@@ -1,4 +1,4 @@
-"""How large an expression becomes when the functions in it are written out; what would explode is refused."""
+"""The size of expressions after function calls are expanded; expressions that become too large are refused."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from gbspec.semantics.table import Table
 from gbspec.syntax import Kind, ast
 
 LARGEST = 200_000
-"""The most operations an expression may have once its functions are written out."""
+"""The maximal number of operations of an expression with its functions expanded."""
 
 DEEPEST = 200
-"""The deepest it may be nested then."""
+"""The maximal nesting depth of an expression with its functions expanded."""
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Operations, depth, and how often each formal occurs."""
+    """The number of operations, the depth, and how often each formal argument occurs."""
 
     size: int
     depth: int
@@ -29,7 +29,7 @@ class Extent:
 
 
 def check(sites: Iterable[Site], graph: Graph, table: Table, findings: Findings) -> None:
-    """Refuses expressions that functions would make too large or too deep; and marks them so that none is lowered."""
+    """Reports expressions that expansion makes too large or too deep, and marks them so that none is lowered."""
     sites = [s for s in sites if s.references.complete]
     bodies = {s.owner: s for s in sites if s.owner is not None and table[s.owner].kind is Kind.FUNCTION}
     known: dict[str, Extent] = {}
@@ -37,7 +37,7 @@ def check(sites: Iterable[Site], graph: Graph, table: Table, findings: Findings)
     for name in graph.order:
         if name in bodies and name not in graph.broken:
             body = bodies[name]
-            if not refused.isdisjoint(body.references.names):  # told where it began
+            if not refused.isdisjoint(body.references.names):  # reported at its origin
                 refused.add(name)
                 body.references.complete = False
                 continue
@@ -61,7 +61,7 @@ def _refuse(site: Site, findings: Findings) -> None:
         "GB236",
         "this expression becomes too large when its function calls are expanded",
         site.expression.span,
-        help=f"at most {LARGEST} operations, {DEEPEST} deep; name parts that occur again with `let`",
+        help=f"at most {LARGEST} operations, {DEEPEST} deep; name repeated parts with `let`",
     )
 
 

@@ -1,4 +1,4 @@
-"""The names of a model: what each stands for, each declared once."""
+"""The table of a model's names, each declared once."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from gbspec.syntax import Kind, ast
 
 @dataclass(frozen=True)
 class Declaration:
-    """A name, what it stands for, and the statement that says so."""
+    """A name, its kind, and the statement that declares it."""
 
     name: str
     kind: Kind
     statement: ast.Statement | None
     span: Span | None
     output: int = 0
-    """Of an unknown: which output of its statement's network it is."""
+    """For an unknown: the index of its output in the statement's network."""
 
 
 Table = dict[str, Declaration]
@@ -37,13 +37,13 @@ def build(items: tuple[Item, ...], findings: Findings) -> Table:
             if first is not declaration:
                 _duplicate(at, first, findings)
                 if first.kind is Kind.TIME or declaration.kind is Kind.STATE:
-                    table[at.text] = declaration  # more likely what the rest of the text means by the name
+                    table[at.text] = declaration  # more likely the one that the rest of the text refers to
     _time_once(items, findings)
     return table
 
 
 def _declarations(statement: ast.Statement) -> list[tuple[Declaration, ast.Name]]:
-    """What a statement declares, the time apart, which is declared before all else."""
+    """The declarations of a statement, except the time, which is declared before all others."""
     kind = statement.entry.kind
     if kind is None or kind is Kind.TIME:
         return []
@@ -52,20 +52,18 @@ def _declarations(statement: ast.Statement) -> list[tuple[Declaration, ast.Name]
 
 def _duplicate(name: ast.Name, first: Declaration, findings: Findings) -> None:
     if first.kind is Kind.TIME:
-        where = "the name of the time" + (
-            "" if first.span else ", which is `t` where no `time` statement says otherwise"
-        )
+        where = "the name of the time" + ("" if first.span else ", which is `t` without a `time` statement")
         findings.error(
             "GB203",
             f"`{name.text}` is {where}",
             name.span,
             labels=[Label(first.span, "the time")] if first.span is not None else [],
-            help="choose another name, or name the time otherwise: `time tau`",
+            help="choose another name, or another name for the time: `time tau`",
         )
         return
     labels = [Label(first.span, "first declared here")] if first.span is not None else []
     if isinstance(first.statement, ast.StateStatement | ast.LetStatement) and _is_channel_of(name, first):
-        help_ = f"to measure it as it is write `observe {name.text}`; otherwise give the channel a name of its own"
+        help_ = f"to measure it directly write `observe {name.text}`; otherwise give the channel another name"
     else:
         help_ = "rename one of them, or delete it"
     findings.error("GB202", f"`{name.text}` is declared twice", name.span, label="again", labels=labels, help=help_)

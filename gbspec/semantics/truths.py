@@ -1,4 +1,4 @@
-"""References: of what there can be one, with how many arguments, and the values of those of learnables."""
+"""Checks `truth` statements: their targets, their arguments, and the values of truths of learnables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbspec.syntax import Kind, ast
 
 
 def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> list[ast.TruthStatement]:
-    """The truths that name what exists with the right number of arguments; the others are reported."""
+    """The truths with a declared target and the right number of arguments; the others are reported."""
     good: list[ast.TruthStatement] = []
     for item in items:
         if isinstance(item.statement, ast.TruthStatement):
@@ -35,7 +35,7 @@ def _missing(truth: ast.TruthStatement, table: Table, findings: Findings) -> Non
     pool = [n for n, d in table.items() if d.kind in (Kind.LEARN, Kind.UNKNOWN)]
     findings.error(
         "GB219",
-        f"a truth for `{truth.target.text}`, which nothing declares",
+        f"a truth for `{truth.target.text}`, which is not declared",
         truth.target.span,
         label="not declared",
         help=suggestion(truth.target.text, pool) or "a truth is for a `learn` or an `unknown` of this model",
@@ -50,7 +50,7 @@ def _known(truth: ast.TruthStatement, declaration: Declaration, findings: Findin
         f"a truth for `{name}`, which is {declaration.kind.value}",
         truth.target.span,
         labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
-        help="a truth is for what is learned; delete it"
+        help="only a `learn` or an `unknown` can have a truth; delete it"
         + (f", or declare `learn {name}`" if declaration.kind is Kind.CONST else "")
         + (f" (in a file that extends another: `without truth {name}`)" if declaration.kind is Kind.CONST else ""),
     )
@@ -84,7 +84,7 @@ def values(
     starts: Mapping[str, float],
     findings: Findings,
 ) -> dict[str, float]:
-    """Values of the truths of learnables; one that names another learnable means its truth, else its start."""
+    """Values of the truths of learnables; other learnables in them have their truths, else starting values."""
     waiting = {t.target.text: t for t in truths if table[t.target.text].kind is Kind.LEARN and sites.complete(t.value)}
     known: dict[str, float] = {}
     while waiting:
@@ -112,7 +112,7 @@ def _circle(waiting: Mapping[str, ast.TruthStatement], findings: Findings) -> No
     first = next(iter(waiting.values()))
     findings.error(
         "GB208",
-        f"truths depend on each other in a circle: {names}",
+        f"truths depend on each other in a cycle: {names}",
         first.target.span,
         labels=[Label(t.target.span, "and this") for t in list(waiting.values())[1:5]],
         help="write the number of one of them",

@@ -1,7 +1,7 @@
-"""Units that are not declared, found from use: linear equations over exponents, solved as they come.
+"""Infers undeclared units from use: linear equations in the exponents, solved one at a time.
 
-Each name without a unit has an unknown. An equation `first = second` is put in terms of what is still unknown; one of
-these is then solved for. An equation without unknowns either holds or is the disagreement that is reported.
+Each name without a unit has an unknown. An equation `first = second` is reduced to the remaining unknowns and solved
+for one of them. An equation without unknowns either holds or is a disagreement, which is reported.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gbspec.semantics.units import Namespace, Unit
 
 @dataclass
 class Solution:
-    """What the unknowns are so far, and where each was settled."""
+    """The unknowns solved so far, and the place at which each was solved."""
 
     namespace: Namespace
     solved: dict[str, Unit] = field(default_factory=dict)
@@ -24,7 +24,7 @@ class Solution:
     _count: int = 0
 
     def fresh(self) -> Unit:
-        """A unit that nothing is known of."""
+        """A new undetermined unit."""
         self._count += 1
         return self.of(f"?{self._count}")
 
@@ -33,7 +33,7 @@ class Solution:
         return Unit((), ((name, Fraction(1)),))
 
     def resolved(self, unit: Unit) -> Unit:
-        """The unit with everything put in that is known by now."""
+        """The unit with all solved unknowns substituted."""
         while any(name in self.solved for name, _ in unit.unknowns):
             result = Unit(unit.names)
             for name, exponent in unit.unknowns:
@@ -43,7 +43,7 @@ class Solution:
         return unit
 
     def equal(self, first: Unit, second: Unit, place: Span) -> bool:
-        """Makes two units equal if they can be; False where they are known and differ."""
+        """Makes two units equal if possible; False if both are known and differ."""
         ratio = self.resolved(first.times(second, Fraction(-1)))
         if not ratio.unknowns:
             return self.namespace.is_one(ratio)
@@ -55,11 +55,11 @@ class Solution:
 
     @staticmethod
     def _choose(unknowns: Iterable[tuple[str, Fraction]]) -> tuple[str, Fraction]:
-        """Which unknown to solve for: one that stands for an intermediate value before one that has a name."""
+        """The unknown to solve for: preferably that of an intermediate value, not of a name."""
         return min(unknowns, key=lambda pair: (not pair[0].startswith("?"), pair[0]))
 
     def known(self, unit: Unit) -> Unit | None:
-        """The unit if nothing in it is unknown."""
+        """The unit with solved unknowns substituted; None if unknowns remain."""
         unit = self.resolved(unit)
         return unit if not unit.unknowns else None
 
@@ -76,6 +76,6 @@ class Solution:
 
 
 def factor_between(first: Unit, second: Unit, namespace: Namespace) -> float | None:
-    """How many of `second` one `first` is; None where they measure different things."""
+    """The conversion factor `first`/`second`; None if the units have different dimensions."""
     measure = namespace.measure(first.times(second, Fraction(-1)))
     return None if measure.dimensions else measure.factor

@@ -1,4 +1,4 @@
-"""Where which unit is needed, statement by statement; and what is left without one."""
+"""The units required by each statement, and names whose unit remains undetermined."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def check(
 ) -> None:
     """Checks the units of a model that names any.
 
-    Errors: a name that is no unit (GB501), parts that are added or compared in different units (GB502), a number needed
-    that is none (GB503), an expression in another unit than its place (GB504). A warning (GB550): a name without a unit
-    where use does not tell it.
+    Errors: a name that is not a unit (GB501), operands added or compared in different units (GB502), a unit where a
+    pure number is needed (GB503), an expression in another unit than its place (GB504). A warning (GB550): a name whose
+    unit is neither declared nor determined by its use.
     """
     own = frozenset(i.statement.name.text for i in items if isinstance(i.statement, ast.UnitStatement))
     units = Units(table, findings, evaluate, Solution(Namespace(own)))
@@ -48,7 +48,7 @@ def check(
         rules.named(by_name[name])
     for item in items:
         rules.statement(item.statement)
-    for network, place in rules.networks:  # pure where its place does not say
+    for network, place in rules.networks:  # a pure number if its place does not determine it
         if units.solution.known(network) is None:
             units.solution.equal(network, ONE, place)
     if not units.broken:
@@ -56,7 +56,7 @@ def check(
 
 
 def _declared_again(statement: ast.Statement, by_name: Mapping[str, ast.Statement | None]) -> bool:
-    """Whether an unknown repeats the name of an earlier one: reported already, and its arguments may be others."""
+    """Whether an unknown repeats an earlier one's name: already reported, and its arguments may differ."""
     return isinstance(statement, ast.UnknownStatement) and by_name.get(statement.names[0].text) is not statement
 
 
@@ -66,10 +66,10 @@ class _Rules:
         self._terms = terms
         self._usable = usable
         self.networks: list[tuple[Unit, Span]] = []
-        """The units of `nn` in postulates, which are whatever their places need."""
+        """The units of `nn` in postulates, determined by their places."""
 
     def read(self, statement: ast.Statement) -> None:
-        """Takes in the declared units of a statement."""
+        """Reads the declared units of a statement."""
         units = self._units
         match statement:
             case ast.StateStatement(declarator=declarator, unit=unit):
@@ -95,12 +95,12 @@ class _Rules:
             case ast.FunctionStatement() | ast.ProcessStatement() | ast.ConserveStatement() | ast.Remark():
                 pass  # declare no unit
             case ast.About() | ast.ClosureStatement():
-                pass  # speak of the units that others declare
+                pass  # use units that others declare
             case _:
                 assert_never(statement)
 
     def named(self, statement: ast.Statement | None) -> None:
-        """Constants, functions, `let`s and rates, each after what it depends on."""
+        """Checks a constant, function, `let` or rate; to be called after those that it depends on."""
         units = self._units
         match statement:
             case ast.ConstStatement(name=name, value=value):
@@ -118,7 +118,7 @@ class _Rules:
                 raise Defect("a name with a value whose statement has no rule for units")
 
     def statement(self, statement: ast.Statement) -> None:
-        """Everything else."""
+        """Checks the units of any other statement."""
         units = self._units
         match statement:
             case ast.BalanceStatement(target=target, value=value):
@@ -149,7 +149,7 @@ class _Rules:
             case ast.TimeStatement(name=name, start=start):
                 self._ranged(name, None, start)
             case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():
-                pass  # `named` has them
+                pass  # checked in `named`
             case ast.TruthStatement() | ast.ClosureStatement() | ast.Remark():
                 pass
             case _:
@@ -159,7 +159,7 @@ class _Rules:
         return self._units.of(next(d.name for d in self._units.table.values() if d.kind is Kind.TIME))
 
     def _process(self, name: ast.Name) -> None:
-        """Each coefficient times the rate is a rate of change of its state."""
+        """Checks that each coefficient times the rate has the unit of a rate of change of its state."""
         units = self._units
         for _, term in self._terms.get(name.text, ()):
             unit = units.of(name.text)
@@ -229,7 +229,7 @@ class _Rules:
             self._units.agrees(rate, per_time, "the rate of change of this quantity", value.span)
 
     def _ranged(self, name: ast.Name, interval: ast.Interval | None, *values: ast.Expression | None) -> None:
-        """Ranges, starts, bounds and defaults: pure numbers there carry the declared unit."""
+        """Checks ranges, starting values, bounds and defaults: pure numbers there are in the declared unit."""
         self._interval(interval, self._units.of(name.text), name)
         for value in values:
             self._number(value, name)
@@ -256,11 +256,11 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
         unit = units.solution.resolved(units.of(name))
         if not unit.unknowns:
             continue
-        for other, _ in unit.unknowns:  # told here; what follows from it is not told again
+        for other, _ in unit.unknowns:  # reported here; units that depend on it are not reported again
             units.solution.solved.setdefault(other, ONE)
         findings.warning(
             "GB550",
-            f"`{name}` has no unit, and the rest of the model does not tell which",
+            f"`{name}` has no unit, and the rest of the model does not determine it",
             declaration.span if declaration.span is not None else _first_place(units),
             help=_how(name, declaration.kind),
             subject=name,
@@ -268,7 +268,7 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
 
 
 def _first_place(units: Units) -> Any:
-    """Where to speak of a time that no statement declares: at the first state."""
+    """The place at which a time without a statement is reported: the first state."""
     return next((d.span for d in units.table.values() if d.kind is Kind.STATE), None)
 
 

@@ -1,7 +1,7 @@
-"""The algebra of units: products of powers of named units, compared through pint; a namespace of its own.
+"""The algebra of units: products of powers of named units, compared through pint; in a separate namespace.
 
 Two units agree if they are equal, prefix included: `mg/L` is not `g/L`. Names that a model declares with `unit` are
-base units of their own, and so are units with an offset (`degC` is not `K`). pint is imported when a unit occurs.
+independent base units, and so are units with an offset (`degC` is not `K`). pint is imported when a unit occurs.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def powers(table: Mapping[str, Fraction]) -> Powers:
 
 @dataclass(frozen=True)
 class Unit:
-    """A product of powers of named units (numbers are names too: `1000`), times powers of units not known yet."""
+    """A product of powers of named units (numbers such as `1000` count as names), times powers of unknown units."""
 
     names: Powers = ()
     unknowns: Powers = ()
@@ -76,7 +76,7 @@ def _power(name: str, exponent: Fraction) -> str:
     return f"{name}^{exponent}" if exponent.denominator == 1 else f"{name}^({exponent})"
 
 
-# ----------------------------------------------------------------------------------------------------- what units mean
+# ---------------------------------------------------------------------------------------------------- measures of units
 
 
 @cache
@@ -88,7 +88,7 @@ def _registry() -> pint.UnitRegistry[float]:
 
 @dataclass(frozen=True)
 class Measure:
-    """A unit in terms of base dimensions: what it is and how large."""
+    """A unit in terms of base dimensions: its dimension and its size."""
 
     factor: float
     dimensions: Powers
@@ -102,7 +102,7 @@ class Namespace:
     _measures: dict[str, Measure | None] = field(default_factory=dict)
 
     def atom(self, name: str) -> Measure | None:
-        """The measure of one named unit; None where there is no such unit."""
+        """The measure of one named unit; None if there is no such unit."""
         if name not in self._measures:
             self._measures[name] = self._find(name)
         return self._measures[name]
@@ -137,19 +137,19 @@ class Namespace:
         return Measure(factor, powers(dimensions))
 
     def is_one(self, unit: Unit) -> bool:
-        """Whether a known unit is 1, prefixes and all."""
+        """Whether a known unit equals 1, prefixes included."""
         if not unit.names:
             return True
         measure = self.measure(unit)
         return not measure.dimensions and math.isclose(measure.factor, 1.0, rel_tol=EQUAL)
 
     def known(self) -> Iterable[str]:
-        """Names that a misspelt unit may mean."""
+        """The names to suggest for a misspelt unit."""
         return [*self.own, *(name for name in dir(_registry()) if name.isidentifier() and not name.startswith("_"))]
 
 
 def read(unit: ast.UnitExpression, namespace: Namespace, findings: Findings) -> Unit | None:
-    """The unit that a text says; None, with a finding (GB501), where a name in it is no unit."""
+    """The unit of a unit expression; None, with a diagnostic (GB501), if a name in it is not a unit."""
     result, sound = ONE, True
     stack: list[tuple[ast.UnitExpression, Fraction]] = [(unit, Fraction(1))]
     while stack:
@@ -181,6 +181,6 @@ def _unknown(node: ast.UnitName, namespace: Namespace, findings: Findings) -> No
         "GB501",
         f"there is no unit `{node.text}`",
         node.span,
-        help=suggestion(node.text, namespace.known()) or f"declare it as a base unit of its own: `unit {node.text}`",
+        help=suggestion(node.text, namespace.known()) or f"declare it as a new base unit: `unit {node.text}`",
         subject=node.text,
     )

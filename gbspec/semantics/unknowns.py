@@ -13,14 +13,14 @@ from gbspec.semantics.vocabulary import ACTIVATIONS, suggestion
 from gbspec.syntax import ast, ungrouped
 
 WIDEST = 4096
-"""The most units a hidden layer may have."""
+"""The maximal number of units of a hidden layer."""
 
 DEFAULT_WIDTHS = (32, 32)
 DEFAULT_ACTIVATION = "silu"
 
 
 def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
-    """Everything that can be said of unknowns and of parameter lists by themselves."""
+    """Checks unknowns and parameter lists, each statement separately."""
     for statement in (item.statement for item in items):
         if isinstance(statement, ast.FunctionStatement):
             _parameters(statement.parameters, statement.name, findings)
@@ -86,7 +86,7 @@ def _network(network: ast.NetworkSpec, numbers: Numbers, findings: Findings) -> 
     if network.kind.text != "mlp":
         findings.error(
             "GB228",
-            f"there is no network called `{network.kind.text}`",
+            f"there is no network named `{network.kind.text}`",
             network.kind.span,
             help="write `by mlp(32, 32)`, a multilayer perceptron with two hidden layers of 32",
         )
@@ -120,7 +120,7 @@ def _option(option: ast.Option, seen: set[str], findings: Findings) -> None:
         near = suggestion(value.text, ACTIVATIONS) if isinstance(value, ast.Name) else ""
         findings.error(
             "GB228",
-            f"there is no activation called `{option.value.span.text}`",
+            f"there is no activation named `{option.value.span.text}`",
             option.value.span,
             help=" ".join(part for part in (near, "activations are " + ", ".join(ACTIVATIONS)) if part),
         )

@@ -1,4 +1,4 @@
-"""Warnings on names that do nothing: never used, or used where no gradient reaches them."""
+"""Warnings on names without effect: never used, or used where they have no gradient."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gbspec.semantics.table import Table
 from gbspec.syntax import Kind, ast
 
 _USELESS = {
-    Kind.CONDITION: "it would be asked of the data for nothing",
-    Kind.INPUT: "it would be asked of the data for nothing",
+    Kind.CONDITION: "the data would have to contain it for no purpose",
+    Kind.INPUT: "the data would have to contain it for no purpose",
     Kind.CONST: "",
     Kind.LEARN: "nothing could be learned about it",
     Kind.LET: "",
@@ -22,9 +22,9 @@ _USELESS = {
 
 
 def unused(sites: Iterable[Site], elsewhere: Iterable[str], table: Table, findings: Findings) -> None:
-    """One warning for each declared name that nothing names, in expressions or `elsewhere`.
+    """Warns of each declared name that occurs neither in expressions nor in `elsewhere`.
 
-    A truth does not use what is learned.
+    An occurrence of a learnable in a truth is not a use.
     """
     used = set(elsewhere)
     for site in sites:
@@ -47,7 +47,7 @@ def unused(sites: Iterable[Site], elsewhere: Iterable[str], table: Table, findin
 
 
 def observed_names(items: Iterable[Item]) -> set[str]:
-    """Names that `observe NAME` measures as they are."""
+    """The names that `observe NAME` measures directly."""
     return {
         item.statement.target.text
         for item in items
@@ -58,7 +58,7 @@ def observed_names(items: Iterable[Item]) -> set[str]:
 
 
 def only_compared(sites: Sites, observed: set[str], table: Table, findings: Findings) -> None:
-    """A learnable that decides between branches but enters no value has no gradient, so it cannot be learned."""
+    """Warns of learnables that occur only in conditions of `if`: they have no gradient and cannot be learned."""
     values = {site.owner: site for site in sites if site.owner is not None}
     reached: dict[bool, set[str]] = {True: set(), False: set()}
     for smooth, found in reached.items():
@@ -78,7 +78,7 @@ def only_compared(sites: Sites, observed: set[str], table: Table, findings: Find
             places = [s.references.names[name] for s in sites if s.counts and name in s.references.names]
             findings.warning(
                 "GB404",
-                f"`{name}` is only compared with, so training cannot move it",
+                f"`{name}` occurs only in comparisons, so training cannot change it",
                 declaration.span,
                 labels=[Label(span, "a comparison") for span in places[:4]],
                 help=f"let it enter smoothly, for example by `1/(1 + exp(-(x - {name})/width))`; or make it a `const`",
@@ -91,7 +91,7 @@ def _named(site: Site, smooth: bool) -> Iterable[str]:
 
 
 def has_states(items: Iterable[Item], table: Table, findings: Findings) -> bool:
-    """A model without states is none (an error); one without channels cannot be trained (a warning)."""
+    """Whether the model has states (else an error); without channels it cannot be trained (a warning)."""
     items = list(items)
     states = [d for d in table.values() if d.kind is Kind.STATE]
     model = next((i.statement for i in items if isinstance(i.statement, ast.ModelStatement)), None)

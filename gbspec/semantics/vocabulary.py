@@ -1,4 +1,4 @@
-"""Words: what the language knows, what people write instead, and which declared name a misspelt one may mean."""
+"""The functions of the language, names from other languages, and suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ FOREIGN = {
     "piecewise": "write `if(condition, a, b)`",
     "heaviside": "write `if(x > 0, 1, 0)`",
     "sigmoid": "write `1/(1 + exp(-x))`",
-    "der": "a rate of change stands only on the left side, as in `X' = …`",
-    "diff": "a rate of change stands only on the left side, as in `X' = …`",
+    "der": "a rate of change occurs only on the left side, as in `X' = …`",
+    "diff": "a rate of change occurs only on the left side, as in `X' = …`",
     "e": "write `exp(1)`",
     "PI": "write `pi`",
     "Pi": "write `pi`",
     "π": "write `pi`",
     "inf": "leave the bound out, or give a large number",
 }
-"""Names from other languages, and how the same is said here."""
+"""Names from other languages, and their equivalents here."""
 
 
 def arity(function: str) -> tuple[int, int | None]:
@@ -55,7 +55,7 @@ def arity(function: str) -> tuple[int, int | None]:
 
 
 def suggestion(name: str, candidates: Iterable[str]) -> str:
-    """A help line for a name that nothing declares: a look-alike, a foreign word, or the nearest spelling; or ''."""
+    """A help line for an undeclared name: a look-alike, an equivalent, or the nearest spelling; else empty."""
     pool = sorted(set(candidates))
     twin = next((c for c in pool if looks_like(name, c)), None)
     if twin is not None:

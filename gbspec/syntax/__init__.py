@@ -1,4 +1,4 @@
-"""Text to tree: reading, statements, the parser, names, and the formatter; the only importer of lark."""
+"""From text to a syntax tree: file reading, parser, statements, names, formatter. Only this package imports lark."""
 
 import lazy_loader
 

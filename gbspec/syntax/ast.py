@@ -153,7 +153,7 @@ Statement = (
     | AllowStatement
     | WithoutStatement
 )
-"""Every kind of statement, in the order in which they are listed to a person."""
+"""Every kind of statement, in the order in which the documentation lists them."""
 
 STATEMENTS: tuple[type[Statement], ...] = get_args(Statement)
 
@@ -165,8 +165,8 @@ WORDS: tuple[str, ...] = tuple(kind.entry.word for kind in STATEMENTS if kind.en
 class File(Node):
     """All statements of one file that could be read, in the order of the text.
 
-    `uncertain` are the names that stand in statements which could not be read (they are reported already): whether and
-    as what these are declared is not known, so that nothing should be said of them.
+    `uncertain` are the names that occur in statements with syntax errors (already reported). Whether they are declared
+    is not known, so that later checks report nothing about them.
     """
 
     statements: tuple[Statement, ...]

@@ -19,7 +19,7 @@ _STRING = re.compile(r'"[^"\n]*"')
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
 _UNUSUAL = re.compile(r"[^\x20-\x7e\n\t]")
 
-# What the sign is written as, and the character that stands for it while the statement is parsed.
+# The plain spelling of a sign, and the character that replaces it while the statement is parsed.
 _PLAIN = {
     **dict.fromkeys("·⋅∙×∗⨯•", ("*", "*")),
     **dict.fromkeys("−–—‐‑﹣－", ("-", "-")),
@@ -46,20 +46,20 @@ _HINTS = {
     "°": "write the unit's name, e.g. `degC` for degrees Celsius",
     "∂": "a balance is written `x' = …`",
     "∆": "use the Greek letter `Δ` (capital delta) or a word",
-    "∑": "write the terms out, or `sum(c)` for an array of states",
-    "∏": "write the factors out",
+    "∑": "write each term, or `sum(c)` for an array of states",
+    "∏": "write each factor",
     "±": "noise is written `noise normal(sd)`",
     "½": "write `1/2`",
     "¼": "write `1/4`",
     "¾": "write `3/4`",
     "⇌": "write two processes, one for each direction",
     "⇄": "write two processes, one for each direction",
-    "←": "turn it round: consumed `->` produced",
+    "←": "reverse it: consumed `->` produced",
 }
 
 
 def clean(chunk: Chunk) -> tuple[str | None, list[Diagnostic]]:
-    """The text to parse, and what is wrong with its characters; no text where parsing it would make no sense."""
+    """The text to parse and the diagnostics about its characters; None for the text if it cannot be parsed."""
     text = chunk.source.text[chunk.start : chunk.end]
     if text.isascii() and '"' not in text and "#" not in text and not _UNUSUAL.search(text):
         return text, []
@@ -97,7 +97,7 @@ def _open_string(span: Span) -> Diagnostic:
         "this text is not closed",
         start,
         label="begins here",
-        help='close it with `"` on the same line; a text cannot go over several lines',
+        help='close it with `"` on the same line; a text cannot span several lines',
     )
 
 
@@ -112,12 +112,12 @@ def _curly_quotes(span: Span) -> Diagnostic:
 
 
 def _replace(chunk: Chunk, text: str) -> tuple[str | None, list[Diagnostic]]:
-    """Handles unusual characters outside strings; the same character is reported once a statement."""
+    """Handles unusual characters outside strings; the same character is reported once per statement."""
     if text.isascii() and not _UNUSUAL.search(text):
         return text, []
     letters = list(text)
     places: dict[str, list[int]] = {}
-    raised = -1  # where a run of superscripts or subscripts ends: it is one finding
+    raised = -1  # where a run of superscripts or subscripts ends: it is reported once
     outside = _STRING.sub(lambda found: " " * len(found[0]), text)
     for found in _UNUSUAL.finditer(outside):
         at, character = found.start(), found[0]
@@ -167,7 +167,7 @@ def _unusual(chunk: Chunk, character: str, places: list[int]) -> Diagnostic:
 
 
 def _run(first: Span, kind: str) -> str:
-    """What a run of superscripts or subscripts spells in plain characters."""
+    """The plain spelling of a run of superscripts or subscripts."""
     text, end = first.source.text, first.start
     while end < len(text) and unicodedata.decomposition(text[end]).startswith(kind):
         end += 1

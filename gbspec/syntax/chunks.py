@@ -1,4 +1,4 @@
-"""Cutting a file into statements: where each begins and ends, its comments, and where its lines are joined.
+"""Splits a file into statements: where each begins and ends, its comments, and its continuation lines.
 
 A statement starts in the first column; an indented line continues it, and so does a line that begins with `)` or `]`;
 blank and comment lines never end a statement. Linear in the length of the text.
@@ -17,7 +17,7 @@ _INDENT = re.compile(r"[ \t\u00a0\u2000-\u200a\u202f\u205f\u3000]+")
 
 @dataclass(frozen=True)
 class Comment:
-    """A comment: `start` to `end` from its `#` to the end of its line; `own_line` where nothing stands before it."""
+    """A comment: `start` to `end` from its `#` to the end of its line; `own_line` if nothing precedes it."""
 
     start: int
     end: int
@@ -28,7 +28,7 @@ class Comment:
 class Chunk:
     """The text of one statement, `start` to `end` (the end of its last token or trailing comment).
 
-    `lines` are the offsets at which its lines' first tokens stand, comment and blank lines left out; `indented` says
+    `lines` are the offsets of its lines' first tokens, without comment and blank lines; `indented` says
     whether it begins with an indentation that continues nothing.
     """
 
@@ -47,14 +47,14 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Layout:
-    """A file's statements, and the comments that stand between them on lines of their own."""
+    """A file's statements, and the comments on separate lines between them."""
 
     chunks: tuple[Chunk, ...]
     comments: tuple[Comment, ...]
 
 
 def split(source: Source) -> Layout:
-    """Cuts the text of a source into statements."""
+    """Splits the text of a source into statements."""
     text = source.text
     chunks: list[Chunk] = []
     between: list[Comment] = []
@@ -103,7 +103,7 @@ class _Open:
 
 
 def _line(text: str, start: int, line_end: int) -> tuple[int, int, Comment | None]:
-    """Where the line's content begins and ends (equal where there is none), and its comment."""
+    """Where the line's content begins and ends (equal if it has none), and its comment."""
     indent = _INDENT.match(text, start, line_end)
     content = indent.end() if indent else start
     end, comment = line_end, None

@@ -1,4 +1,4 @@
-"""A syntax tree as text, for whoever follows what the compiler read: a statement with its place, then its parts."""
+"""A syntax tree as text (`--dump`): each statement with its place, then its parts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gbspec.syntax import ast
 from gbspec.syntax.walking import fold
 
 _Prefix = tuple[str, list[str]]
-"""The operator of an operation with its operands as text; what is none has no operator and is one text."""
+"""An operator (empty for a leaf or a group) and its operands as text."""
 
 _IN_A_LINE = (*ast.Expression.__args__, *ast.UnitExpression.__args__, ast.Text)
 
@@ -55,7 +55,7 @@ def _prefix(node: ast.Node, parts: tuple[_Prefix, ...]) -> _Prefix:
         case ast.Text(value=value):
             return "", [f'"{value}"']
         case ast.Binary(operator=operator) | ast.UnitBinary(operator=operator) if parts[0][0] == operator != "^":
-            chain = parts[0][1]  # nothing else holds it: what is below is computed once
+            chain = parts[0][1]  # extended in place: no other result refers to it
             chain.append(_written(parts[1]))
             return operator, chain
         case (

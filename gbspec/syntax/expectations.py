@@ -1,4 +1,4 @@
-"""What may stand next in a statement that is being written: for completion in an editor."""
+"""What may come next in an incomplete statement, for completion in an editor."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Expected:
 
     @property
     def keywords(self) -> tuple[str, ...]:
-        """The words among them."""
+        """The keywords among these terminals."""
         lark, _ = engine()
         words = {t.name: t.pattern.value for t in lark.terminals if t.pattern.value.endswith(r"\b")}
         return tuple(word.removesuffix(r"\b") for name, word in words.items() if name in self.terminals)
 
 
 def expected(text: str) -> Expected | None:
-    """What may follow the beginning of a statement (its comments blanked); None where that beginning is wrong."""
+    """What may follow the beginning of a statement (its comments blanked); None if the beginning has a syntax error."""
     lark, builder = engine()
     builder.begin(Source("", text), 0)
     parser = lark.parse_interactive(text, start="statement")

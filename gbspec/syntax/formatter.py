@@ -1,7 +1,7 @@
-"""The canonical form of a file: spaces, order of clauses, line breaks; comments and the meaning stay as they are.
+"""The canonical form of a file: spaces, order of clauses, line breaks; comments and meaning are unchanged.
 
-A statement stands on one line where it fits in `WIDTH` columns, unless its author began a line with one of its clauses:
-then each clause stands on a line of its own. Longer lines are broken before `+` and `-` and after commas. Clauses are
+A statement is written on one line if it fits in `WIDTH` columns, unless its author began a line with one of its
+clauses: then each clause gets its own line. Longer lines are broken before `+` and `-` and after commas. Clauses are
 put in the order of the language's table, except in a statement with comments inside, whose order its author chose.
 """
 
@@ -41,7 +41,7 @@ _RANK = {kind: rank for rank, kind in enumerate(_ORDER)}
 
 
 def format_text(source: Source) -> str:
-    """The text in canonical form; raises `UserError` with every finding where it does not parse.
+    """The text in canonical form; raises `UserError` with all diagnostics if it does not parse.
 
     The result parses to the same tree, and formatting it again changes nothing.
     """
@@ -75,7 +75,7 @@ def _last(part: Parsed) -> int:
 
 
 def _check(source: Source, text: str) -> None:
-    """Makes sure that the canonical text says the same; `Defect` where it does not."""
+    """Checks that the canonical text has the same meaning; raises `Defect` otherwise."""
     again = Source(source.path, text)
     before, after = parse(source, Findings()), parse(again, Findings())
     if not same(before, after):
@@ -90,7 +90,7 @@ def _comments(source: Source) -> list[str]:
     return sorted(source.text[comment.start : comment.end].rstrip() for comment in found)
 
 
-# ------------------------------------------------------------------------------------------------------ one statement
+# -------------------------------------------------------------------------------------------------------- one statement
 
 
 def statement_lines(part: Parsed) -> list[str]:
@@ -121,7 +121,7 @@ def statement_lines(part: Parsed) -> list[str]:
 
 
 def _groups(found: list[Piece]) -> list[list[Piece]]:
-    """The tokens cut into head and clauses; tokens between clauses stay with what is before them."""
+    """The tokens split into head and clauses; tokens between clauses stay with the preceding clause."""
     groups: list[list[Piece]] = [[]]
     for piece in found:
         if piece.first:
@@ -146,7 +146,7 @@ def _ordered(groups: list[list[Piece]], clauses: Sequence[Clause], statement: as
 
 
 def _rank(kind: str, statement: ast.Statement) -> float:
-    """The place of a clause in its statement; some statements have one of theirs right after another."""
+    """The rank of a clause in its statement; some statements move a clause directly behind another."""
     after = statement.entry.after.get(kind)
     return _RANK[kind] if after is None else _RANK[after] + 0.5
 
@@ -178,7 +178,7 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
         if piece.above or (clause_lines and _starts_line(piece, clauses)):
             flush()
         if not waiting:
-            # The next contract of a list, after a comment, stands as deep as the first.
+            # A contract that follows a comment within a list is indented like the first.
             begins_clause = piece.first or (before is not None and before.text == "," and before.depth == 0)
         before = piece
         lines.extend(" " * _INDENT + comment for comment in piece.above)
@@ -190,7 +190,7 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
 
 
 def _starts_line(piece: Piece, clauses: Sequence[Clause]) -> bool:
-    """Whether a token begins a clause that stands on a line of its own where the statement is broken into clauses."""
+    """Whether a token begins a clause that gets its own line when the statement is broken into clauses."""
     return piece.first and clauses[piece.clause or 0].kind not in ("unit", "consumed", "produced")
 
 

@@ -20,7 +20,7 @@ _local = threading.local()
 
 @cache
 def grammar_file(name: str) -> Path:
-    """The path of a file of the grammar (`gb.lark`, `mistakes.toml`); `Defect` where the installation lacks it."""
+    """The path of a file of the grammar (`gb.lark`, `mistakes.toml`); raises `Defect` if it is not installed."""
     for folder in _FOLDERS:
         if (folder / name).is_file():
             return folder / name
@@ -29,9 +29,9 @@ def grammar_file(name: str) -> Path:
 
 @cache
 def _table_file() -> str | bool:
-    """Where the parser's table is kept between runs, which saves 0.2 s a start; False where that cannot be written.
+    """The file that caches the parser's table, which saves 0.2 s per start; False if it cannot be written.
 
-    lark names the grammar, its own and Python's version in it, and makes the table anew where they differ.
+    lark records the grammar and the versions of lark and Python in it, and rebuilds the table when they differ.
     """
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA", "")
@@ -46,7 +46,7 @@ def _table_file() -> str | bool:
 
 
 def engine() -> tuple[Lark, Builder]:
-    """This thread's parser and the builder of nodes inside it (which keeps the statement's place: one a thread)."""
+    """This thread's parser and the builder of nodes inside it (which has state, hence one per thread)."""
     if not hasattr(_local, "engine"):
         builder = Builder()
         text = grammar_file("gb.lark").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the names of a model stand for."""
+"""The kinds of names in a model."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Kind(Enum):
-    """What a name stands for; the value is how a person would call it."""
+    """The kind of a name; the value is its description in messages."""
 
     TIME = "the time"
     STATE = "a state"
@@ -23,4 +23,4 @@ class Kind(Enum):
 
 
 VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM}
-"""What may stand in an expression."""
+"""The kinds that may occur in an expression."""

@@ -1,9 +1,9 @@
-"""From a parser's error to a sentence: the table of likely slips, and what was expected where none fits.
+"""Turns a parser error into a diagnostic: the table of likely mistakes, else what was expected.
 
-The table is grammar/mistakes.toml. An entry gives malformed snippets; each is parsed once, and where the parser stops,
-its top state and the offending terminal are the key under which the entry is found again. (lark's own `match_examples`
-compares whole stacks, which differ with what stands before.) An entry may also name terminals that are a slip in any
-state, and say by patterns which of several entries for one key fits.
+The table is grammar/mistakes.toml. An entry gives malformed snippets. Each is parsed once; the parser's top state and
+the offending terminal at which it stops are the key of the entry. (lark's own `match_examples` compares whole stacks,
+which depend on the preceding text.) An entry may also name terminals that are a mistake in any state, and select by
+patterns among several entries for one key.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gbspec.syntax.names import normalise
 
 _WORD = re.compile(r"[^\W\d]\w*")
 _LAST = re.compile(r'("[^"\n]*"|\w+(?:\.\w+)*|[^\w\s])\s*\Z')
-_WINDOW = 500  # how many characters before the offending token, and at the statement's beginning, patterns look at
+_WINDOW = 500  # how many characters before the offending token, and at the statement's beginning, patterns see
 _OPERAND = frozenset({"NAME", "NUMBER", "PLUS", "MINUS", "LPAR"})
 _KEYWORDS = frozenset(
     {
@@ -59,11 +59,11 @@ class Mistake:
     """An entry of the table: when it fits, and what it says.
 
     `snippets` and `terminals` say where the parser stops (either; neither: anywhere); `statement`, `before` and `found`
-    are patterns for the whole statement, for what stands before the offending token and for what begins with it;
-    `word` says what the statement's first word is (`state`: a declared state; `slip`: a keyword misspelt or a word for
-    one; else that word itself), `meant` that the offending word is a misspelt keyword, and `open` that a bracket is
-    open. `at` is the place of the finding: `found`, `before` (the token before), `after` (the point after it), `both`,
-    `word`, `statement`, or the name of a group of a pattern.
+    are patterns for the whole statement, for the text before the offending token and for the text from it on;
+    `word` says what the statement's first word is (`state`: a declared state; `slip`: a misspelt keyword or a synonym
+    of one; else that word itself), `meant` that the offending word is a misspelt keyword, and `open` that a bracket is
+    open. `at` is the place of the diagnostic: `found`, `before` (the token before), `after` (the point after it),
+    `both`, `word`, `statement`, or the name of a group of a pattern.
     """
 
     code: str
@@ -86,7 +86,7 @@ class Mistake:
 
 @dataclass
 class Slip:
-    """Where and how the parser stopped in a statement; `text` is what it read, `kinds` what declares which name."""
+    """Where the parser stopped in a statement; `text` is the parsed text, `kinds` maps declared names to keywords."""
 
     chunk: Chunk
     text: str
@@ -100,7 +100,7 @@ class Slip:
 
     @cached_property
     def start(self) -> int:
-        """Where the offending token begins in the text; its end where the statement ends too early."""
+        """Where the offending token begins in the text; its end if the statement ends too early."""
         at = self.token.start_pos
         return len(self.text.rstrip()) if self.at_end or at is None else at
 
@@ -116,12 +116,12 @@ class Slip:
 
     @cached_property
     def before(self) -> str:
-        """What stands before the offending token, spaces at its end kept."""
+        """The text before the offending token, trailing spaces included."""
         return self.text[: self.start]
 
     @cached_property
     def last(self) -> tuple[int, int]:
-        """Where the token before the offending one stands."""
+        """The start and end of the token before the offending one."""
         found = _LAST.search(self.text, max(0, self.start - _WINDOW), self.start)
         return (found.start(1), found.end(1)) if found else (0, 0)
 
@@ -141,7 +141,7 @@ class Slip:
 
     @cached_property
     def opener(self) -> int | None:
-        """Where the innermost bracket stands that is open before the offending token."""
+        """The offset of the innermost bracket that is open before the offending token."""
         opened, _ = brackets(self.before)
         return opened[-1] if opened else None
 
@@ -151,7 +151,7 @@ class Slip:
 
 
 def brackets(text: str) -> tuple[list[int], int | None]:
-    """The brackets left open, and the first that closes none or the wrong one (texts in quotes aside)."""
+    """The unclosed brackets, and the first one that closes none or the wrong one; quoted texts are ignored."""
     opened: list[int] = []
     for found in re.finditer(r'"[^"\n]*"|[()\[\]{}]', text):
         sign = found[0]
@@ -165,7 +165,7 @@ def brackets(text: str) -> tuple[list[int], int | None]:
 
 
 def explain_slip(lark: Lark, slip: Slip) -> Diagnostic:
-    """The one finding that says what is wrong with a statement that could not be parsed."""
+    """The diagnostic for a statement that could not be parsed."""
     wrong_bracket = _wrong_bracket(slip)
     if wrong_bracket is not None:
         return wrong_bracket
@@ -175,7 +175,7 @@ def explain_slip(lark: Lark, slip: Slip) -> Diagnostic:
     return _expected(slip)
 
 
-# ------------------------------------------------------------------------------------------------------- the table
+# ------------------------------------------------------------------------------------------------------------ the table
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class Table:
     terminals: Mapping[str, str]
 
     def candidates(self, state: int, terminal: str) -> Iterator[Mistake]:
-        """The entries that may fit, the first in the file first."""
+        """The entries that may fit, in the order of the file."""
         for mistake, keys in zip(self.entries, self.keys, strict=True):
             anywhere = not mistake.snippets and not mistake.terminals
             if anywhere or terminal in mistake.terminals or (state, terminal) in keys:
@@ -200,7 +200,7 @@ _tables: WeakKeyDictionary[Lark, Table] = WeakKeyDictionary()
 
 
 def table(lark: Lark) -> Table:
-    """The table for a parser, made on the first error."""
+    """The table for a parser, built at the first error."""
     if lark not in _tables:
         data = _data()
         entries = tuple(Mistake(**_tuples(entry)) for entry in data["mistake"])
@@ -220,7 +220,7 @@ def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
 
 
 def _key(lark: Lark, snippet: str) -> tuple[int, str]:
-    """Where the parser stops in a snippet; `ValueError` where it does not."""
+    """Where the parser stops in a snippet; raises `ValueError` if it parses."""
     try:
         lark.parse(snippet, start="statement")
     except UnexpectedInput as error:
@@ -234,11 +234,11 @@ def where(error: UnexpectedInput) -> tuple[int, str]:
     return state, error.token.type if isinstance(error, UnexpectedToken) else "?"
 
 
-# ---------------------------------------------------------------------------------------------------- does it fit
+# ------------------------------------------------------------------------------------------------ conditions of entries
 
 
 def _fits(mistake: Mistake, slip: Slip) -> bool:
-    """Whether an entry's conditions hold; the groups of its patterns are kept in the slip."""
+    """Whether an entry's conditions hold; stores the groups of its patterns in `slip`."""
     slip.groups, slip.group_spans = {}, {}
     if mistake.lone != slip.lone and (mistake.lone or mistake.statement or mistake.word):
         return False
@@ -284,7 +284,7 @@ def _word_is(kind: str, slip: Slip) -> bool:
 
 
 def _meant_statements(word: str) -> tuple[str, ...]:
-    """The statements that a first word may have meant."""
+    """The statements that a misspelt first word may stand for."""
     words = _data()["words"]
     lower = word.lower()
     if lower in words:
@@ -292,7 +292,7 @@ def _meant_statements(word: str) -> tuple[str, ...]:
     return tuple(get_close_matches(lower, WORDS, n=1, cutoff=0.7))
 
 
-# ---------------------------------------------------------------------------------------------------- what it says
+# ------------------------------------------------------------------------------------------------------------- messages
 
 
 def _say(mistake: Mistake, slip: Slip) -> Diagnostic:
@@ -311,7 +311,7 @@ def _say(mistake: Mistake, slip: Slip) -> Diagnostic:
 
 
 def _fields(slip: Slip) -> dict[str, str]:
-    """What the messages of the table may mention."""
+    """The values that may be substituted in the messages of the table."""
     choices = [f"`{name}`" for name in _meant_statements(slip.word)]
     opener = slip.text[slip.opener] if slip.opener is not None else "("
     return {
@@ -381,7 +381,7 @@ def _wants_operand(slip: Slip) -> bool:
 
 
 def _expected(slip: Slip) -> Diagnostic:
-    """What is said where no entry of the table fits."""
+    """The diagnostic if no entry of the table fits."""
     words = _data()["terminals"]
     wanted = listed(_wanted(slip.expected - ({"$END"} if slip.lone else set()), words), "or")
     if slip.at_end:
@@ -395,7 +395,7 @@ def _expected(slip: Slip) -> Diagnostic:
 
 
 def _wanted(terminals: Iterable[str], words: Mapping[str, str]) -> list[str]:
-    """The expected terminals in the user's words, those of one kind (operators, comparisons) as one."""
+    """The expected terminals in the user's words; operators and comparisons are listed as one each."""
     kinds = set(terminals)
     if kinds >= _OPERAND:
         kinds = kinds - _OPERAND - {"IF", "NOT"} | {"expression"}

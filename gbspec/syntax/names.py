@@ -1,4 +1,4 @@
-"""Names as the language sees them: normal form, words that are refused, and letters that look alike."""
+"""Names as the language sees them: normal form, reserved words, and letters that look alike."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ FUNCTIONS: dict[str, int] = {
 """The functions of the language and how many arguments each takes (`min` and `max`: at least that many)."""
 
 REFUSED: frozenset[str] = frozenset({"pi", "if", "and", "or", "not", "net", "nn", *FUNCTIONS})
-"""Names that nothing may be declared as."""
+"""Names that cannot be declared."""
 
-# Letters of other scripts, and digits, that a reader takes for the Latin letter on the right (after Unicode's table of
-# confusable characters, cut to what appears in formulas).
+# Letters of other scripts, and digits, that look like the Latin letter on the right (from Unicode's table of confusable
+# characters, reduced to those that appear in formulas).
 _LOOK_ALIKE = {
     **dict(zip("ΑΒΕΖΗΙΚΜΝΟΡΤΥΧ", "ABEZHIKMNOPTYX", strict=True)),
     **dict(zip("αγικνορυχω", "ayikvopuxw", strict=True)),
@@ -36,13 +36,13 @@ def normalise(text: str) -> str:
 
 
 def is_name(text: str) -> bool:
-    """Whether this is a well-formed name: a Unicode identifier without the middle dot."""
+    """Whether a text is a well-formed name: a Unicode identifier without the middle dot."""
     return text.isidentifier() and "·" not in text and "·" not in normalise(text)
 
 
 @cache
 def skeleton(name: str) -> str:
-    """What the name looks like: equal for names that a reader takes for one another."""
+    """The appearance of a name: equal for names that a reader cannot tell apart."""
     decomposed = unicodedata.normalize("NFD", normalise(name))
     return "".join(_LOOK_ALIKE.get(letter, letter) for letter in decomposed)
 
@@ -53,15 +53,15 @@ def looks_like(first: str, second: str) -> bool:
 
 
 def explain_look_alike(written: str, meant: str) -> str:
-    """Says which letters of `written` are not those of the look-alike `meant`; empty where they do not look alike."""
+    """A sentence on which letters of `written` differ from its look-alike `meant`; empty if they do not look alike."""
     written, meant = normalise(written), normalise(meant)
     if not looks_like(written, meant):
         return ""
     if len(written) != len(meant):
-        return f"`{written}` and `{meant}` look alike and are not the same letters"
+        return f"`{written}` and `{meant}` look alike but have different letters"
     pairs = [(a, b) for a, b in zip(written, meant, strict=True) if a != b]
     said = "; ".join(f"`{a}` is {_letter(a)}, `{b}` is {_letter(b)}" for a, b in dict.fromkeys(pairs))
-    return f"`{written}` and `{meant}` look alike and are not the same: {said}"
+    return f"`{written}` and `{meant}` look alike but differ: {said}"
 
 
 def _letter(character: str) -> str:

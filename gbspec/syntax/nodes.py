@@ -1,4 +1,4 @@
-"""The parts that statements are made of: expressions, units, clauses; each with its place in the text.
+"""The nodes that statements consist of: expressions, units, clauses; each with its place in the text.
 
 Nothing here knows what a name means. Numbers keep their text so that the formatter writes them as they were.
 
@@ -15,7 +15,7 @@ from typing import Literal
 from gbspec.diagnostics import Span
 
 MAX_DEPTH = 100
-"""How deep expressions may nest, the terms of a sum and the factors of a product not counted."""
+"""How deep expressions may nest, not counting the terms of a sum and the factors of a product."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Conditional(Node):
 
 @dataclass(frozen=True)
 class Group(Node):
-    """`(a)`: kept so that the formatter writes parentheses as the user did; means its inner expression."""
+    """`(a)`: kept so that the formatter writes parentheses as the user did; its value is that of `a`."""
 
     inner: Expression
 
@@ -166,7 +166,7 @@ class Interval(Node):
 
 @dataclass(frozen=True)
 class Bound(Node):
-    """`>= e`, `<= e`, `> e`, `< e` after a learnable or an unknown; `name` when one of several outputs is meant."""
+    """`>= e`, `<= e`, `> e`, `< e` after a learnable or an unknown; `name` selects one of several outputs."""
 
     operator: Literal[">", ">=", "<", "<="]
     value: Expression
@@ -238,7 +238,7 @@ class Argument(Node):
 
 @dataclass(frozen=True)
 class Declarator(Node):
-    """A declared name, with the index range where it is an array: `c[1..N]`."""
+    """A declared name, with the index range if it is an array: `c[1..N]`."""
 
     name: Name
     first: Expression | None = None

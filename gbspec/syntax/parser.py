@@ -1,4 +1,4 @@
-"""From text to tree: one statement at a time, so that a mistake in one hides none in the others."""
+"""From text to a syntax tree: one statement at a time, so that an error in one does not hide errors in others."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _MAX_INSIDE = 500
 
 @dataclass(frozen=True)
 class Parsed:
-    """What came of one statement's text: the tree and its clauses in the order of the text, and what is wrong.
+    """The result of parsing one statement: the tree, its clauses in the order of the text, and its diagnostics.
 
-    A tree with problems means what the user meant, though the text is wrong (a typographic sign, a line that should be
-    indented). `ended_early`: more had to follow; `stopped_at`: the offset at which the parser stopped, else -1.
+    A tree with problems has the intended meaning despite an error in the text (a typographic sign, a line that should
+    be indented). `ended_early`: the statement is incomplete; `stopped_at`: where the parser stopped, else -1.
     """
 
     chunk: Chunk
@@ -51,9 +51,9 @@ class Parsed:
 
 
 def parse(source: Source, findings: Findings) -> ast.File | None:
-    """The tree of a file. Every syntax error is recorded; the statements that hold one are left out of the tree.
+    """The tree of a file. Every syntax error is recorded; the statements that have one are left out of the tree.
 
-    None where no statement could be read though there are some.
+    None if the file has statements but none could be parsed.
     """
     statements: list[ast.Statement] = []
     uncertain: set[str] = set()
@@ -69,7 +69,7 @@ def parse(source: Source, findings: Findings) -> ast.File | None:
 
 
 def parse_expression(source: Source, findings: Findings) -> ast.Expression | None:
-    """The tree of a lone expression, a condition allowed (`x2 > 4`); None where it cannot be read."""
+    """The tree of a single expression or condition (`x2 > 4`); None if it cannot be parsed."""
     end = len(source.text.rstrip())
     start = len(source.text) - len(source.text.lstrip())
     if start >= end:
@@ -81,7 +81,7 @@ def parse_expression(source: Source, findings: Findings) -> ast.Expression | Non
 
 
 def parse_statements(source: Source, findings: Findings) -> list[Parsed]:
-    """Every statement of a file with its place, readable or not; what is wrong is recorded once."""
+    """Every statement of a file with its place, including those with errors; each error is recorded once."""
     chunks = split(source).chunks
     reader = _Reader(source, _declared(chunks))
     done: list[Parsed] = []
@@ -110,7 +110,7 @@ def parse_statements(source: Source, findings: Findings) -> list[Parsed]:
 
 
 def _declared(chunks: tuple[Chunk, ...]) -> Mapping[str, str]:
-    """What the file's statements declare, as far as their first two words say, with the kind of statement."""
+    """The keyword of the declaring statement by declared name, judged from each statement's first two words."""
     found = {}
     for chunk in chunks:
         head = _HEAD.match(chunk.source.text, chunk.start, chunk.end)
@@ -123,7 +123,7 @@ def _declared(chunks: tuple[Chunk, ...]) -> Mapping[str, str]:
 
 
 def _unindented(chunk: Chunk) -> list[Chunk]:
-    """The statement cut at every indented line that begins like a statement."""
+    """The statement split at every indented line that begins like a statement."""
     text = chunk.source.text
     starts = [chunk.start, *(at for at in chunk.lines[1:] if _BEGINS_STATEMENT.match(text, at, chunk.end))]
     pieces = []
@@ -136,7 +136,7 @@ def _unindented(chunk: Chunk) -> list[Chunk]:
 
 
 def _without_comments(text: str, start: int, end: int, comments: tuple[Comment, ...]) -> str:
-    """A stretch of the text with its comments blanked."""
+    """The text from `start` to `end` with its comments blanked."""
     parts = []
     for comment in comments:
         parts += [text[start : comment.start], " " * (min(comment.end, end) - comment.start)]
@@ -145,7 +145,7 @@ def _without_comments(text: str, start: int, end: int, comments: tuple[Comment, 
 
 
 def _stray_indentation(pieces: list[Chunk], first_too: bool) -> Diagnostic:
-    """The one finding for lines that begin statements and are indented."""
+    """The diagnostic for indented lines that begin statements."""
     stray = pieces if first_too else pieces[1:]
     spans = [Span(piece.source, _line_start(piece), piece.start) for piece in stray]
     if len(spans) == 1:
@@ -204,9 +204,9 @@ class _Reader:
         return Parsed(chunk, None, (), problems, slip.at_end, chunk.start + slip.start)
 
     def close_brackets(self, parsed: Parsed, waiting: deque[Chunk]) -> Parsed:
-        """A statement that ends inside brackets, together with the following ones up to where these are closed.
+        """Joins a statement that ends inside brackets with the following ones, up to where the brackets are closed.
 
-        Takes those from `waiting` if all together read as one statement; else changes nothing.
+        Removes those from `waiting` if together they parse as one statement; else changes nothing.
         """
         count = _lines_to_close(parsed.chunk, waiting)
         if not count:
@@ -220,7 +220,7 @@ class _Reader:
         return replace(joined, problems=(_not_indented(parsed.chunk, following[0]),))
 
     def join(self, before: Parsed, after: Parsed) -> Parsed | None:
-        """Two statements that read as one: the second's lines should have been indented. None where they do not."""
+        """Two statements joined into one (the second should have been indented); None if that does not parse."""
         first, second = before.chunk, after.chunk
         joined = self._joined.get(first.start, [])
         unfinished = before.statement is not None or before.ended_early or joined
@@ -244,7 +244,7 @@ def _united(chunks: list[Chunk]) -> Chunk:
 
 
 def _not_indented(first: Chunk, second: Chunk) -> Diagnostic:
-    """The finding for a line that continues a statement and starts in the first column."""
+    """The diagnostic for a continuation line that starts in the first column."""
     return Diagnostic(
         "GB111",
         "a line that continues a statement is indented",
@@ -256,7 +256,7 @@ def _not_indented(first: Chunk, second: Chunk) -> Diagnostic:
 
 
 def _lines_to_close(chunk: Chunk, waiting: deque[Chunk]) -> int:
-    """How many of the following statements it takes to close a statement's brackets; 0 where they stay open."""
+    """How many of the following statements are needed to close a statement's brackets; 0 if they stay open."""
     depth = _balance(chunk)
     for count, following in enumerate(islice(waiting, _MAX_INSIDE), start=1):
         if depth <= 0 or _BEGINS_STATEMENT.match(following.source.text, following.start, following.end):
@@ -268,14 +268,14 @@ def _lines_to_close(chunk: Chunk, waiting: deque[Chunk]) -> int:
 
 
 def _balance(chunk: Chunk) -> int:
-    """How many more brackets are opened than closed."""
+    """The number of opened minus the number of closed brackets."""
     text = _without_comments(chunk.source.text, chunk.start, chunk.end, chunk.comments)
     signs = [found[0] for found in _BRACKET.finditer(text)]
     return sum(sign in "([" for sign in signs) - sum(sign in ")]" for sign in signs)
 
 
 def _too_deep(chunk: Chunk, text: str) -> Diagnostic | None:
-    """Brackets nested deeper than is read."""
+    """The diagnostic for brackets nested too deep; None if they are not."""
     if sum(map(text.count, "([")) <= ast.MAX_DEPTH:
         return None
     depth = 0
@@ -287,6 +287,6 @@ def _too_deep(chunk: Chunk, text: str) -> Diagnostic | None:
         if depth > ast.MAX_DEPTH:
             at = chunk.start + found.start()
             message = f"brackets are nested more than {ast.MAX_DEPTH} deep"
-            help = "give the inner parts names of their own with `let`"
+            help = "give names to the inner parts with `let`"
             return Diagnostic("GB138", message, Span(chunk.source, at, at + 1), help=help)
     return None

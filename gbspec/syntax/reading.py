@@ -1,4 +1,4 @@
-"""Reading a user's text file: UTF-8 with or without a byte order mark, any line ends."""
+"""Reading a user's text file: UTF-8 with or without a byte order mark, any line endings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def read_source(path: Path | str) -> Source:
     """Reads a `.gb` file; raises `UserError` (GB001 absent, GB002 unreadable, GB003 not UTF-8)."""
     path = Path(path)
     place = Cell(str(path))
-    if path.suffix.lower() in _TABLES and path.is_file():  # read as a model, each of its rows would be a finding
+    if path.suffix.lower() in _TABLES and path.is_file():  # parsed as a model, each of its rows would be an error
         message = f"`{path}` is a table of data, not a model"
         raise UserError([Diagnostic("GB002", message, place, help="the `.gb` file comes first, then the table")])
     try:
@@ -31,7 +31,7 @@ def read_source(path: Path | str) -> Source:
 
 
 def decode(path: str, data: bytes) -> Source:
-    """The source that the bytes of a file spell; raises `UserError` (GB003) where they are not UTF-8."""
+    """The decoded bytes of a file; raises `UserError` (GB003) if they are not UTF-8."""
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         message = f"`{path}` is saved as UTF-16, and gbspec reads UTF-8"
         raise UserError([Diagnostic("GB003", message, Cell(path), help="save it as UTF-8")])
@@ -51,7 +51,7 @@ def _lines(text: str) -> str:
 
 
 def _nearest(path: Path) -> str:
-    """What else the folder has that may have been meant."""
+    """A hint at a file of the folder with a similar name; empty if there is none."""
     from difflib import get_close_matches
 
     folder = path.parent

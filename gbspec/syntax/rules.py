@@ -1,4 +1,4 @@
-"""What may stand in an expression, by where it stands."""
+"""The kinds of names that may occur in an expression, by the expression's place."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from gbspec.syntax.kinds import VALUES, Kind
 
 @dataclass(frozen=True)
 class Rule:
-    """An expression's place: how to call it, what may be named in it, and the code of a finding against it."""
+    """The rule for an expression: its description, the kinds allowed in it, and the code reported for other kinds."""
 
     place: str
     allowed: frozenset[Kind]
     meant: str
     code: str = "GB213"
     refused_within: frozenset[Kind] = frozenset()
-    """Kinds that may stand there themselves, but not inside a `let` or a function that is named there."""
+    """Kinds that may occur there directly, but not inside a `let` or a function that is used there."""
 
 
 _FIXED = frozenset({Kind.CONST, Kind.LEARN, Kind.FUNCTION, Kind.LET})
@@ -43,7 +43,7 @@ TRUTH_NUMBER = Rule(
 START = Rule(
     "a start",
     _FIXED | {Kind.CONDITION, Kind.STATE},
-    "constants, learnable constants, conditions and the starts of other states",
+    "constants, learnable constants, conditions and the initial values of other states",
     "GB308",
 )
 DOSING = Rule(

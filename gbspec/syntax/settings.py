@@ -1,4 +1,4 @@
-"""Other values written into a model's text, so that what is kept of a run says what was computed with."""
+"""Substitutes values in a model's text, so that the model kept in a run directory is the one that was used."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Edit = tuple[int, int, str]
 
 
 def with_settings(source: Source, values: Mapping[str, float]) -> str:
-    """The text with these values of constants, starts of learnables, and defaults of conditions and inputs.
+    """The text with these values of constants, starting values of learnables, and defaults of conditions and inputs.
 
     Bounds of a learnable and ranges of conditions and inputs are widened to a value that lies outside; comments,
-    order and everything else stay. Names that the text does not declare as one of these are passed over.
+    order and everything else stay. Names that the text does not declare as one of these are ignored.
 
     Raises:
-        UserError: what is wrong with the text, where it cannot be read.
+        UserError: the text has syntax errors.
     """
     findings = Findings()
     file = parse(source, findings)
     findings.raise_if_failed()
     text = source.text
     edits = [edit for s in (file.statements if file else ()) for edit in _edits(s, values)]
-    for start, end, new in sorted(edits, reverse=True):  # from the end on, so that offsets before it stay true
+    for start, end, new in sorted(edits, reverse=True):  # from the end on, so that earlier offsets stay valid
         text = text[:start] + new + text[end:]
     return text
 
@@ -74,7 +74,7 @@ def _moved(bound: Bound, value: float) -> Iterator[Edit]:
 
 
 def _number(expression: Expression) -> float | None:
-    """The number where one is written, with its sign; None for what would have to be computed (checked later)."""
+    """The value of a literal with its sign; None for any other expression (checked later)."""
     try:
         return float(expression.span.text.replace(" ", ""))
     except ValueError:

@@ -1,4 +1,4 @@
-"""The tokens of a statement that has been read, and the spaces between them in the canonical form."""
+"""The tokens of a parsed statement, and the spaces between them in the canonical form."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ _TOKEN = re.compile(
 )
 _TIGHT = frozenset({"*", "/", "^"})
 _WORDS = frozenset({"and", "or", "not"})
-_VALUE_WORDS = frozenset({"rate", "times", "lag", "from"})  # clauses whose word an expression follows directly
+_VALUE_WORDS = frozenset({"rate", "times", "lag", "from"})  # clause keywords that precede an expression
 
 
 @dataclass
 class Piece:
-    """A token, what it is written as, whether a space stands before it, and its comments.
+    """A token, its canonical text, whether a space precedes it, and its comments.
 
     `clause` is the index of its clause in the order of the text (None in the statement's head), `depth` the number of
-    brackets around it; `breakable` says that a long line may be broken before it. `above` are the comments on lines of
-    their own before it, `after` the comment at the end of its line, `new_line` whether it began a line.
+    brackets around it; `breakable` says that a long line may be broken before it. `above` are the comments on separate
+    lines before it, `after` the comment at the end of its line, `new_line` whether it began a line.
     """
 
     text: str
@@ -80,7 +80,7 @@ def _written(text: str, kind: str) -> str:
 
 def _space(found: list[Piece], clauses: Sequence[Clause]) -> None:
     """Decides the space before each token, and where a long line may be broken."""
-    brackets: list[str] = []  # of those open: `index`, `options` (of a network) or `plain`
+    brackets: list[str] = []  # kinds of the open brackets: `index`, `options` (of a network) or `plain`
     previous: Piece | None = None
     operand = False  # whether the tokens so far end with an operand, so that a sign after it is an operator
     for piece in found:
@@ -111,12 +111,12 @@ def _bracket(previous: Piece | None, piece: Piece, kind: str) -> str:
 
 
 def _is_word(piece: Piece, kind: str) -> bool:
-    """Whether a name is a word of the grammar after which an expression begins."""
+    """Whether a name is a keyword that is followed by an expression."""
     return piece.text in _WORDS or (piece.first and kind in _VALUE_WORDS)
 
 
 def _spaced(previous: Piece, piece: Piece, kind: str, inner: str, unary: bool) -> bool:
-    """Whether a space stands between two tokens of one clause (or of the head)."""
+    """Whether a space separates two tokens of one clause (or of the head)."""
     before, text = previous.text, piece.text
     if before in ("(", "[") or text in (")", "]", ",", "'") or previous.kind == "unary":
         return False
@@ -138,5 +138,5 @@ def _spaced(previous: Piece, piece: Piece, kind: str, inner: str, unary: bool) -
 
 
 def _would_merge(previous: Piece, piece: Piece) -> bool:
-    """Whether two tokens without a space would be read as others, e.g. `1.` and `..`."""
+    """Whether two tokens without a space would be read as different ones, e.g. `1.` and `..`."""
     return (previous.text + piece.text[0]).endswith("..") and ".." in (previous.text, piece.text)

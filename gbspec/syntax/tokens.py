@@ -1,4 +1,4 @@
-"""Words and statements at a place in a text, readable or not: for an editor."""
+"""Words and statements at a place in a text that may have errors, for an editor."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def inert(source: Source, offset: int) -> bool:
 
 
 def word_at(source: Source, offset: int) -> Span | None:
-    """The word around an offset or ending there; None in a string, in a comment, and where no word stands."""
+    """The word around an offset or ending there; None in a string, in a comment, and where there is no word."""
     line = source.line_column(offset)[0]
     start = source.line_starts[line - 1]
     for found in _WORD.finditer(source.line(line)):

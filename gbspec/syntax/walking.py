@@ -1,4 +1,4 @@
-"""Going through syntax trees without recursion: a sum of 5,000 terms is a tree 5,000 deep to the left."""
+"""Traversal of syntax trees without recursion: a sum of 5,000 terms is a tree 5,000 deep to the left."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def fold(node: ast.Node, rule: Callable[[ast.Node, tuple[Result, ...]], Result])
 
 
 def same(first: ast.Node | None, second: ast.Node | None) -> bool:
-    """Whether two trees say the same, places apart."""
+    """Whether two trees are equal apart from places in the text."""
     stack: list[tuple[Any, Any]] = [(first, second)]
     while stack:
         a, b = stack.pop()

@@ -1,6 +1,6 @@
-"""Every wrong file under tests/bad gets exactly the findings that its `.expected` file shows.
+"""Every wrong file under tests/bad gets exactly the diagnostics of its `.expected` file.
 
-`GBSPEC_REWRITE=1 pytest tests/bad` writes the expected files anew; read the difference before committing it.
+`GBSPEC_REWRITE=1 pytest tests/bad` rewrites the expected files; read the difference before committing it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FILES = sorted(path for path in HERE.glob("*/*.gb") if not path.stem.startswith(
 
 
 def rendered_findings(path: Path) -> str:
-    """What the whole front end says of a file, paths relative to the file's folder."""
+    """The output of the whole front end for a file, with paths relative to the file's folder."""
     findings = Findings()
     try:
         run_front_end(path, findings)
@@ -28,7 +28,7 @@ def rendered_findings(path: Path) -> str:
 
 
 def run_front_end(path: Path, findings: Findings) -> None:
-    """Everything that `gbspec check` does."""
+    """Runs all steps of `gbspec check`."""
     from gbspec.frontend import load_model
     from gbspec.passes.examination import examine
 
@@ -36,11 +36,11 @@ def run_front_end(path: Path, findings: Findings) -> None:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
-def test_wrong_file_gets_its_findings(path: Path) -> None:
+def test_wrong_file_gets_its_diagnostics(path: Path) -> None:
     found = rendered_findings(path)
     expected = path.with_suffix(".expected")
     if os.environ.get("GBSPEC_REWRITE"):
         expected.write_text(found, encoding="utf-8")
     assert expected.is_file(), f"no {expected.name}; run with GBSPEC_REWRITE=1 and read what it says"
     assert found == expected.read_text(encoding="utf-8")
-    assert found, "a file under tests/bad has something wrong with it"
+    assert found, "a file under tests/bad must have an error or a warning"

@@ -1,4 +1,4 @@
-"""A reader of tables that stand in a test."""
+"""A reader of tables given as texts in tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.data.reader import Reader
 
 @pytest.fixture
 def reading(tmp_path: Path) -> Reader:
-    """Reads a text as a table for a model: the trajectories (None if it is wrong) and all findings, in order."""
+    """Reads a text as a table for a model: the trajectories (None if it is wrong) and all diagnostics, in order."""
 
     def read_text(
         text: str | bytes, model: Model | None = None, name: str = "table.csv", require_channels: bool = True

@@ -8,4 +8,4 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Diagnostic
 
 Reader = Callable[..., tuple[Trajectories | None, list[Diagnostic]]]
-"""(text, model, name of the file, whether channels are required) -> trajectories (None if wrong) and findings."""
+"""(text, model, name of the file, whether channels are required) -> trajectories (None if wrong) and diagnostics."""

@@ -1,4 +1,4 @@
-"""Cases as data: what a `cases.toml` says, over what its folder says; and everything wrong in one, at once."""
+"""Cases: the values of a `cases.toml`, its defaults, and all of its errors reported at once."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def test_options_that_cannot_be(wrong: dict[str, object]) -> None:
     assert isinstance(only, Diagnostic) and only.code == "GB754" and only.code in entries()
 
 
-def test_shipped_models_are_found_by_name() -> None:
+def test_bundled_models_are_found_by_name() -> None:
     assert shipped_model("urp_gb2") == models_folder() / "urp" / "urp_gb2.gb"
     assert len(shipped_models()) >= 10
     with pytest.raises(UserError) as caught:

@@ -1,4 +1,4 @@
-"""Good tables of every layout and kind become the trajectories that they say."""
+"""Valid tables of every layout and format are read to the right trajectories."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_tabs_and_parquet_say_the_same(reading: Reader, tmp_path: Path) -> None:
             np.testing.assert_array_equal(one.values, two.values)
 
 
-def test_labels_are_the_same_whatever_the_kind_of_file(tmp_path: Path) -> None:
+def test_labels_are_the_same_for_every_file_format(tmp_path: Path) -> None:
     frame = pl.DataFrame({"trajectory": [1.0, 1.0, 2.5, 2.5], "t": [0, 1, 0, 1], "V": [1, 2, 3, 4]})
     frame.write_parquet(tmp_path / "t.parquet")
     found = read(tmp_path / "t.parquet", tank(default=0.0), Findings())
@@ -120,7 +120,7 @@ def test_rows_of_trajectories_may_be_interleaved(reading: Reader) -> None:
     assert [item.values[:, 0].tolist() for item in found.items] == [[0.1, 0.3], [0.2, 0.4]]
 
 
-def test_columns_may_have_names_of_their_own(reading: Reader) -> None:
+def test_columns_may_have_other_names(reading: Reader) -> None:
     found, findings = reading("t,plasma mg/L,sd_plasma mg/L,dose_S\n1,2.5,0.1,\n2,2,,100\n", patient())
     assert findings == [] and found is not None
     (item,) = found.items
@@ -129,7 +129,7 @@ def test_columns_may_have_names_of_their_own(reading: Reader) -> None:
     assert (item.doses[0].times.tolist(), item.doses[0].amounts.tolist()) == ([2.0], [100.0])
 
 
-def test_a_dose_may_stand_in_a_row_of_its_own(reading: Reader) -> None:
+def test_a_dose_may_have_a_separate_row(reading: Reader) -> None:
     found, findings = reading("t,plasma mg/L,dose_S\n0,,100\n1,2.5,\n2,2,\n", patient())
     assert findings == [] and found is not None
     assert found.items[0].times.tolist() == [1, 2]
@@ -145,7 +145,7 @@ def test_an_input_keeps_its_filled_cells(reading: Reader) -> None:
     assert item.inputs[0].values.tolist() == [0.1, 0.3]
 
 
-def test_defaults_stand_in_for_what_is_not_given(reading: Reader) -> None:
+def test_defaults_replace_missing_values(reading: Reader) -> None:
     found, findings = reading("t,V\n0,1\n1,2\n", tank(default=0.7))
     assert findings == [] and found is not None
     assert found.items[0].inputs[0].values.tolist() == [0.7]

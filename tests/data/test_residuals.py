@@ -1,4 +1,4 @@
-"""The residual of a measured value: the one that training makes small, also under log-normal noise."""
+"""The residual of a measured value that training minimises, also for log-normal noise."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_what_was_not_measured_has_none() -> None:
     assert found[0, 1] == pytest.approx(np.log(0.5) / 2.0)
 
 
-def test_deviations_are_of_logarithms_where_residuals_are(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_scales_are_of_logarithms_where_residuals_are(tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.mktemp("residuals") / "growth.gb"
     path.write_text(TEXT)
     model = frontend.load_model(path, Findings())

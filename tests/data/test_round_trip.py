@@ -1,4 +1,4 @@
-"""What is written reads back equal; text of any kind gives a table or findings, never a traceback."""
+"""Tables that are written are read back equal; any text gives a table or diagnostics, never a traceback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inputs between their cells and the limits at a jump."""
+"""Values of inputs between their filled cells, and the limits at a jump."""
 
 from __future__ import annotations
 

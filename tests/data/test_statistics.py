@@ -1,4 +1,4 @@
-"""Location and spread of channels."""
+"""Location and scale of channels."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_scale_is_always_positive() -> None:
     assert channel_statistics(Trajectories((), ("a",)))[0].scale == 1.0
 
 
-def test_the_robust_spread_of_normal_values_is_their_deviation() -> None:
+def test_the_robust_scale_of_normal_values_is_their_standard_deviation() -> None:
     values = np.random.default_rng(0).normal(3.0, 2.0, 20_000)
     (found,) = channel_statistics(data(values.tolist()))
     assert found.spread == pytest.approx(2.0, rel=0.03) and found.sd == pytest.approx(2.0, rel=0.03)

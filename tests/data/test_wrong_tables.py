@@ -1,4 +1,4 @@
-"""Every mistake in a table gets its code, at the row and column where a person finds it."""
+"""Every mistake in a table gets its code, with the row and column as in a spreadsheet."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.data.reader import Reader
 HEAD = "trajectory,t,x1,x2,Da\n"
 FIRST = "1,0,0.5,1.5,0.3\n"
 
-# text, model, then (code, row, column) of every finding
+# text, model, then (code, row, column) of every diagnostic
 WRONG: dict[str, tuple[str, Model, list[tuple[str, int | None, str | None]]]] = {
     "empty file": ("", reactor(), [("GB704", None, None)]),
     "header alone": (HEAD, reactor(), [("GB704", 1, None)]),
@@ -90,12 +90,12 @@ def test_a_mistake_is_found_where_it_is(reading: Reader, name: str) -> None:
 
 @pytest.mark.parametrize("data", [b"t,x1,x2,Da\n0,\xff,1,0.3\n", "t,x1,x2,Da\n0,1,1,1\n".encode("utf-16"),
                                   b"t,x1,x2,Da\n0,\0,1,0.3\n"])  # fmt: skip
-def test_bytes_that_are_no_text(reading: Reader, data: bytes) -> None:
+def test_bytes_that_are_not_text(reading: Reader, data: bytes) -> None:
     found, findings = reading(data)
     assert found is None and [d.code for d in findings] == ["GB703"]
 
 
-def test_files_that_are_no_tables(reading: Reader, tmp_path: Path) -> None:
+def test_files_that_are_not_tables(reading: Reader, tmp_path: Path) -> None:
     assert places(reading("x", name="t.xlsx")[1]) == [("GB702", None, None)]
     assert places(reading("x", name="table")[1]) == [("GB702", None, None)]
     assert places(reading(b"PAR1 nonsense", name="t.parquet")[1]) == [("GB709", None, None)]
@@ -135,7 +135,7 @@ def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
     ("cell", "hint"),
     [('"2,5"', "2.5"), ("<0.1", "limit"), ("5 mg", "`5`"), ("10:30", "`10`"), ('"1,234,567"', "thousands")],
 )
-def test_a_cell_that_is_no_number_gets_a_hint(reading: Reader, cell: str, hint: str) -> None:
+def test_a_cell_that_is_not_a_number_gets_a_hint(reading: Reader, cell: str, hint: str) -> None:
     _, findings = reading(HEAD + FIRST + f"1,1,{cell},1,0.3\n")
     assert [d.code for d in findings] == ["GB712"] and hint in findings[0].help
 

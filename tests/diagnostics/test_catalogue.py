@@ -1,4 +1,4 @@
-"""The catalogue of codes is whole: each code that is used stands in it, and each has an example that gets it."""
+"""The catalogue of codes is complete: it has each code in use, and each code has an example that causes it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def used_codes() -> dict[str, str]:
 
 
 def shown_codes() -> set[str]:
-    """Every code that an expected finding under tests/bad shows."""
+    """Every code that an expected diagnostic under tests/bad shows."""
     texts = (path.read_text(encoding="utf-8") for path in ROOT.glob("tests/bad/*/*.expected"))
     return {code for text in texts for code in re.findall(r"^(?:error|warning)\[(GB\d{3})\]", text, re.MULTILINE)}
 
@@ -75,7 +75,7 @@ def test_explain_takes_any_case_and_suggests() -> None:
     ("asked", "said"),
     [("GB999", "codes run from `GB0xx`"), ("GB729", "GB701 to GB728, GB730"), ("XYZ", "such as `GB201`")],
 )
-def test_an_unknown_code_is_told_which_there_are(asked: str, said: str) -> None:
+def test_an_unknown_code_is_answered_with_the_known_ones(asked: str, said: str) -> None:
     with pytest.raises(UserError) as caught:
         explain(asked)
     assert said in caught.value.diagnostics[0].help

@@ -1,4 +1,4 @@
-"""The text and the JSON of findings."""
+"""The text and the JSON of diagnostics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def example() -> Diagnostic:
     )
 
 
-def test_several_places_of_one_finding_in_one_excerpt() -> None:
+def test_several_places_of_one_diagnostic_in_one_excerpt() -> None:
     assert render_text([example()]) == (
         "warning[GB401]: `k` and `mu` cannot be told apart by any data\n"
         "  --> models/fermenter.gb:10:6\n"
@@ -67,7 +67,7 @@ def test_lines_between_places_are_left_out_except_a_single_one() -> None:
     assert "two" not in render_text([far])
 
 
-def test_a_place_in_another_file_gets_an_excerpt_of_its_own() -> None:
+def test_a_place_in_another_file_gets_a_separate_excerpt() -> None:
     base = Source("base.gb", "learn k = 1\n")
     finding = Diagnostic("GB202", "m", span(FERMENTER, "learn k"), "again", (Label(span(base, "k"), "first"),))
     text = render_text([finding])
@@ -84,7 +84,7 @@ def test_a_place_in_another_file_gets_an_excerpt_of_its_own() -> None:
         ("ab\tz", "z", 4),
     ],
 )
-def test_marks_stand_below_what_they_mark(line: str, marked: str, before: int) -> None:
+def test_marks_are_below_the_marked_text(line: str, marked: str, before: int) -> None:
     source = Source("a.gb", line)
     rendered = render_text([Diagnostic("GB201", "m", span(source, marked))]).splitlines()
     excerpt, mark = rendered[3], rendered[4]
@@ -127,7 +127,7 @@ def test_a_place_in_a_table(cell: Cell, place: str) -> None:
     assert text == f"error[GB701]: m\n{place}\n  = help: h\n"
 
 
-def test_a_finding_without_a_place() -> None:
+def test_a_diagnostic_without_a_place() -> None:
     assert render_text([Diagnostic("GB801", "m", None, help="h")]) == "error[GB801]: m\n  = help: h\n"
 
 
@@ -158,7 +158,7 @@ def test_json_of_a_cell() -> None:
     assert to_json(Diagnostic("GB801", "m", None))["file"] is None
 
 
-def test_findings_come_in_the_order_of_the_text_and_once() -> None:
+def test_diagnostics_come_in_the_order_of_the_text_and_once() -> None:
     findings = Findings()
     for text in ("mu", "k", "mu"):
         findings.error("GB201", f"`{text}`", span(FERMENTER, text))

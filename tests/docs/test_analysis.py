@@ -1,4 +1,4 @@
-"""The commands of the document on analysis are ones that gbspec accepts, and its figures are there."""
+"""The commands of docs/analysis.md are accepted, and its figures exist."""
 
 from __future__ import annotations
 

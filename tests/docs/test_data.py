@@ -1,4 +1,4 @@
-"""What docs/data.md says of tables and cases is what is done."""
+"""docs/data.md agrees with the behaviour for tables and cases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What docs/editor.md says of `check --json` is what comes."""
+"""docs/editor.md agrees with the output of `check --json`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def document(tmp_path: Path, text: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "text", ["model m\nstate x = 1\nlearn k = 1 in [0, 2]\nx' = -k*x\nobserve x\n", "model m\nstate x\n"]
 )
-def test_every_key_of_a_file_and_of_a_finding_is_documented(tmp_path: Path, text: str) -> None:
+def test_every_key_of_a_file_and_of_a_diagnostic_is_documented(tmp_path: Path, text: str) -> None:
     file = document(tmp_path, text)["files"][0]
     assert set(file) == table("one entry for each file")
     for finding in file["diagnostics"]:

@@ -17,7 +17,7 @@ NAMES = [re.match(r"model (\w+)", text)[1] for _, text in BLOCKS]  # type: ignor
 
 
 @pytest.mark.parametrize("text", [text for _, text in BLOCKS], ids=NAMES)
-def test_every_example_compiles_without_a_finding(text: str, tmp_path: Path) -> None:
+def test_every_example_compiles_without_a_diagnostic(text: str, tmp_path: Path) -> None:
     for name, other in BLOCKS:
         if name:
             (tmp_path / name).write_text(other)

@@ -1,4 +1,4 @@
-"""The front page keeps its word: the model compiles, the command lines are accepted, the links lead somewhere."""
+"""README.md is correct: its model compiles, its command lines are accepted, its links have targets."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_model_compiles_and_means_what_is_shipped(tmp_path: Path) -> None:
     assert written.learnables == tuple(shipped.learnables)
 
 
-def test_the_message_is_what_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_message_is_the_one_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (shown,) = re.findall(r"^```\n(error\[.*?)^```$", TEXT, re.S | re.M)
     monkeypatch.chdir(tmp_path)
     Path("reactor.gb").write_text("model urp_gb2\nstate x1\nunknown phi(x1)\n\n\n\n\nx1' = -x1 + phii\nobserve x1\n")
@@ -55,5 +55,5 @@ def test_every_link_leads_somewhere() -> None:
         assert (ROOT / target).exists(), target
 
 
-def test_every_shipped_model_is_named() -> None:
+def test_every_bundled_model_is_named() -> None:
     assert [name for name in shipped_models() if name not in TEXT] == []

@@ -1,4 +1,4 @@
-"""The page on studies keeps its word: its command lines are accepted, its cases are there, its links lead somewhere."""
+"""docs/studies.md is correct: its command lines are accepted, its cases exist, its links have targets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/training.md names every stage that may run."""
+"""docs/training.md names every stage of the recipes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""The one pipeline: the verifier after every pass, the same stages for whoever reads a model, and what each stage made.
+"""The pipeline: the verifier after every pass, the same stages for all readers of a model, and the results of stages.
 
-`UPDATE_GOLDEN=1 pytest tests/frontend` writes the golden texts anew; read the difference before committing it.
+`UPDATE_GOLDEN=1 pytest tests/frontend` rewrites the golden texts; read the difference before committing it.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ def text_of(text: str) -> frontend.Read:
 
 
 def broken(model: Model) -> Model:
-    """With a constant that is declared twice, which no source can have."""
+    """The Model with a constant that is declared twice, which no source can have."""
     return replace(model, constants=(*model.constants, Constant("twice", 1.0), Constant("twice", 1.0)))
 
 
 def breaking(name: str) -> tuple[frontend.Stage, ...]:
-    """The table with one stage that leaves a Model which is not well formed."""
+    """The stages, one of which leaves a malformed Model."""
 
     def spoiled(run: Callable[[frontend.State], frontend.State]) -> Callable[[frontend.State], frontend.State]:
         def call(state: frontend.State) -> frontend.State:
@@ -91,7 +91,7 @@ def breaking(name: str) -> tuple[frontend.Stage, ...]:
     return tuple(replace(s, run=spoiled(s.run)) if s.name == name else s for s in frontend.STAGES)
 
 
-# ------------------------------------------------------------------------------------------------------- the verifier
+# --------------------------------------------------------------------------------------------------------- the verifier
 @pytest.mark.parametrize("name", ["lowered", "claims", "contracts"])
 def test_a_stage_that_breaks_the_model_is_caught_by_name(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frontend, "STAGES", breaking(name))
@@ -99,7 +99,7 @@ def test_a_stage_that_breaks_the_model_is_caught_by_name(name: str, monkeypatch:
         frontend.load_model("claim.gb", Findings(), read)
 
 
-def test_so_is_a_pass_that_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_pass_that_breaks_the_model_is_caught_too(monkeypatch: pytest.MonkeyPatch) -> None:
     added = frontend.model_pass("shorter", "", lambda model, _: replace(model, balances=model.balances[1:]))
     monkeypatch.setattr(frontend, "STAGES", (*frontend.STAGES, added))
     with pytest.raises(Defect, match="after `shorter`: the Model is malformed: one balance for each state"):
@@ -118,7 +118,7 @@ def test_every_model_that_a_stage_makes_is_verified_once(monkeypatch: pytest.Mon
 
 # ----------------------------------------------------------------------------------------- the same stages for everyone
 def run_of(folder: Path, model: Model) -> Path:
-    """A run directory with one member, as training leaves one."""
+    """A run directory with one member, as written by training."""
     (folder / files.MEMBERS / "0").mkdir(parents=True)
     (folder / files.MODEL).write_text(model.text, encoding="utf-8")
     FitRecord("0", model.name, DataRecord("", "", 0, 0, 0), {}, {}, {}, {}, (), ()).write(folder)
@@ -139,7 +139,7 @@ def test_the_model_of_a_run_goes_through_the_same_stages(tmp_path: Path, monkeyp
         open_run(run)
 
 
-def test_so_does_what_the_editor_checks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_editor_runs_the_same_stages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "claim.gb"
     path.write_text(CLAIM)
     assert not check(Workspace(), path).findings
@@ -149,7 +149,7 @@ def test_so_does_what_the_editor_checks(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_nothing_else_makes_a_model_of_a_tree() -> None:
-    """The checks and lowering are called here alone; the rest of the package asks for a Model."""
+    """Only the frontend calls the checks and lowering; the rest of the package asks it for a Model."""
     call = re.compile(r"from gbspec\.(lower import (.*, )?lower\b|semantics import (.*, )?check\b)")
     found = {
         str(path.relative_to(ROOT)) for path in ROOT.rglob("*.py") if call.search(path.read_text(encoding="utf-8"))
@@ -157,7 +157,7 @@ def test_nothing_else_makes_a_model_of_a_tree() -> None:
     assert found == {"frontend.py"}
 
 
-# ------------------------------------------------------------------------------------------------------------- findings
+# ---------------------------------------------------------------------------------------------------------- diagnostics
 def test_errors_of_the_text_and_of_its_meaning_come_together() -> None:
     with pytest.raises(UserError) as caught:
         frontend.load_model("m.gb", Findings(), text_of("model m\nstate x = = 1\nstate z = 1\nz' = -q*z\nobserve z\n"))
@@ -176,14 +176,14 @@ def test_a_text_without_any_statement_that_can_be_read() -> None:
         frontend.load_model("m.gb", Findings(), text_of("?? ??\n"))
 
 
-def test_a_stage_that_is_none() -> None:
+def test_an_unknown_stage() -> None:
     with pytest.raises(Defect, match="no stage `optimised`"):
         frontend.after("optimised", "claim.gb", Findings(), read)
 
 
-# ------------------------------------------------------------------------------------------------ what each stage made
+# ------------------------------------------------------------------------------------------------- what each stage made
 @pytest.mark.parametrize("name", ["ast", "checked", "lowered", "contracts"])
-def test_what_there_is_after_a_stage(name: str) -> None:
+def test_the_result_of_a_stage(name: str) -> None:
     found = frontend.after(name, "small.gb", Findings(), read).text
     path = GOLDEN / f"small_{name}.txt"
     if os.environ.get("UPDATE_GOLDEN"):
@@ -191,7 +191,7 @@ def test_what_there_is_after_a_stage(name: str) -> None:
     assert found == path.read_text(encoding="utf-8")
 
 
-def test_the_last_stage_makes_what_the_form_ir_says(tmp_path: Path) -> None:
+def test_the_last_stage_makes_the_form_ir(tmp_path: Path) -> None:
     (tmp_path / "claim.gb").write_text(CLAIM)
     last = compile_file(tmp_path / "claim.gb", frontend.STAGES[-1].name, Findings()).content
     assert compile_file(tmp_path / "claim.gb", "ir", Findings()).content == last

@@ -1,5 +1,5 @@
-"""The table of derivative rules: against numbers, torch's differentiation of the generated module, and the series of
-identifiability, operation by operation."""
+"""The table of derivative rules compared with finite differences, torch's differentiation of the generated module, and
+the series of identifiability, operation by operation."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def slopes(expression: sympy.Expr, point: tuple[float, ...]) -> list[float]:
 
 
 def by_torch(expression: sympy.Expr, point: tuple[float, ...]) -> list[float]:
-    """Those of torch through the module generated for a model whose first balance is the expression."""
+    """Torch's derivatives through the module generated for a model whose first balance is the expression."""
     states = tuple(State(name, initial=Initial("learn")) for name in ("x", "y", "z"))
     model = Model("m", states=states, balances=(expression, X, Y), channels=(Channel("x", value=X, state=0),))
     state = torch.tensor(point, dtype=torch.float64, requires_grad=True)
@@ -89,7 +89,7 @@ def test_conventions_at_kinks_are_torchs(name: str) -> None:
 
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_the_table_has_the_slopes_that_differences_have(name: str) -> None:
-    """Central differences of the values, to 40 digits: no other knowledge of derivatives takes part."""
+    """Compares with central differences of the values to 40 digits, which use no derivative rule."""
     expression, h = OPERATIONS[name], sympy.Float(10, 40) ** -12
     at = dict(zip((X, Y, Z), POINTS[0], strict=True))
     for place, symbol_ in enumerate((X, Y, Z)):
@@ -100,13 +100,13 @@ def test_the_table_has_the_slopes_that_differences_have(name: str) -> None:
         assert slopes(expression, POINTS[0])[place] == pytest.approx(float((ends[0] - ends[1]) / (2 * h)), rel=1e-12)
 
 
-# These occur in the forms of contracts alone, which the question of identifiability does not look into.
+# These occur only in the forms of contracts, which the identifiability analysis does not use.
 FORMS_ALONE = (softplus.__name__, logistic.__name__)
 
 
 @pytest.mark.parametrize("name", [name for name in OPERATIONS if name not in FORMS_ALONE])
 def test_the_series_of_identifiability_follow_the_table(name: str) -> None:
-    """Of f(x(t), y(t), z(t)): its series, differentiated by t, is the sum of the table's slopes times x', y', z'."""
+    """The series of f(x(t), y(t), z(t)), differentiated by t, is the sum of the table's slopes times x', y', z'."""
     rng, algebra, expression = np.random.default_rng(1), Algebra(6, 6), OPERATIONS[name]
     series = {}
     for s, start in zip((X, Y, Z), POINTS[0], strict=True):

@@ -1,4 +1,4 @@
-"""Every method has the order that it claims: the order conditions of rooted trees hold exactly, and no further."""
+"""Every method has exactly its declared order: the order conditions of rooted trees hold up to it and not beyond."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from gbspec.diagnostics import UserError
 from gbspec.ir.methods import DOPRI5, METHODS, RK4, RK38, Explicit, Method, listed, method_named
 
 Tree = tuple["Tree", ...]
-"""A rooted tree: what grows from its root, in order."""
+"""A rooted tree: the sorted subtrees of its root."""
 
 EVERY = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
 @cache
 def trees(order: int) -> tuple[Tree, ...]:
-    """All rooted trees of so many vertices."""
+    """All rooted trees with the given number of vertices."""
     return tuple(sorted(set(forests(order - 1))))
 
 
 @cache
 def forests(vertices: int) -> tuple[Tree, ...]:
-    """All multisets of trees with so many vertices together, each in order."""
+    """All multisets of trees with the given total number of vertices, each sorted."""
     if not vertices:
         return ((),)
     return tuple(
@@ -107,7 +107,7 @@ def test_nodes_are_distinct_sorted_and_have_the_ends() -> None:
     ],
     ids=["beyond the step", "before the step", "implicit", "weights", "error weights"],
 )
-def test_what_is_no_explicit_method_is_refused(
+def test_invalid_explicit_methods_are_refused(
     a: tuple[tuple[Fraction, ...], ...], b: tuple[Fraction, ...], b_error: tuple[Fraction, ...] | None
 ) -> None:
     with pytest.raises(ValueError, match="`wrong`"):

@@ -1,4 +1,4 @@
-"""The verifier finds what is wrong with a Model; the dump tells all of it."""
+"""The verifier finds errors in a Model; the dump is complete."""
 
 from __future__ import annotations
 

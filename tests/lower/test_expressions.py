@@ -1,4 +1,4 @@
-"""Text to sympy: numbers exactly, powers cheaply, functions and postulates as they were meant."""
+"""From text to sympy: exact numbers, cheap powers, scopes of functions and postulates."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_long_sums_do_not_exhaust_the_stack() -> None:
     assert value == 5000 * x
 
 
-def test_functions_are_written_out_and_arguments_shadow() -> None:
+def test_functions_are_expanded_and_arguments_shadow() -> None:
     model = model_of(
         "model m\nstate x\nstate y\nfunction f(y, z) = y^2 + z\nfunction g(x) = f(x + 1, y)\n"
         "x' = g(3*y)\ny' = f(x, x)\nobserve x\n"
@@ -136,7 +136,7 @@ def test_an_argument_does_not_capture_a_constant_behind_a_let() -> None:
     assert truth.parameters[0] != "K"
 
 
-def test_what_simplifies_to_no_number_is_reported() -> None:
+def test_what_simplifies_to_a_non_finite_number_is_reported() -> None:
     assert codes_lowered("k/(x - x)") == ["GB223"]
     assert codes_lowered("k*sqrt(-1 - x^2 + x^2)") == ["GB223"]
 

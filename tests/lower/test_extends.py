@@ -58,7 +58,7 @@ def test_without_removes() -> None:
     assert model.networks[0].outputs == ("r2", "r3")
 
 
-def test_without_a_state_takes_what_is_about_it() -> None:
+def test_without_a_state_removes_statements_about_it() -> None:
     model = model_of(
         'model child extends "base.gb"\nwithout x2\nwithout r3\nwithout y\nwithout B\n'
         "x1' = -k*x1 + r1(x1, 2*x1) + r2(x1, 3*x1)\n",
@@ -75,7 +75,7 @@ def test_chain_of_three() -> None:
     assert [c.name for c in model.channels] == ["x2", "y", "x1"]
 
 
-def test_findings_of_the_base_are_told_at_their_place() -> None:
+def test_diagnostics_of_the_base_are_reported_at_their_place() -> None:
     _, findings = checked('model child extends "base.gb"\n', {"base.gb": BASE + "let z = q\n"})
     (finding, *_) = findings.errors
     assert finding.code == "GB201"
@@ -83,12 +83,12 @@ def test_findings_of_the_base_are_told_at_their_place() -> None:
     assert finding.place.source.path.endswith("base.gb")  # type: ignore[union-attr] # a span, as its code says
 
 
-def test_a_base_that_is_missing_hides_nothing_else() -> None:
+def test_a_base_that_is_missing_does_not_hide_other_errors() -> None:
     text = 'model child extends "no.gb"\nlearn k = 20 in [0, 10]\nx1\' = -k*x1\n'
     assert codes(text) == ["GB209", "GB222"]
 
 
-def test_circle_of_files() -> None:
+def test_cycle_of_files() -> None:
     files = {"a.gb": 'model a extends "b.gb"\n', "b.gb": 'model b extends "a.gb"\nstate x\nx\' = -x\nobserve x\n'}
     assert codes('model child extends "a.gb"\n', files) == ["GB211"]
 

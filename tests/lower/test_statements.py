@@ -1,4 +1,4 @@
-"""Statements to the parts of the Model."""
+"""Lowering of statements to the parts of the Model."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_everything_of_a_model() -> None:
     assert F in model.intermediates[0].value.free_symbols
 
 
-def test_lets_are_written_out_where_only_constants_may_stand() -> None:
+def test_lets_are_substituted_where_only_constants_may_occur() -> None:
     model = model_of(
         "model m\nstate A\nstate B\nlearn y = 1\nlet twice = 2*y\nlet more = twice + 1\n"
         "process p: A -> more*B rate A\ninitial A = more\nobserve A\n"

@@ -1,4 +1,4 @@
-"""An editor for the tests: a client that speaks the protocol with `gbspec lsp` in a process of its own."""
+"""An editor for the tests: a client that speaks the protocol with `gbspec lsp` in a separate process."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pygls.lsp.client import LanguageClient
 
 T = TypeVar("T")
 PATIENCE = 300
-"""Seconds after which an answer counts as lost; nothing waits this long unless something is wrong."""
+"""Seconds after which an answer counts as lost; a correct server answers much earlier."""
 
 
 class Editor:
-    """Opens and changes files; keeps the findings that the server published last for each."""
+    """Opens and changes files; keeps the diagnostics that the server published last for each."""
 
     def __init__(self) -> None:
         self.loop = asyncio.new_event_loop()
@@ -86,7 +86,7 @@ class Editor:
         self.run(send())
 
     def findings(self, uri: str) -> list[types.Diagnostic]:
-        """The findings published since the file was opened or changed last."""
+        """The diagnostics published since the file was opened or changed last."""
 
         async def wait() -> list[types.Diagnostic]:
             async with self.news:
@@ -96,7 +96,7 @@ class Editor:
         return self.run(wait())
 
     def _is_news(self, uri: str) -> bool:
-        """Whether what was published last is about the text that was sent last (a closed file has no version)."""
+        """Whether the latest diagnostics are those of the latest text (a closed file has no version)."""
         return self.published[uri].version in (None, self.versions.get(uri))
 
     def codes(self, uri: str) -> list[str]:
@@ -107,7 +107,7 @@ class Editor:
 
 
 def place(text: str, what: str, after: int = 0) -> types.Position:
-    """Where something stands in a text, in UTF-16."""
+    """The position of a string in a text, in UTF-16."""
     at = text.index(what)
     start = text.rfind("\n", 0, at) + 1
     return types.Position(text.count("\n", 0, at), len(text[start:at].encode("utf-16-le")) // 2 + after)

@@ -1,4 +1,4 @@
-"""Half-written files: whatever stands in them, every question has an answer or a refusal."""
+"""Incomplete files: for any content, every request has an answer or a refusal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Offsets and the positions of editors: every offset there and back in every encoding."""
+"""Conversion of every offset to an editor's position and back, in every encoding."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_columns_are_those_of_the_encoded_line(text: str, encoding: tuple[Encodi
     ("position", "offset"),
     [((-1, 4), 0), ((0, 99), 3), ((9, 0), 7), ((1, 1), 4), ((1, 2), 5), ((1, -3), 4)],
 )
-def test_positions_that_are_none_fall_on_the_nearest_that_is(position: tuple[int, int], offset: int) -> None:
+def test_invalid_positions_are_moved_to_the_nearest_valid_one(position: tuple[int, int], offset: int) -> None:
     assert to_offset(Source("m.gb", "abc\n😀b\n"), position) == offset
 
 

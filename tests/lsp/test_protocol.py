@@ -53,7 +53,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return base, derived
 
 
-def test_findings_come_with_code_range_and_help_and_go_when_mended(editor: Editor, tmp_path: Path) -> None:
+def test_diagnostics_come_with_code_range_and_help_and_go_when_corrected(editor: Editor, tmp_path: Path) -> None:
     wrong = BASE.replace("D*X", "DD*X")
     uri = editor.open(tmp_path / "base.gb", wrong)
     found = editor.findings(uri)
@@ -257,7 +257,7 @@ def test_a_text_that_is_in_no_file_yet_is_checked_too(editor: Editor) -> None:
     assert editor.codes(uri) == ["GB201"]
 
 
-def test_a_burst_of_changes_ends_with_the_findings_of_the_last(editor: Editor, tmp_path: Path) -> None:
+def test_a_burst_of_changes_ends_with_the_diagnostics_of_the_last(editor: Editor, tmp_path: Path) -> None:
     uri = editor.open(tmp_path / "base.gb", BASE)
     assert editor.codes(uri) == []
     for end in range(1, 9):
@@ -266,7 +266,7 @@ def test_a_burst_of_changes_ends_with_the_findings_of_the_last(editor: Editor, t
     assert editor.codes(uri) == ["GB201"]
 
 
-def test_a_closed_file_has_no_findings(editor: Editor, tmp_path: Path) -> None:
+def test_a_closed_file_has_no_diagnostics(editor: Editor, tmp_path: Path) -> None:
     uri = editor.open(tmp_path / "base.gb", "model m\nx' = y\n")
     assert editor.findings(uri)
     editor.published.pop(uri)

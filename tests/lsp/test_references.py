@@ -1,4 +1,4 @@
-"""What a name refers to, and what renaming it changes: scopes, shadowing, files that extend one another."""
+"""References and renaming of names: scopes, shadowing, files that extend one another."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_an_argument_that_takes_the_range_of_a_state_is_renamed_with_it(tmp_path
     assert "= f(u, conv)*nn" in new
     assert "truth mu(u, x) = u/(k + x)" in new
     assert "state conv in" in renamed(*model(tmp_path), "x) >=", "conv")
-    with pytest.raises(Refused, match="something else"):
+    with pytest.raises(Refused, match="another meaning"):
         renamed(*model(tmp_path), "y in", "u")
 
 
@@ -82,11 +82,11 @@ def test_a_range_that_another_file_lends_is_not_lost(tmp_path: Path) -> None:
         "model b\nstate x = 1\nunknown q(x) >= 0, zero at x = 0 by mlp(4)\nx' = -q(x)\nobserve x\n"
     )
     (tmp_path / "own.gb").write_text('model o extends "base.gb"\nstate x in [0, 1] = 1\n')
-    with pytest.raises(Refused, match=r"in `own.gb` a contract would be built for the range of something else"):
+    with pytest.raises(Refused, match=r"in `own.gb` a contract would use the range of another quantity"):
         rename(Workspace(), tmp_path / "base.gb", 14, "y")
 
 
-def test_the_parameter_of_a_function_is_renamed_in_it_alone(tmp_path: Path) -> None:
+def test_the_parameter_of_a_function_is_renamed_only_in_it(tmp_path: Path) -> None:
     new = renamed(*model(tmp_path), "s) =", "sub")
     assert new == MODEL.replace("f(x, s) = x/(k + s)", "f(x, sub) = x/(k + sub)")
 
@@ -97,7 +97,7 @@ def test_the_argument_of_an_unknown_is_renamed_in_contracts_and_postulate(tmp_pa
     assert new == MODEL.replace(head, head.replace("(u", "(v").replace("at u", "at v").replace("in u", "in v"))
 
 
-def test_the_parameters_of_a_truth_are_its_own(tmp_path: Path) -> None:
+def test_the_parameters_of_a_truth_are_local(tmp_path: Path) -> None:
     assert renamed(*model(tmp_path), "u, x) = u/(", "w") == MODEL.replace("mu(u, x) = u/(k", "mu(w, x) = w/(k")
 
 
@@ -106,7 +106,7 @@ def test_a_channel_and_a_learnable_are_renamed_with_allow_and_truth(tmp_path: Pa
     assert "truth rate_k = 2" in renamed(*model(tmp_path), "k = 1", "rate_k")
 
 
-def test_an_unknown_named_without_arguments_takes_them_by_name(tmp_path: Path) -> None:
+def test_an_unknown_named_without_arguments_is_applied_to_their_names(tmp_path: Path) -> None:
     text = "model m\nstate x = 1\nunknown q(x) by mlp(3)\nx' = -q\nobserve x\ntruth q = 2*x\n"
     new = renamed(*model(tmp_path, text), "x = 1", "y")
     assert new == "model m\nstate y = 1\nunknown q(y) by mlp(3)\ny' = -q\nobserve y\ntruth q = 2*y\n"
@@ -114,19 +114,19 @@ def test_an_unknown_named_without_arguments_takes_them_by_name(tmp_path: Path) -
 
 def test_an_argument_that_an_unknown_takes_by_name_is_not_renamed(tmp_path: Path) -> None:
     text = "model m\nstate x = 1\nunknown q(x) by mlp(3)\nfunction f(x) = q + x\nx' = -f(x)\nobserve x\n"
-    with pytest.raises(Refused, match="`q` takes `x` by its name"):
+    with pytest.raises(Refused, match="`q` is implicitly applied to `x`"):
         renamed(*model(tmp_path, text), "x) = q", "a")
 
 
 @pytest.mark.parametrize(
     ("what", "name", "why"),
     [
-        ("x in", "y", "declared already"),
-        ("x in", "mu", "declared already"),
+        ("x in", "y", "already declared"),
+        ("x in", "mu", "already declared"),
         ("x in", "observe", "begins a statement"),
         ("k = 1", "nn", "word of the language"),
-        ("k = 1", "s", "something else"),  # a parameter of `f` would shadow it
-        ("s) =", "k", "something else"),  # would shadow the learnable
+        ("k = 1", "s", "another meaning"),  # a parameter of `f` would shadow it
+        ("s) =", "k", "another meaning"),  # would shadow the learnable
         ("exp", "a", "word of the language"),
         ("x in", "a b", "not a name"),
         ("tanh", "relu", "word of the language"),
@@ -160,7 +160,7 @@ def test_names_are_compared_after_nfkc(tmp_path: Path) -> None:
     assert renamed(*model(tmp_path, text), "μ'", "x") == "model m\nstate x = 1\nx' = -x\nobserve x\n"
 
 
-def test_units_are_a_namespace_of_their_own(tmp_path: Path) -> None:
+def test_units_have_a_separate_namespace(tmp_path: Path) -> None:
     text = 'model m\nunit gX "biomass"\nstate gX2 : gX/L = 1\nconst gs : gX = 2\ngX2\' = -gs*gX2/gs\nobserve gX2\n'
     new = renamed(*model(tmp_path, text), "gX/L", "gB")
     assert new == text.replace("unit gX ", "unit gB ").replace(": gX", ": gB")
@@ -179,13 +179,13 @@ def test_what_a_base_declares_is_renamed_in_all_files_that_extend_it(tmp_path: P
     assert {p.name: len(spans) for p, spans in places.items()} == {"base.gb": 2, "one.gb": 1, "two.gb": 1}
     own = (tmp_path / "two.gb").read_text().index("own")
     assert {p.name for p in rename(workspace, tmp_path / "two.gb", own, "mine").places} == {"one.gb", "two.gb"}
-    with pytest.raises(Refused, match="declared already"):
+    with pytest.raises(Refused, match="already declared"):
         rename(workspace, tmp_path / "base.gb", (tmp_path / "base.gb").read_text().index("k ="), "extra")
 
 
 @settings(deadline=None, max_examples=25)
 @given(st.data())
-def test_whatever_is_renamed_in_a_shipped_model_it_stays_the_same_model(data: st.DataObject) -> None:
+def test_renaming_in_a_bundled_model_keeps_the_model(data: st.DataObject) -> None:
     path = data.draw(st.sampled_from(sorted(p for p in shipped_models().values() if "extends" not in p.read_text())))
     workspace = Workspace(roots=(path.parent,))
     found = [o for o in workspace.occurrences(path) if o.symbol.space in ("name", "argument") and not o.implied]
@@ -204,7 +204,7 @@ def test_whatever_is_renamed_in_a_shipped_model_it_stays_the_same_model(data: st
 
 
 @pytest.mark.parametrize("path", sorted(shipped_models().values()), ids=lambda p: p.stem)
-def test_a_renamed_state_leaves_the_shipped_model_as_it_was(path: Path) -> None:
+def test_a_renamed_state_leaves_the_bundled_model_as_it_was(path: Path) -> None:
     workspace = Workspace(roots=(path.parent,))
     before = described(path, workspace)
     states = {
@@ -222,7 +222,7 @@ def test_a_renamed_state_leaves_the_shipped_model_as_it_was(path: Path) -> None:
 
 
 def described(path: Path, workspace: Workspace) -> str:
-    """All that `check --json` says of a model, and the model itself."""
+    """The output of `check --json` for a model, and the model itself."""
     findings = Findings()
     model = frontend.load_model(path, findings, workspace.source)
     document = describe(str(path), model, findings, examine(model, findings))
@@ -230,7 +230,7 @@ def described(path: Path, workspace: Workspace) -> str:
 
 
 @pytest.mark.parametrize("path", sorted(shipped_models().values()), ids=lambda p: p.stem)
-def test_every_name_of_the_shipped_models_leads_to_its_declaration(path: Path) -> None:
+def test_every_name_of_the_bundled_models_leads_to_its_declaration(path: Path) -> None:
     workspace = Workspace(roots=(path.parent,))
     for found in workspace.occurrences(path):
         named = found.symbol.space in ("name", "argument") and found.symbol.name != "t"
@@ -238,7 +238,7 @@ def test_every_name_of_the_shipped_models_leads_to_its_declaration(path: Path) -
             assert definitions(workspace, path, found.span.start), found
 
 
-def test_a_circle_of_files_is_followed_once(tmp_path: Path) -> None:
+def test_a_cycle_of_files_is_followed_once(tmp_path: Path) -> None:
     (tmp_path / "a.gb").write_text('model a extends "b.gb"\nstate x = 1\n')
     (tmp_path / "b.gb").write_text('model b extends "a.gb"\n')
     workspace = Workspace()

@@ -1,4 +1,4 @@
-"""What the server does when something of its own fails, and where the package it needs is missing."""
+"""The server after a failure of a handler, and without the package that it needs."""
 
 from __future__ import annotations
 

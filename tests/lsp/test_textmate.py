@@ -21,7 +21,7 @@ from gbspec.syntax.names import FUNCTIONS
 GRAMMAR: dict[str, Any] = json.loads(grammar())
 VSCODE = grammar_file("gb.lark").parent / "vscode"
 
-# Oniguruma, which editors use, and Python agree on what these are made of; whatever else would come in fails here.
+# Oniguruma, which editors use, and Python agree on these constructs; any other construct fails here.
 PLAIN = re.compile(r"\(\?(?!:|=|!|<=|<!)|\\[pPhHRXKGg]|[*+?]\+|\(\?>")
 
 
@@ -39,7 +39,7 @@ RULES = [(re.compile(rule["match"]), rule) for rule in rules(GRAMMAR["patterns"]
 
 
 def tokens(line: str) -> list[tuple[str, str]]:
-    """The stretches of a line with their scopes: the earliest match, of several the first rule's, as editors do it."""
+    """The parts of a line with their scopes: the earliest match, among several the first rule's, as in editors."""
     found: list[tuple[str, str]] = []
     position = 0
     while position < len(line):
@@ -134,7 +134,7 @@ def test_a_line_is_read_as_a_person_reads_it() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(shipped_models().values()), ids=lambda p: p.stem)
-def test_every_statement_of_the_shipped_models_is_seen(path: Path) -> None:
+def test_every_statement_of_the_bundled_models_is_seen(path: Path) -> None:
     for line in path.read_text(encoding="utf-8").splitlines():
         if line and not line[0].isspace() and not line.startswith(("#", ")", "]")):
             scopes = {scope for _, scope in tokens(line)}

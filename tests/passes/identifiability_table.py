@@ -1,4 +1,4 @@
-"""The table of known answers as a page: what `gbspec check` says of each case of `test_identifiability`.
+"""The table of known answers as a page: the output of `gbspec check` for each case of `test_identifiability`.
 
 python -m tests.passes.identifiability_table        rewrites docs/identifiability.md
 """
@@ -29,7 +29,7 @@ Functions declared `unknown` are arbitrary functions of their arguments. Line nu
 
 @cache
 def cases() -> dict[str, tuple[str, Model]]:
-    """Every case: how its model is shown, and the model."""
+    """Every case: the text that describes its model, and the model."""
     found = {name: (_shown(text), model_of("model m\n" + text)) for name, (text, *_) in CASES.items()}
     for name, unseen, *_ in PAPER:
         hidden = " and ".join(f"`{state}`" for state in unseen)
@@ -59,7 +59,7 @@ def row(name: str, shown: str, model: Model) -> str:
 
 
 def _lines(finding: Diagnostic) -> str:
-    """The lines that a finding points to."""
+    """The lines that a diagnostic points to."""
     spans = [span for span in (finding.place, *(label.span for label in finding.labels)) if isinstance(span, Span)]
     return ", ".join(str(line) for line in sorted({span.position[0] for span in spans}))
 

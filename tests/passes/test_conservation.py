@@ -1,4 +1,4 @@
-"""Conservation laws found, claims decided: against what is known by hand."""
+"""Conservation laws and decisions on claims, compared with results derived by hand."""
 
 from __future__ import annotations
 

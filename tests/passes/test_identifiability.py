@@ -1,4 +1,4 @@
-"""What no data can separate: a table of cases whose answers are known."""
+"""Structural identifiability: a table of cases with known answers."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_the_paper_s_systems(name: str, unseen: list[str], count: int, constants
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
-def test_shipped_models_are_answered_in_time(path: Path) -> None:
+def test_bundled_models_are_answered_in_time(path: Path) -> None:
     model = model_at(path)
     begin = time.process_time()
     for all_states in (True, False):

@@ -1,4 +1,4 @@
-"""The page of known answers holds every case, and what it says is what `gbspec check` says."""
+"""The page of known answers has every case and agrees with the output of `gbspec check`."""
 
 from __future__ import annotations
 

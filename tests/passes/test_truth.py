@@ -1,4 +1,4 @@
-"""The truth put in place of what is learned."""
+"""Substitution of the truth for learnables and unknowns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ x, y, k = symbol("x"), symbol("y"), symbol("k")
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
-def test_shipped_models_with_a_truth_become_complete(path: Path) -> None:
+def test_bundled_models_with_a_truth_become_complete(path: Path) -> None:
     model = model_at(path)
     if not model.has_truth:
         with pytest.raises(UserError):
@@ -29,7 +29,7 @@ def test_shipped_models_with_a_truth_become_complete(path: Path) -> None:
     assert complete.constant_names == model.constant_names
 
 
-def test_bodies_take_the_place_of_applications_within_applications() -> None:
+def test_bodies_replace_nested_applications() -> None:
     model = model_of(
         "model m\nstate x\nstate y\nlearn k = 1\nunknown f(a, b)\nunknown g(a)\nlet r = f(x, g(y))\n"
         "x' = r + f(f(x, y), x)\ny' = k*g(f(y, x))\nobserve z = g(g(x))\n"
@@ -43,7 +43,7 @@ def test_bodies_take_the_place_of_applications_within_applications() -> None:
     assert [(c.name, c.value) for c in complete.constants] == [("k", 4.0)]
 
 
-def test_learnables_without_a_truth_stand_at_their_start() -> None:
+def test_learnables_without_a_truth_have_their_starting_value() -> None:
     complete = with_truth(model_of("model m\nstate x\nlearn k in [0, 10]\nx' = -k*x\nobserve x\n"))
     assert [(c.name, c.value) for c in complete.constants] == [("k", 5.0)]
 
@@ -75,7 +75,7 @@ def test_values_are_set() -> None:
     assert model.constants[0].value == 1
 
 
-def test_wrong_settings_are_all_told() -> None:
+def test_wrong_settings_are_all_reported() -> None:
     model = model_of("model m\nstate x\nlearn beta = 1\nx' = -beta*x\nobserve x\n")
     with pytest.raises(UserError) as caught:
         with_values(model, {"bta": 2, "x": 1, "beta": float("nan")})

@@ -1,4 +1,4 @@
-"""Arrays of states, written out."""
+"""Expansion of arrays of states."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_two_arrays_and_a_process() -> None:
     assert set(found) <= {"GB314"}
 
 
-def test_one_mistake_in_a_balance_for_every_element_is_told_once() -> None:
+def test_one_mistake_in_a_balance_for_every_element_is_reported_once() -> None:
     assert codes("model m\nstate c[1..50]\nc[i]' = -k*c[i]\nobserve c[1]\n") == ["GB201"]
     assert codes("model m\nstate c[1..50]\nobserve c[1]\n") == ["GB301"]
 

@@ -1,4 +1,4 @@
-"""One mistake, one finding; and none hides another."""
+"""One mistake gives one diagnostic, and none hides another."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_right_text_is_right() -> None:
         ("state x in [0, 1]", "state x in [0, 1] = 2", "GB222"),
     ],
 )
-def test_one_mistake_gives_one_finding(old: str, new: str, code: str) -> None:
+def test_one_mistake_gives_one_diagnostic(old: str, new: str, code: str) -> None:
     assert old in RIGHT
     found = [c for c in codes(RIGHT.replace(old, new, 1)) if not (c == "GB201" and code == "GB201")]
     expected = [] if code == "GB201" else [code]
@@ -68,7 +68,7 @@ def test_one_mistake_gives_one_finding(old: str, new: str, code: str) -> None:
     assert code in codes(RIGHT.replace(old, new, 1))
 
 
-def test_a_name_that_is_missing_everywhere_is_told_once() -> None:
+def test_a_name_that_is_missing_everywhere_is_reported_once() -> None:
     text = RIGHT.replace("const a = 2\n", "")
     assert codes(text) == ["GB201"]
 
@@ -79,12 +79,12 @@ def test_a_statement_that_cannot_be_read_does_not_make_others_wrong() -> None:
     assert len(found) == 2
 
 
-def test_several_mistakes_are_all_told() -> None:
+def test_several_mistakes_are_all_reported() -> None:
     text = RIGHT.replace("const a = 2", "const a = 1/0").replace("input F held", "input F").replace("- f(y)", "- f(q)")
     assert codes(text) == ["GB227", "GB223", "GB201"]
 
 
-def test_unused_names_are_told_only_of_a_text_without_errors() -> None:
+def test_unused_names_are_reported_only_of_a_text_without_errors() -> None:
     assert codes(RIGHT.replace("- f(y)", "")) == ["GB403"]
     assert codes(RIGHT.replace("- f(y)", "- g(y)")) == ["GB201"]
 

@@ -1,4 +1,4 @@
-"""Every code of this part: its wrong example gets it, alone; its right example gets nothing."""
+"""Every code of this part: its wrong example gets only this code, its right example none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def findings_of(text: str, folder: Path) -> Findings:
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda e: e.code)
-def test_wrong_example_gets_its_code_alone(entry: Entry, tmp_path: Path) -> None:
+def test_wrong_example_gets_only_its_code(entry: Entry, tmp_path: Path) -> None:
     codes = {d.code for d in findings_of(entry.wrong + "\n", tmp_path)}
     assert codes == {entry.code}
 
@@ -37,7 +37,7 @@ def test_right_example_gets_nothing(entry: Entry, tmp_path: Path) -> None:
     assert [d.code for d in findings_of(entry.right + "\n", tmp_path)] == []
 
 
-def test_every_code_that_is_reported_stands_in_the_catalogue() -> None:
+def test_every_code_that_is_reported_is_in_the_catalogue() -> None:
     import re
 
     import gbspec

@@ -1,4 +1,4 @@
-"""Checking costs time in proportion to the text, and no depth of nesting exhausts the stack."""
+"""The time of checking is proportional to the text's length, and no depth of nesting exhausts the stack."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def test_two_hundred_states_take_seconds() -> None:
 
 
 def test_growth_is_linear() -> None:
-    model_of(network_of_reactions(10))  # what is made once, such as the parser
+    model_of(network_of_reactions(10))  # initialises the parser and other caches
     small, large = (calls(lambda n=n: model_of(network_of_reactions(n))) for n in (100, 500))
-    assert large < 1.5 * 5 * small  # five times the text; what is quadratic would take 25 times the calls
+    assert large < 1.5 * 5 * small  # five times the text; a quadratic algorithm would need 25 times the calls
 
 
 def test_long_chain_of_lets() -> None:
@@ -37,7 +37,7 @@ def test_long_chain_of_lets() -> None:
     assert codes("\n".join([*lines, "x' = -a2999", "observe x", ""])) == []
 
 
-def test_long_circle_is_told_in_short() -> None:
+def test_long_cycle_is_shortened() -> None:
     lines = ["model chain", "state x"]
     lines += [f"let a{i} = a{(i + 1) % 1000} + 1" for i in range(1000)]
     assert codes("\n".join([*lines, "x' = -a0", "observe x", ""])) == ["GB208"]
@@ -49,7 +49,7 @@ def test_deep_nest_of_functions_is_refused() -> None:
     assert codes("\n".join([*lines, "x' = -f499(x)", "observe x", ""])) == ["GB236"]
 
 
-def test_functions_in_a_circle_and_functions_that_explode_are_not_evaluated() -> None:
+def test_functions_in_a_cycle_and_functions_that_grow_too_large_are_not_evaluated() -> None:
     circle = "model m\nstate x\nfunction f(y) = g(y - 1)\nfunction g(y) = f(2)\nx' = -f(x)\nobserve x\n"
     assert codes(circle) == ["GB208"]
     lines = [

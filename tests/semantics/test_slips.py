@@ -1,4 +1,4 @@
-"""Likely slips in a whole model, through every check: each gives one finding, at its place."""
+"""Likely mistakes in a whole model, through every check: each gives one diagnostic, at its place."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def test_the_right_model_is_right() -> None:
     assert not list(findings_of(RIGHT))
 
 
-def test_there_are_at_least_sixty_slips() -> None:
+def test_there_are_at_least_sixty_mistakes() -> None:
     assert len(SLIPS) >= 60
     assert len({slip for *_, slip in SLIPS}) == len(SLIPS)
 
 
 @pytest.mark.parametrize(("code", "line", "marked", "right", "slip"), SLIPS, ids=[slip for *_, slip in SLIPS])
-def test_a_slip_is_one_finding_at_its_place(code: str, line: str, marked: str, right: str, slip: str) -> None:
+def test_a_mistake_is_one_diagnostic_at_its_place(code: str, line: str, marked: str, right: str, slip: str) -> None:
     assert right in RIGHT
     (finding,) = findings_of(RIGHT.replace(right, slip.replace("<tab>", "\t"), 1))
     assert isinstance(finding.place, Span)

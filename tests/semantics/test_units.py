@@ -1,4 +1,4 @@
-"""Units: what agrees, what does not, what follows from use."""
+"""Units: agreement, disagreement, and inference from use."""
 
 from __future__ import annotations
 
@@ -126,20 +126,20 @@ def test_a_unit_is_found_from_use() -> None:
     assert codes(text + "observe z = y : mg\n") == ["GB504"]
 
 
-def test_a_model_without_units_is_left_alone() -> None:
+def test_a_model_without_units_is_not_checked() -> None:
     assert codes("model m\nstate x\nx' = -x + 1\nobserve x\n") == []
     program = 'import sys; from tests.texts import codes; codes("model m\\nstate x\\nx\' = -x\\n"); '
     subprocess.run([sys.executable, "-c", program + "assert 'pint' not in sys.modules"], check=True)
 
 
-def test_what_is_left_open_is_told_once() -> None:
+def test_what_is_undetermined_is_reported_once() -> None:
     text = "model m\nstate x : g\nlearn k = 1\nlearn c = 1\nx' = -k*x - c*x\nobserve x\n"
     _, findings = checked(text)
     assert [(d.code, d.subject) for d in findings] == [("GB550", "t")]
     assert codes(text.replace("model m\n", "model m\ntime t : h\n")) == []
 
 
-def test_user_units_are_a_namespace_of_their_own() -> None:
+def test_user_units_have_a_separate_namespace() -> None:
     text = "model m\ntime h : s\nunit h\nstate g : h\nconst s : h/s = 1\ng' = -s\nobserve g\n"
     assert codes(text) == []
 

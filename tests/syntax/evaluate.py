@@ -24,7 +24,7 @@ OPERATORS = {
 
 
 def evaluate(expression: ast.Expression, values: Mapping[str, float]) -> float:
-    """The value at the given names."""
+    """The value of an expression for given values of its names."""
 
     def rule(node: ast.Node, below: tuple[float, ...]) -> float:
         match node:

@@ -1,4 +1,4 @@
-"""The parser's idea of precedence and association against Python's, on random expressions."""
+"""Precedence and associativity of the parser compared with Python's, on random expressions."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_walk_goes_from_left_to_right_and_same_ignores_places() -> None:
     assert len(children(first)) == 2
 
 
-def test_parentheses_are_kept_and_looked_through() -> None:
+def test_parentheses_are_kept_and_ignored_in_evaluation() -> None:
     expression = parse_expression(Source("a", "((x))"), Findings())
     assert isinstance(expression, ast.Group)
     assert isinstance(ungrouped(expression), ast.Name)

@@ -1,4 +1,4 @@
-"""The canonical form: what it looks like, and that it changes neither meaning nor comments."""
+"""The canonical form, and that formatting changes neither meaning nor comments."""
 
 from __future__ import annotations
 
@@ -118,20 +118,20 @@ def test_a_sum_of_5000_terms_is_formatted() -> None:
     assert formatted(once) == once
 
 
-def test_a_wrong_file_is_refused_with_every_finding() -> None:
+def test_a_wrong_file_is_refused_with_every_diagnostic() -> None:
     with pytest.raises(UserError) as caught:
         formatted("let a = (b\nlet c = 2d\n")
     assert [finding.code for finding in caught.value.diagnostics] == ["GB105", "GB116"]
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("models/**/*.gb")), ids=lambda path: path.stem)
-def test_shipped_models_keep_their_meaning(path: Path) -> None:
+def test_bundled_models_keep_their_meaning(path: Path) -> None:
     source = read_source(path)
     once = format_text(source)
     assert format_text(Source(source.path, once)) == once
     assert same(parse(source, Findings()), parse(Source(source.path, once), Findings()))
 
 
-def test_contracts_after_a_comment_stand_as_deep_as_the_first() -> None:
+def test_contracts_after_a_comment_are_indented_like_the_first() -> None:
     text = "model m\nstate x\nunknown f(x)\n    >= 0,  # a rate\n    zero at x = 0\n    by mlp(8)\nx' = f\n"
     assert format_text(Source("m.gb", text)) == text

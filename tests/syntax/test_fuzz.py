@@ -9,7 +9,7 @@ import pytest
 from tests.fuzz import MUTATIONS, campaign, corpus, outcome
 
 
-def test_mutated_files_give_a_model_or_findings() -> None:
+def test_mutated_files_give_a_model_or_diagnostics() -> None:
     results = list(campaign(count=300, first=0, workers=1))
     failures = {number: found.detail for number, found, _ in results if found.kind == "failure"}
     assert not failures

@@ -1,4 +1,4 @@
-"""Likely slips: each gets one finding, with its code, at the right place; and no entry of the table is idle."""
+"""Likely mistakes: each gets one diagnostic, with its code, at the right place; every entry of the table is used."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def findings_of(text: str) -> Findings:
 
 
 @pytest.mark.parametrize(("code", "marked", "slip"), SLIPS, ids=[slip for _, _, slip in SLIPS])
-def test_a_slip_is_one_finding_at_its_place(code: str, marked: str, slip: str) -> None:
+def test_a_mistake_is_one_diagnostic_at_its_place(code: str, marked: str, slip: str) -> None:
     (finding,) = findings_of(f"{BEFORE}{slip}\n{AFTER}")
     assert finding.code == code
     assert isinstance(finding.place, Span)
@@ -34,14 +34,14 @@ def test_a_slip_is_one_finding_at_its_place(code: str, marked: str, slip: str) -
 
 
 @pytest.mark.parametrize(("code", "slip"), LONE)
-def test_a_slip_in_a_lone_expression(code: str, slip: str) -> None:
+def test_a_mistake_in_a_lone_expression(code: str, slip: str) -> None:
     findings = Findings()
     assert parse_expression(Source("--reject", slip), findings) is None
     assert [finding.code for finding in findings] == [code]
     assert "statement" not in "".join(finding.message + finding.label for finding in findings)
 
 
-def test_no_message_shows_the_grammar_s_own_words() -> None:
+def test_no_message_shows_terminals_of_the_grammar() -> None:
     terminals = {terminal.name for terminal in engine()[0].terminals}
     shouting = {name for name in terminals if len(name) > 2 and name not in {"AND", "NOT"}}
     for _, _, slip in SLIPS:
@@ -51,7 +51,7 @@ def test_no_message_shows_the_grammar_s_own_words() -> None:
         assert not words & shouting, finding.message
 
 
-def test_every_entry_of_the_table_speaks_for_some_slip(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_entry_of_the_table_applies_to_some_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
     spoken: list[mistakes.Mistake] = []
     say = mistakes._say
     monkeypatch.setattr(mistakes, "_say", lambda mistake, slip: (spoken.append(mistake), say(mistake, slip))[1])
@@ -64,7 +64,7 @@ def test_every_entry_of_the_table_speaks_for_some_slip(monkeypatch: pytest.Monke
     assert [entry.message for entry in mistakes.table(engine()[0]).entries if entry not in spoken] == []
 
 
-def test_the_finding_does_not_depend_on_what_stands_before() -> None:
+def test_the_diagnostic_does_not_depend_on_the_preceding_text() -> None:
     slip = "let a = 2x\n"
     messages = set()
     for before in ("", "model m\n", "state y\n" * 50, "unknown f(u)\n  >= 0\n"):

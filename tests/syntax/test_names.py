@@ -33,7 +33,7 @@ def test_normal_form() -> None:
     assert normalise("ﬁ") == "fi"
 
 
-def test_what_is_a_name() -> None:
+def test_well_formed_names() -> None:
     assert all(is_name(name) for name in ("x", "μ", "größe", "x_1", "_", "变量", "na\u0308he"))
     assert not any(is_name(name) for name in ("", "1x", "a·b", "x²", "a-b", "a b"))
 

@@ -1,4 +1,4 @@
-"""What each statement yields, where everything stands, and how lines make statements."""
+"""The tree of each statement, the places of its parts, and how lines form statements."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_state_with_all_clauses() -> None:
     assert state.description is not None and state.description.value == "biomass"
 
 
-def test_clauses_stand_in_any_order() -> None:
+def test_clauses_may_come_in_any_order() -> None:
     first = one('learn k : 1/h = 1 in [0, 2] prior normal(1, 2) per trajectory "k"')
     second = one('learn k per trajectory "k" prior normal(1, 2) in [0, 2] = 1 : 1/h')
     assert format_text(first.span.source) == format_text(second.span.source)
@@ -154,7 +154,7 @@ def test_empty_files_have_no_statement() -> None:
     assert read("\n# nothing\n   # here\n") == ()
 
 
-def test_errors_in_one_statement_hide_none_in_others() -> None:
+def test_errors_in_one_statement_do_not_hide_errors_in_others() -> None:
     findings = Findings()
     file = parse(Source("test.gb", "let a = (b\nstate X\nlet c = 2x\nX' = 1\nlet e = +\n"), findings)
     assert [finding.place.position[0] for finding in findings] == [1, 3, 5]  # type: ignore[union-attr]
@@ -176,7 +176,7 @@ def test_statements_after_a_stray_indentation_are_read() -> None:
     assert file is not None and len(file.statements) == 5
 
 
-def test_an_indented_first_line_is_one_finding() -> None:
+def test_an_indented_first_line_is_one_diagnostic() -> None:
     assert codes("  model m\nstate x\n") == ["GB110"]
     assert codes("  model m\n  state x\n  # why\n  x' = 1\n") == ["GB110"]
 
@@ -192,7 +192,7 @@ def test_an_indented_first_line_is_one_finding() -> None:
         "unknown f(x)\n>= 0\n",
     ],
 )
-def test_a_continued_line_that_is_not_indented_is_one_finding(text: str) -> None:
+def test_a_continued_line_that_is_not_indented_is_one_diagnostic(text: str) -> None:
     assert codes(text) == ["GB111"]
 
 
@@ -217,7 +217,7 @@ def test_a_sum_of_5000_terms_and_a_product_of_5000_factors() -> None:
         "c[" * 5_000 + "1" + "]" * 5_000,
     ],
 )
-def test_deep_nesting_is_one_finding(expression: str) -> None:
+def test_deep_nesting_is_one_diagnostic(expression: str) -> None:
     assert codes(f"let a = {expression}\n") == ["GB138"]
 
 
@@ -236,9 +236,9 @@ def test_many_statements_are_read_in_linear_time() -> None:
     def text(states: int) -> str:
         return "".join(f"state x{i} : g/L in [0, 10] = 0.5\nx{i}' = -k*x{i} + x{i + 1}/h^2\n" for i in range(states))
 
-    read(text(10))  # what is made once, such as the parser
+    read(text(10))  # initialises the parser and other caches
     small, large = (calls(lambda n=n: read(text(n))) for n in (100, 1000))
-    assert large < 1.5 * 10 * small  # ten times the text; a quadratic parser would make a hundred times the calls
+    assert large < 1.5 * 10 * small  # ten times the text; a quadratic parser would need a hundred times the calls
 
 
 # ------------------------------------------------------------------------------------------------------- expressions

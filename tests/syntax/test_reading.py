@@ -30,7 +30,7 @@ def test_byte_order_mark_and_line_ends(tmp_path: Path, mark: str, end: str) -> N
     assert file is not None and len(file.statements) == 2
 
 
-def test_an_absent_file_with_a_similar_one_beside_it(tmp_path: Path) -> None:
+def test_an_absent_file_with_a_similar_one_in_its_folder(tmp_path: Path) -> None:
     (tmp_path / "fermenter.gb").write_text("model m\n")
     finding = refused(tmp_path / "fermentor.gb")
     assert finding.code == "GB001"
@@ -64,7 +64,7 @@ def test_utf_16_is_named(tmp_path: Path) -> None:
     assert "UTF-16" in refused(path).message
 
 
-def test_a_binary_file_gives_findings(tmp_path: Path) -> None:
+def test_a_binary_file_gives_diagnostics(tmp_path: Path) -> None:
     path = tmp_path / "m.gb"
     path.write_bytes(bytes(range(128)) * 50)
     findings = Findings()
@@ -73,7 +73,7 @@ def test_a_binary_file_gives_findings(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["data.csv", "DATA.TSV", "data.parquet"])
-def test_a_table_in_place_of_the_model_is_one_finding(tmp_path: Path, name: str) -> None:
+def test_a_table_in_place_of_the_model_is_one_diagnostic(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("t,x\n0,1\n1,2\n")
     with pytest.raises(UserError) as caught:
         read_source(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Values that `--set` gives stand in the text that a run keeps."""
+"""Values given by `--set` are written to the text that a run stores."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each statement says of itself is complete, and the other layers know every statement."""
+"""The entry of each statement is complete, and the other layers handle every statement."""
 
 from __future__ import annotations
 

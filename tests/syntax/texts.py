@@ -1,4 +1,4 @@
-"""Random `.gb` texts that are right, as lists of tokens, so that spaces, line breaks and comments can be varied."""
+"""Random valid `.gb` texts, as lists of tokens, so that spaces, line breaks and comments can be varied."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The catalogue of codes: what each finding means, the smallest text that gets it, and the same text mended."""
+"""The catalogue of codes: the meaning of each diagnostic, a minimal text that causes it, and the corrected text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbspec.diagnostics.diagnostic import Defect, Diagnostic, UserError
 
 @dataclass(frozen=True)
 class Entry:
-    """What is known of one code; `topic` is the file of the catalogue that holds it."""
+    """The entry of one code; `topic` is the catalogue's file that has it."""
 
     code: str
     title: str
@@ -27,7 +27,7 @@ class Entry:
 
 @cache
 def entries() -> Mapping[str, Entry]:
-    """Every entry by its code, in the order of the codes; `Defect` where two files hold the same code."""
+    """Every entry by its code, in the order of the codes; raises `Defect` if two entries have the same code."""
     found: dict[str, Entry] = {}
     for resource in files(__package__).iterdir():
         if not resource.name.endswith(".toml"):
@@ -35,7 +35,7 @@ def entries() -> Mapping[str, Entry]:
         topic = resource.name.removesuffix(".toml")
         for code, fields in tomllib.loads(resource.read_text(encoding="utf-8")).items():
             if code in found:
-                raise Defect(f"{code} stands in the catalogue twice: {found[code].topic} and {topic}")
+                raise Defect(f"{code} is in the catalogue twice: {found[code].topic} and {topic}")
             texts = {key: str(value).strip("\n") for key, value in fields.items()}
             found[code] = Entry(code, texts["title"], texts["explanation"], texts["wrong"], texts["right"], topic)
     return MappingProxyType(dict(sorted(found.items())))
@@ -47,7 +47,7 @@ def all_codes() -> tuple[str, ...]:
 
 
 def explain(code: str) -> Entry:
-    """The entry of a code, letter case aside; raises `UserError` (GB009) where there is none."""
+    """The entry of a code, in upper or lower case; raises `UserError` (GB009) if there is none."""
     wanted = code.strip().upper()
     if wanted in entries():
         return entries()[wanted]
@@ -55,7 +55,7 @@ def explain(code: str) -> Entry:
 
 
 def _instead(wanted: str) -> str:
-    """What to ask for instead of a code that there is none of: the codes of its hundred, else where codes are seen."""
+    """A hint for a code that does not exist: the codes of the same hundred, else the range of codes."""
     beside = [code for code in all_codes() if code[:3] == wanted[:3]]
     close = get_close_matches(wanted, beside or all_codes(), n=1, cutoff=0.5)
     if beside:
@@ -65,7 +65,7 @@ def _instead(wanted: str) -> str:
         return f"did you mean `{close[0]}`?"
     kinds = sorted({code[:3] for code in all_codes()})
     first, last = f"{kinds[0]}xx", f"{kinds[-1]}xx"
-    return f"codes run from `{first}` to `{last}`, such as `GB201`; a finding shows its code in brackets"
+    return f"codes run from `{first}` to `{last}`, such as `GB201`; a diagnostic shows its code in brackets"
 
 
 def _shortened(codes: list[str]) -> str:

@@ -1,4 +1,4 @@
-"""Which learnable constants and unknown functions no data could separate, decided before there are any data."""
+"""Structural identifiability: learnable constants and unknown functions that no data can separate."""
 
 import lazy_loader
 

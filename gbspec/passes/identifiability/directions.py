@@ -1,4 +1,4 @@
-"""Which changes of the constants the unknown functions and free starts can absorb: null spaces of the jets' systems."""
+"""Changes of constants that unknown functions and initial values can compensate: null spaces of the jets' systems."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.series import Algebra, Evaluation
 
 SMALL = 1e-8
-"""Singular values below this part of the largest count as zero."""
+"""Singular values below this fraction of the largest count as zero."""
 
 MOST_COLUMNS = 1200
 ORDERS = range(1, 6)
@@ -27,10 +27,10 @@ SEED = 20
 
 @dataclass(frozen=True)
 class Directions:
-    """What cannot be told apart.
+    """The directions in which parameters cannot be identified.
 
-    `basis` holds, in its columns, changes of the sought constants that change nothing; `systems` the expansions they
-    were found with; `functions` the names of unknowns that change nothing by themselves in spite of known constants.
+    `basis` has as columns the changes of the sought constants without an observable effect; `systems` the expansions
+    they were found with; `functions` the names of unknowns that can change unobserved with all constants known.
     """
 
     basis: Array
@@ -41,10 +41,10 @@ class Directions:
 
 
 def find(question: Question, deadline: float) -> Directions | None:
-    """The directions that remain at growing order; None (undecided) if time or size runs out before they settle.
+    """The directions at increasing order, until their number is constant; None (undecided) if the budget ends first.
 
-    With every state known two equal ranks in a row settle it, with hidden ones three: each hidden state may take one
-    more derivative before it shows.
+    With every state measured two equal ranks in a row end the search, with unmeasured ones three: each unmeasured state
+    may need one more derivative before it affects an output.
     """
     needed = 3 if question.hidden else 2
     ranks: list[tuple[int, tuple[str, ...]]] = []
@@ -63,7 +63,7 @@ def find(question: Question, deadline: float) -> Directions | None:
 
 
 def at_order(question: Question, order: int, deadline: float = math.inf) -> Directions | None:
-    """The directions that remain at one order; None where an expression has no value or time runs out."""
+    """The directions that remain at one order; None if an expression has no value or time runs out."""
     instantaneous = not question.hidden and all(start is None for start in question.starts)
     algebra = Algebra(order, 0 if instantaneous else order)
     rng = np.random.default_rng(SEED + order)
@@ -91,7 +91,7 @@ def at_order(question: Question, order: int, deadline: float = math.inf) -> Dire
 
 
 def _bases(question: Question, rng: np.random.Generator) -> list[Base]:
-    """A generic point, points at the zeros of unknowns, and where two applications of one have the same arguments."""
+    """A generic point, points at zeros of unknowns, and points at which two applications have equal arguments."""
     bases = [_generic(question, rng)]
     for application in question.applications:
         for r, place in application.zeros:
@@ -125,7 +125,7 @@ def _generic(question: Question, rng: np.random.Generator) -> Base:
 def _agreeing(
     question: Question, first: Sequence[Expr], second: Sequence[Expr], rng: np.random.Generator
 ) -> Base | None:
-    """A point where expressions have the same values, by Newton's method with steps of least length."""
+    """A point where expressions have the same values, by Newton's method with minimum-norm steps."""
     values = {a.value for a in question.applications}
     expressions = [*first, *second]
     if any(e.free_symbols & values for e in expressions):
@@ -161,7 +161,7 @@ def _agreeing(
 
 
 def _scaled(system: LinearSystem) -> LinearSystem:
-    """Rows of the same size, so that high orders do not drown low ones; empty rows left out."""
+    """Rows scaled to equal norm, so that high orders do not dominate low ones; zero rows removed."""
     norms = np.max(np.abs(system.matrix), axis=1, initial=0.0)
     kept = norms > 1e-13
     system.matrix = system.matrix[kept] / norms[kept, None]
@@ -174,7 +174,7 @@ def _compressed(matrix: Array) -> Array:
 
 
 def _reduced(system: LinearSystem) -> Array:
-    """The equations in the constants alone: what no function and no start can absorb."""
+    """The equations in the constants only, with functions and initial values eliminated."""
     matrix = _compressed(system.matrix)
     constants, others = matrix[:, : system.constants], matrix[:, system.constants :]
     if not others.shape[1] or not matrix.shape[0]:
@@ -201,7 +201,7 @@ def _common_null(equations: Sequence[Array], count: int) -> Array:
 
 
 def _free_functions(systems: Sequence[LinearSystem]) -> tuple[str, ...]:
-    """Unknowns whose value can change while constants, starts and everything seen stay."""
+    """Unknowns whose value can change with constants, initial values and outputs fixed."""
     moving: set[str] | None = None
     for system in systems:
         others = _compressed(system.matrix[:, system.constants :])

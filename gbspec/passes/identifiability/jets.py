@@ -1,11 +1,11 @@
-"""The linear system of directions: small changes of constants, functions and starts that change nothing that is seen.
+"""The linear system for directions: small changes of constants, functions and initial values that keep all outputs.
 
-Around a base point, trajectories are followed along lines through the space of starts, conditions and inputs, as power
-series in time and along the line. An unknown function has a random Taylor polynomial at each argument where it is
-applied (a germ), and its change another one with free coefficients; a start or a constant of each trajectory, being
-free for each, changes by a polynomial in what tells trajectories apart. A direction is a vector of a change of the
-constants and of all these coefficients; it changes nothing that is seen if every coefficient of every residual is zero.
-The true directions are always among those found; with growing order the others disappear.
+Around a base point, trajectories are expanded along lines through the space of initial values, conditions and inputs,
+as power series in time and along the line. An unknown function has a random Taylor polynomial at each argument at which
+it is applied (a germ), and its change another one with free coefficients. An initial value or constant that is free for
+each trajectory changes by a polynomial in the quantities that distinguish trajectories. A direction is a vector of a
+change of the constants and of all these coefficients; it keeps all outputs if every coefficient of every residual is
+zero. The true directions are always among those found; with increasing order the others disappear.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def monomials(variables: int, order: int) -> list[tuple[int, ...]]:
 
 @dataclass
 class Germ:
-    """An unknown near one point of its arguments: random coefficients, and the first of its columns."""
+    """An unknown near one point of its arguments: random coefficients, and its first column in the system."""
 
     unknown: str
     base: tuple[float, ...]
@@ -45,7 +45,7 @@ class Germ:
     coefficients: Array
     column: int
     free: Mask
-    """Which coefficients can be anything: not those that a contract makes 0."""
+    """The coefficients that are free: not those that a contract makes 0."""
 
 
 @dataclass
@@ -58,37 +58,37 @@ class Base:
 
 @dataclass
 class LinearSystem:
-    """The residuals' coefficients, one row each, by columns: constants, then everything else."""
+    """The residuals' coefficients, one row each, by columns: constants, then all others."""
 
     matrix: Array
     germs: list[Germ]
     constants: int
     starts: dict[str, int]
-    """The first column of each hidden state's free start, a polynomial over `parameters` less their base values."""
+    """The first column of each unmeasured initial value, a polynomial in `parameters` minus their base values."""
     parameters: list[sympy.Symbol]
     own: dict[str, int]
-    """The first column of each constant that every trajectory has to itself."""
+    """The first column of each constant with a value per trajectory."""
 
 
 @dataclass
 class Columns:
-    """Hands out columns; the constants have the first ones."""
+    """Allocates columns; the constants have the first ones."""
 
     count: int
     free: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def take(self, number: int) -> int:
-        """The first of so many new columns."""
+        """The first of `number` new columns."""
         self.count += number
         return self.count - number
 
 
-class OutOfTime(Exception):  # noqa: N818 - no error, a budget that is spent
-    """The time for an answer is up."""
+class OutOfTime(Exception):  # noqa: N818 - not an error: the budget is spent
+    """The time budget is spent."""
 
 
 class Jet:
-    """One base point of one question, expanded."""
+    """The expansion of a question at one base point."""
 
     def __init__(
         self,
@@ -164,7 +164,7 @@ class Jet:
         return values
 
     def _evaluation(self, values: dict[sympy.Symbol, Array]) -> Evaluation:
-        """Values of everything, those of the networks put in one after the other."""
+        """Values of all symbols; those of networks are added one after the other."""
         table = dict(values)
         evaluation = Evaluation(self._algebra, table, self._lines)
         self._powers: list[tuple[Germ, Array]] = []
@@ -187,7 +187,7 @@ class Jet:
         coefficients[0] = abs(coefficients[0])
         free = np.ones(len(exponents), dtype=bool)
         for r, place in application.zeros:
-            if abs(base[r] - float(place)) < 1e-9:  # what does not grow with this argument vanishes
+            if abs(base[r] - float(place)) < 1e-9:  # monomials without this argument vanish
                 free &= np.array([exponent[r] > 0 for exponent in exponents])
         column = self._columns.take(len(exponents))
         germ = Germ(unknown, tuple(base), exponents, coefficients * free, column, free)
@@ -195,7 +195,7 @@ class Jet:
         return germ
 
     def _monomials(self, arguments: Sequence[Array], germ: Germ) -> Array:
-        """Powers of the arguments less their base values, shape [monomials, lines, L]."""
+        """Powers of the arguments minus their base values, shape [monomials, lines, L]."""
         shifted = [
             a - self._algebra.constant(np.full(self._lines, b)) for a, b in zip(arguments, germ.base, strict=True)
         ]
@@ -247,7 +247,7 @@ class Jet:
         return result
 
     def _free(self, kind: str, name: str) -> Array:
-        """A change that each trajectory has to itself: a polynomial in what tells trajectories apart."""
+        """A change that is free for each trajectory: a polynomial in the quantities that distinguish trajectories."""
         exponents = monomials(self._directions.shape[1], self._algebra.order)
         column = self._columns.free.get((kind, name))
         if column is None:
@@ -259,7 +259,7 @@ class Jet:
         return result
 
     def _start_changes(self) -> dict[int, Array]:
-        """Changes of the starts: free ones for hidden states, of expressions by what they hold, none for the rest."""
+        """Changes of initial values: free for unmeasured states, by the chain rule for expressions, else zero."""
         question = self._question
         at_start = Evaluation(self._algebra, self._start_values(), self._lines)
         found: dict[int, Array] = {}
@@ -297,7 +297,7 @@ class Jet:
         return result
 
     def _change(self, e: Expr, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]) -> Array:
-        """The change of an expression: of its constants, of hidden states, of networks; shape [columns, lines, L]."""
+        """The change of an expression: of its constants, unmeasured states and networks; shape [columns, lines, L]."""
         if time.process_time() > self._deadline:
             raise OutOfTime
         question, algebra = self._question, self._algebra
@@ -316,7 +316,7 @@ class Jet:
 
 
 def size(question: Question, order: int) -> int:
-    """How many columns a jet of that order has, about."""
+    """The approximate number of columns of a jet of that order."""
     model = question.model
     space = len(model.states) + len(model.conditions) + len(model.inputs)
     free = len(question.own) + sum(question.starts[i] is None for i in question.hidden)

@@ -1,4 +1,4 @@
-"""A Model as a question of what its data determine: its right sides in terms of constants and function values."""
+"""The identifiability question of a Model: its right sides in terms of constants and function values."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class Application:
     value: sympy.Dummy
     arguments: tuple[Expr, ...]
     zeros: tuple[tuple[int, Expr], ...] = ()
-    """Places where the network is known to vanish: an argument, and its value (contracts `zero at`)."""
+    """Known zeros of the network (contracts `zero at`): the index of an argument, and its value."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What varies, what is sought, and what is seen.
+    """The variables, the sought parameters and the outputs.
 
-    `known` are the states that are measured as they are; `hidden` the others. `starts` has the expression of a state's
-    start, None where it is free. `rates` and `outputs` are in symbols of states, variables, constants and the values of
-    applications. `outputs` are the measured expressions that are not states.
+    `known` are the states that are measured directly; `hidden` the others. `starts` has the expression of a state's
+    initial value, None if it is free. `rates` and `outputs` are in symbols of states, variables, constants and the
+    values of applications. `outputs` are the measured expressions that are not states.
     """
 
     model: Model
@@ -41,12 +41,12 @@ class Question:
 
     @cached_property
     def hidden(self) -> tuple[int, ...]:
-        """States that are not measured as they are."""
+        """States that are not measured directly."""
         return tuple(i for i in range(len(self.model.states)) if i not in self.known)
 
     @cached_property
     def sought(self) -> tuple[Learnable, ...]:
-        """Learnables, one value for all trajectories; a prior counts as knowledge."""
+        """Learnables, one value for all trajectories, without those that have a prior."""
         return tuple(k for k in self.model.learnables if k.prior is None and not k.per_trajectory)
 
     @cached_property
@@ -56,7 +56,7 @@ class Question:
 
     @property
     def uses_time(self) -> bool:
-        """Whether the time stands in any expression."""
+        """Whether the time occurs in any expression."""
         return any(self.model.time.symbol in e.free_symbols for e in (*self.rates, *self.outputs, *self._arguments))
 
     @property
@@ -65,7 +65,7 @@ class Question:
 
 
 def pose(model: Model, *, all_states: bool) -> Question:
-    """The question with every state measured and every start free, or with what `observe` and `initial` say."""
+    """The question with all states measured and all initial values free, or as declared by `observe` and `initial`."""
     channels = [c.value for c in model.channels if c.state is None]
     expressions = model.inlined([*model.balances, *channels])
     table, applications = _applications(model, expressions)
@@ -78,7 +78,7 @@ def pose(model: Model, *, all_states: bool) -> Question:
 
 
 def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr, Expr], tuple[Application, ...]]:
-    """Each distinct application, inner ones first, and what it is replaced by: its postulate at a symbol for `nn`."""
+    """Each distinct application, inner ones first, and its replacement: its postulate with a symbol for `nn`."""
     found: set[Expr] = set()
     for expression in expressions:
         found |= expression.atoms(AppliedUndef)
@@ -97,7 +97,7 @@ def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr,
 
 
 def _zeros(unknown: Unknown, model: Model) -> tuple[tuple[int, Expr], ...]:
-    """Where the contract `zero at` of an unknown without a postulate puts a zero, if that place is a known number."""
+    """The zeros by the contracts `zero at` of an unknown without a postulate, if their places are known numbers."""
     if unknown.postulate != NN:
         return ()
     names = [a.name for a in model.networks[unknown.network].arguments]

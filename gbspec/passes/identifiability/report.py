@@ -1,4 +1,4 @@
-"""What is told of directions: the set, the transformation, the lines, and what would separate it."""
+"""Reports directions: the set of names, the transformation, the source lines, and remedies."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gbspec.passes.terms import larger_than
 MOST_STATES = 40
 MOST_NODES = 50_000
 _SAME_MISTAKE = frozenset({"GB403", "GB404"})
-"""Warnings on a constant that say already why it cannot be learned: never used, only compared with."""
+"""Earlier warnings on a constant that explain why it cannot be learned: never used, used only in comparisons."""
 
 BUDGET = 2.0
 """Seconds of processor time after which the answer is `undecided`."""
@@ -27,9 +27,9 @@ BUDGET = 2.0
 
 @dataclass(frozen=True)
 class Inseparable:
-    """Names that no data separate: learnable constants and unknowns, and a transformation that proves it if known.
+    """Learnable constants and unknowns that no data can separate, and a transformation that proves it if known.
 
-    `measured_states` tells whether that is so even with every state measured, or only with what `observe` declares.
+    `measured_states`: whether they are inseparable even with every state measured, or only with the declared channels.
     """
 
     constants: tuple[str, ...]
@@ -39,22 +39,22 @@ class Inseparable:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them."""
+        """The names of constants and unknowns."""
         return (*self.constants, *self.unknowns)
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """The answer; `decided` is False where time or size did not allow one."""
+    """The answer; `decided` is False if time or size did not allow one."""
 
     decided: bool
     sets: tuple[Inseparable, ...] = ()
 
 
 def identifiability(model: Model, findings: Findings, budget: float = BUDGET) -> Identifiability:
-    """Finds what no data could separate and records a warning for each set (GB401; GB402 for a constant by itself).
+    """Finds sets that no data can separate and records a warning for each (GB401; GB402 for a single constant).
 
-    With each unknown a free function of its arguments: first with every state measured, then with what `observe` and
+    Each unknown is a free function of its arguments; first with every state measured, then with what `observe` and
     `initial` declare. `allow GB401 NAME` with any name of a set accepts it.
     """
     if not model.learnables and len(model.unknowns) < 2:
@@ -71,9 +71,9 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     if declared is None:
         return Identifiability(False)
     sets = _sets(question, declared, everything)
-    told = {d.subject for d in findings if d.code in _SAME_MISTAKE}
+    reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
-        if not any(name in told or model.accepts("GB404", name) for name in found.constants):
+        if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
             _warn(model, question, found, findings)
     return Identifiability(True, tuple(sets))
 
@@ -154,11 +154,11 @@ def _note(found: Inseparable) -> str:
     if found.transformation:
         return f"{found.transformation} leaves everything that is observed unchanged"
     if not found.constants:
-        return "what one of them gains the other can lose"
+        return "a change of one of them can compensate a change of the other"
     if found.unknowns:
         return f"{_list(found.unknowns)} can compensate any change of {_list(found.constants)}"
     if len(found.constants) == 1:
-        return "nothing that is observed depends on it"
+        return "no observed quantity depends on it"
     return "they can change together without any effect on what is observed"
 
 

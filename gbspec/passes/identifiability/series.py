@@ -1,4 +1,4 @@
-"""Truncated power series in time t and in a parameter s along many lines at once, and expressions evaluated on them.
+"""Truncated power series in time t and a parameter s along many lines at once, and evaluation of expressions on them.
 
 An array of shape [..., L] holds the coefficients of the L monomials t^i s^j with i + j <= order (and i <= time order).
 Everything but the constant term is nilpotent, so a function of a series is its Taylor polynomial at the constant term.
@@ -21,7 +21,7 @@ from gbspec.ir import Expr
 
 @dataclass(frozen=True)
 class Algebra:
-    """Arithmetic of series up to a total order, with time up to its own."""
+    """Arithmetic of series up to a total order and an order in time."""
 
     order: int
     time_order: int
@@ -39,7 +39,7 @@ class Algebra:
 
     @cached_property
     def _products(self) -> list[tuple[list[int], list[int]]]:
-        """For each monomial: the monomials that it can be multiplied with, and what comes out."""
+        """For each monomial: the monomials that it can be multiplied with, and the products."""
         table = []
         for i, j in self.monomials:
             pairs = [(k, self.index.get((i + a, j + b))) for k, (a, b) in enumerate(self.monomials)]

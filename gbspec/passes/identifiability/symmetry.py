@@ -1,8 +1,9 @@
-"""Names for directions: scalings and translations of constants, functions, arguments and hidden states.
+"""Symmetries behind directions: scalings and translations of constants, functions, arguments and unmeasured states.
 
-A direction of the constants says that something can change; a symmetry says how. Candidates are small generators with
-few weights: `k -> k (1 + a e)`, `f -> f (1 + b e)`, `x -> x (1 + w e)` (scaling), or additions in place of factors
-(translation). Those that leave every residual of the jets zero form a null space, whose weights are small fractions.
+A direction of the constants shows that a change is unobservable; a symmetry gives a formula for it. Candidates are
+generators with few weights: `k -> k (1 + a e)`, `f -> f (1 + b e)`, `x -> x (1 + w e)` (scaling), or additions in place
+of factors (translation). Those that keep every residual of the jets zero form a null space, whose weights are small
+fractions.
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ from gbspec.passes.identifiability.question import Question
 
 Kind = Literal["scaling", "translation"]
 Key = tuple[str, str, int]
-"""What a weight belongs to: ("constant", name, 0), ("state", name, 0), or of an unknown ("value", name, 0), its
+"""The subject of a weight: ("constant", name, 0), ("state", name, 0), or for an unknown ("value", name, 0), its
 argument scaled or added to the value ("argument", name, r), its argument shifted ("shift", name, r).
 """
 
 CLEAR = 2
-"""The order from which on a shift of an argument is not taken for an addition to the value."""
+"""The order from which a shift of an argument is distinguished from an addition to the value."""
 
 _OF_FUNCTIONS = ("value", "argument", "shift")
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """A transformation with one parameter; weights of what it changes."""
+    """A one-parameter transformation, by the weights of the quantities that it changes."""
 
     kind: Kind
     weights: Mapping[Key, Fraction]
@@ -62,7 +63,7 @@ class Symmetry:
 
     @property
     def _parameter(self) -> str:
-        """The name of the transformation's parameter: one that the model does not have."""
+        """The name of the transformation's parameter, which differs from all names of the model."""
         taken = {name for _, name, _ in self.weights} | {n for names in self.formals.values() for n in names}
         return next(name for name in ("c", "q", "w", "lambda", "c_") if name not in taken)
 
@@ -92,7 +93,7 @@ class Symmetry:
 
 
 def symmetries(question: Question, directions: Directions) -> list[Symmetry]:
-    """Scalings, then translations, that change some constant and nothing that is seen."""
+    """Scalings, then translations, that change some constant and keep all outputs."""
     found: list[Symmetry] = []
     arguments = {u.name: question.model.networks[u.network].arguments for u in question.model.unknowns}
     formals = {name: [a.name for a in items] for name, items in arguments.items()}
@@ -113,7 +114,7 @@ def symmetries(question: Question, directions: Directions) -> list[Symmetry]:
 
 
 def _keys(question: Question, kind: Kind) -> list[Key]:
-    """Weights; those further on are put to use only where those before them do not do."""
+    """The candidate weights, in order of preference."""
     arguments: dict[str, int] = {a.unknown: len(a.arguments) for a in question.applications}
     keys: list[Key] = [("value", name, 0) for name in arguments]
     keys += [("state", question.model.states[i].name, 0) for i in question.hidden if question.starts[i] is None]
@@ -125,7 +126,7 @@ def _keys(question: Question, kind: Kind) -> list[Key]:
 
 
 def _column(question: Question, system: LinearSystem, base: Base, key: Key, kind: Kind) -> Array:
-    """What a unit of one weight changes, in the columns of a system."""
+    """The change caused by a unit of one weight, in the columns of a system."""
     what, name, position = key
     column = np.zeros(system.matrix.shape[1])
     if what == "constant":
@@ -180,7 +181,7 @@ def _move_germ(germ: Germ, what: str, position: int, kind: Kind, part: Array) ->
 
 
 def _rational_null(matrix: Array, keys: Sequence[Key]) -> list[dict[Key, Fraction]]:
-    """A basis of the null space with small fractions as entries; vectors that have none are left out."""
+    """A basis of the null space with small fractions as entries; vectors without such entries are left out."""
     norms = np.linalg.norm(matrix, axis=0)
     scaled = matrix / np.where(norms > 0, norms, 1.0)
     _, values, right = np.linalg.svd(scaled, full_matrices=True)

@@ -1,6 +1,6 @@
-"""One module for each kind of statement: its node, how it is read, and what every other part of gbspec asks of it.
+"""One module for each kind of statement: its node, how it is built, and its entry in the tables of the language.
 
-`gbspec.syntax.ast` lists them and is where they are imported from; `base` says what a statement must answer.
+`gbspec.syntax.ast` lists them, and others import them from there; `base` defines their interface.
 """
 
 import lazy_loader

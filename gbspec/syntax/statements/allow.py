@@ -20,10 +20,10 @@ class AllowStatement(Remark):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `allow CODE NAME`."""
+        """Builds the node from `allow CODE NAME`."""
         code, *name = (reader.name_at(token) for token in children[1:])
         return cls(reader.over(children), code, name[0] if name else None)
 
     def replaces(self) -> tuple[Key, ...]:
-        """Each stands beside the others."""
+        """Nothing: the remarks of both files are kept."""
         return ()

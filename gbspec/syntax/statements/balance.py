@@ -29,7 +29,7 @@ class BalanceStatement(About, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `target'` and its clauses."""
+        """Builds the node from `target'` and its clauses."""
         found = reader.gather(children, "a balance")
         return cls(reader.over(children), children[0], found["value"], found.get("text"))
 

@@ -1,8 +1,8 @@
-"""What each statement says of itself, so that the rest of the syntax and the editor need to know nothing about it.
+"""The interface of statements, so that the rest of the syntax and the editor need no code per statement.
 
-A new statement is a module here with a subclass of one of these, an entry in `gbspec.syntax.ast`, and a rule
-`WORD_statement` in the grammar. Where another layer treats statements differently it matches on their classes, and mypy
-names every such place that does not say what to do with the new one.
+A new statement is a module here with a subclass of one of these classes, an entry in `gbspec.syntax.ast`, and a rule
+`WORD_statement` in the grammar. Layers that treat statements differently match on their classes, and mypy
+reports every such match that lacks the new one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gbspec.syntax.rules import CONSTANT, Rule
 from gbspec.syntax.transformer import Children, ClauseRules
 
 Key = tuple[str, str]
-"""What a statement replaces in an extended file, and is replaced by: the kind, and the name that it is about."""
+"""The key by which a statement replaces one of an extended file: the kind, and the name that it is about."""
 
 Symbol = Literal["Module", "EnumMember", "Constant", "Variable", "Function", "Event", "Field", "Operator"]
 """The kinds of symbols of the language server protocol."""
@@ -28,11 +28,11 @@ Symbol = Literal["Module", "EnumMember", "Constant", "Variable", "Function", "Ev
 class Entry:
     """The line of a statement in the tables of the language.
 
-    `word` is the keyword, or where `spelled` is False what the statement is called; its grammar rule is
-    `WORD_statement`. `meaning` is a line for hover and completion. `title` is what several are called in an outline
-    (None: not listed), `symbol` the editor's kind of symbol. `kind` and `role` tell what the names are that it
-    declares, `about` which kinds of names may follow the keyword. `after` moves a clause in the canonical order: right
-    behind that one.
+    `word` is the keyword, or if `spelled` is False the name of the statement; its grammar rule is `WORD_statement`.
+    `meaning` is a line for hover and completion. `title` is the heading of a group of them in an outline (None: not
+    listed), `symbol` the editor's kind of symbol. `kind` and `role` describe the names that it declares, `about` is the
+    set of kinds of names that may follow the keyword. `after` moves a clause (the key) in the canonical order directly
+    behind another (the value).
     """
 
     word: str
@@ -49,7 +49,7 @@ class Entry:
 
 @dataclass
 class Place:
-    """One expression of a statement: the name that it is the value of (None: a root), its rule, what shadows in it."""
+    """One expression of a statement: the name whose value it is (None: a root), its rule, and the names local to it."""
 
     expression: Expression
     rule: Rule
@@ -57,39 +57,39 @@ class Place:
     formals: frozenset[str] = frozenset()
     nn: bool = False
     process: str | None = None
-    """The process of which it is a side."""
+    """The process, if the expression is one of its sides."""
     counts: bool = True
-    """Whether naming something here uses it (a truth uses no learnable)."""
+    """Whether an occurrence of a name here counts as a use (not in a truth: it uses no learnable)."""
 
 
 class StatementNode(Node, ABC):
-    """A statement: what it is called and how it is read, what it declares and replaces, and its expressions."""
+    """A statement: its entry, how it is built, what it declares and replaces, and its expressions."""
 
     entry: ClassVar[Entry]
 
     @classmethod
     @abstractmethod
     def read(cls, rules: ClauseRules, children: Children) -> Self:
-        """The statement from what its grammar rule matched; mistakes are reported to `rules`."""
+        """Builds the statement from the children of its grammar rule; errors are reported to `rules`."""
 
     @abstractmethod
     def declares(self) -> tuple[Name, ...]:
-        """The names that it declares, the time's and a channel's own among them."""
+        """The names that it declares, including the name of the time or of a channel."""
 
     @abstractmethod
     def replaces(self) -> tuple[Key, ...]:
-        """What it replaces in an extended file."""
+        """The keys of the statements that it replaces in an extended file."""
 
     @abstractmethod
     def places(self) -> Iterator[Place]:
-        """All its expressions; the index of a target is none."""
+        """All its expressions; the index of a target is not among them."""
 
 
 class Declaration(StatementNode):
-    """A statement that declares names in the namespace of expressions, and replaces what declared them before."""
+    """A statement that declares names in the namespace of expressions, and replaces earlier declarations of them."""
 
     def replaces(self) -> tuple[Key, ...]:
-        """One for each name."""
+        """One key for each name."""
         return tuple(("name", name.text) for name in self.declares())
 
 
@@ -111,7 +111,7 @@ class About(StatementNode):
     target: Name | Index
 
     def declares(self) -> tuple[Name, ...]:
-        """Nothing."""
+        """No names."""
         return ()
 
     def replaces(self) -> tuple[Key, ...]:
@@ -120,45 +120,45 @@ class About(StatementNode):
 
 
 class Formula(StatementNode):
-    """A statement that has no numbers besides its expressions, and reads no column of the data."""
+    """A statement without numbers outside its expressions and without a column of the data."""
 
 
 class Remark(StatementNode):
     """A statement without expressions, units and columns."""
 
     def declares(self) -> tuple[Name, ...]:
-        """Nothing in the namespace of expressions."""
+        """No names in the namespace of expressions."""
         return ()
 
     def places(self) -> Iterator[Place]:
-        """None."""
+        """No expressions."""
         return iter(())
 
 
 def target_name(target: Name | Index) -> Name:
-    """The name that a statement is about; of an element, its array."""
+    """The name that a statement is about; for an element, the name of its array."""
     return target.array if isinstance(target, Index) else target
 
 
 def target_text(target: Name | Index) -> str:
-    """The target as a key: `X`, or `c[3]` without blanks."""
+    """The target as a key: `X`, or `c[3]` without spaces."""
     return target.text if isinstance(target, Name) else "".join(target.span.text.split())
 
 
 def fixed(*expressions: Expression | None) -> Iterator[Place]:
-    """Places of numbers and constants."""
+    """The places of expressions of numbers and constants only."""
     for expression in expressions:
         if expression is not None:
             yield Place(expression, CONSTANT)
 
 
 def ends(interval: Interval | None) -> Iterator[Place]:
-    """The places of a range."""
+    """The places of the two ends of a range."""
     if interval is not None:
         yield from fixed(interval.low, interval.high)
 
 
 def parameters(distribution: Distribution | None) -> Iterator[Place]:
-    """The places of a prior or a noise."""
+    """The places of the parameters of a prior or a noise."""
     if distribution is not None:
         yield from fixed(*distribution.arguments)

@@ -1,4 +1,4 @@
-"""The equation that closes an end of an array."""
+"""The value used for an element beyond an end of an array."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class ClosureStatement(Formula):
 
     entry = Entry(
         word="closure",
-        meaning="what stands for an element beyond the end of an array",
+        meaning="the value used for an element beyond the end of an array",
         example="c[0] = cin",
         title="ends of arrays",
         spelled=False,
@@ -28,16 +28,16 @@ class ClosureStatement(Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `array[index] = value`."""
+        """Builds the node from `array[index] = value`."""
         found = reader.gather(children, "the end of an array")
         return cls(reader.over(children), children[0], found["value"])
 
     def declares(self) -> tuple[Name, ...]:
-        """Nothing."""
+        """No names."""
         return ()
 
     def replaces(self) -> tuple[Key, ...]:
-        """The end that it closes."""
+        """The element that it defines."""
         return (("closure", target_text(self.target)),)
 
     def places(self) -> Iterator[Place]:

@@ -1,4 +1,4 @@
-"""`condition`: known and constant within a trajectory."""
+"""`condition`: a known quantity that is constant within a trajectory."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ConditionStatement(Named):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `condition NAME` and its clauses."""
+        """Builds the node from `condition NAME` and its clauses."""
         found = reader.gather(children, "a condition")
         clauses = (found.get(kind) for kind in ("unit", "range", "value", "column", "text"))
         return cls(reader.over(children), reader.declared(children[1]), *clauses)

@@ -32,7 +32,7 @@ class ConserveStatement(Named, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `conserve NAME` and its clauses."""
+        """Builds the node from `conserve NAME` and its clauses."""
         found = reader.gather(children, "`conserve`")
         name = reader.declared(children[1])
         message = f"`conserve {name.text}` does not say what is conserved"

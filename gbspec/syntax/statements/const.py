@@ -32,7 +32,7 @@ class ConstStatement(Named, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `const NAME` and its clauses."""
+        """Builds the node from `const NAME` and its clauses."""
         found = reader.gather(children, "a constant")
         name = reader.declared(children[1])
         message = f"the constant `{name.text}` has no value"

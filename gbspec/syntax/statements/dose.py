@@ -1,4 +1,4 @@
-"""`dose`: what the data add to a state."""
+"""`dose`: amounts that the data add to a state."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class DoseStatement(About):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `dose target` and its clauses."""
+        """Builds the node from `dose target` and its clauses."""
         found = reader.gather(children, "a dose")
         return cls(reader.over(children), children[1], found.get("times"), found.get("lag"), found.get("text"))
 

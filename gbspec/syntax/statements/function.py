@@ -32,12 +32,12 @@ class FunctionStatement(Named, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `function NAME(names)` and its clauses."""
+        """Builds the node from `function NAME(names)` and its clauses."""
         found = reader.gather(children, "a function")
         name = reader.declared(children[1])
         formals = next((child.items for child in children if isinstance(child, Names)), ())
         head = reader.place(children[1], tokens(children, "RPAR")[0]).text
-        message = f"the function `{name.text}` says nothing"
+        message = f"the function `{name.text}` has no formula"
         help = f"write `function {head} = …`; a function to be learned is `unknown {head}`"
         value = reader.required(children, found, "value", message, help)
         return cls(reader.over(children), name, formals, value, found.get("text"))

@@ -1,4 +1,4 @@
-"""`initial`: the start of a state."""
+"""`initial`: the initial value of a state."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class InitialStatement(About, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `initial target` and its clauses."""
+        """Builds the node from `initial target` and its clauses."""
         found = reader.gather(children, "`initial`")
         target: Name | Index = children[1]
         if ("value" in found) == ("learned" in found):
@@ -37,11 +37,11 @@ class InitialStatement(About, Formula):
                 "GB129",
                 f"`initial {target.span.text}` needs either `= …` or `learn`",
                 reader.over(children),
-                help=f"write `initial {target.span.text} = …` where the start is known, else `… learn`",
+                help=f"write `initial {target.span.text} = …` if the initial value is known, else `… learn`",
             )
         return cls(reader.over(children), target, found.get("value"), found.get("text"))
 
     def places(self) -> Iterator[Place]:
-        """The start, unless it is learned."""
+        """The initial value, unless it is learned."""
         if self.value is not None:
             yield Place(self.value, rules.START)

@@ -14,7 +14,7 @@ from gbspec.syntax.transformer import Children, ClauseRules
 
 @dataclass(frozen=True)
 class InputStatement(Named):
-    """`input F : L/h held`; `interpolation` is None where the user left it out (which is an error later)."""
+    """`input F : L/h held`; `interpolation` is None if the user left it out (reported by later checks)."""
 
     entry = Entry(
         word="input",
@@ -33,7 +33,7 @@ class InputStatement(Named):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `input NAME` and its clauses."""
+        """Builds the node from `input NAME` and its clauses."""
         found = reader.gather(children, "an input")
         clauses = (found.get(kind) for kind in ("unit", "range", "interpolation", "value", "column", "text"))
         return cls(reader.over(children), reader.declared(children[1]), *clauses)

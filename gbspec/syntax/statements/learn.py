@@ -1,4 +1,4 @@
-"""`learn`: a constant that training finds."""
+"""`learn`: a constant to be estimated from data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class LearnStatement(Named):
         symbol="Constant",
         kind=Kind.LEARN,
         role="learnable constant",
-        after={"value": "contracts"},  # the start, before the bounds
+        after={"value": "contracts"},  # the starting value, before the bounds
     )
     unit: UnitExpression | None = None
     start: Expression | None = None
@@ -36,7 +36,7 @@ class LearnStatement(Named):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `learn NAME` and its clauses."""
+        """Builds the node from `learn NAME` and its clauses."""
         found = reader.gather(children, "a learnable constant")
         return cls(
             reader.over(children),
@@ -51,7 +51,7 @@ class LearnStatement(Named):
         )
 
     def places(self) -> Iterator[Place]:
-        """The start, the bounds and the numbers of the prior."""
+        """The starting value, the bounds and the parameters of the prior."""
         yield from fixed(self.start, *(bound.value for bound in self.bounds))
         yield from ends(self.range)
         yield from parameters(self.prior)

@@ -1,4 +1,4 @@
-"""`let`: an expression with a name."""
+"""`let`: a named expression."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class LetStatement(Named, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `let NAME` and its clauses."""
+        """Builds the node from `let NAME` and its clauses."""
         found = reader.gather(children, "`let`")
         name = reader.declared(children[1])
-        message = f"`let {name.text}` names no expression"
+        message = f"`let {name.text}` has no expression"
         value = reader.required(children, found, "value", message, f"write `let {name.text} = …`")
         return cls(reader.over(children), name, value, found.get("unit"), found.get("text"))
 

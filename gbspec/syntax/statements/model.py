@@ -27,10 +27,10 @@ class ModelStatement(Remark):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `model NAME` and its clauses."""
+        """Builds the node from `model NAME` and its clauses."""
         found = reader.gather(children, "`model`")
         return cls(reader.over(children), reader.name_at(children[1]), found.get("text"), found.get("extends"))
 
     def replaces(self) -> tuple[Key, ...]:
-        """There is one in a model."""
+        """One key: a model has one such statement."""
         return (("model", ""),)

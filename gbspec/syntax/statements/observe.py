@@ -35,17 +35,17 @@ class ObserveStatement(About):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `observe target` and its clauses."""
+        """Builds the node from `observe target` and its clauses."""
         found = reader.gather(children, "a channel")
         clauses = (found.get(kind) for kind in ("value", "unit", "noise", "column", "text"))
         return cls(reader.over(children), children[1], *clauses)
 
     def declares(self) -> tuple[Name, ...]:
-        """The channel, where it has an expression and so a name of its own."""
+        """The channel, if an expression defines it; else its name is that of the state."""
         return (self.target,) if isinstance(self.target, Name) and self.value is not None else ()
 
     def places(self) -> Iterator[Place]:
-        """What is measured and the numbers of its noise."""
+        """The measured expression and the parameters of its noise."""
         if self.value is not None:
             yield Place(self.value, rules.ANY)
         yield from parameters(self.noise)

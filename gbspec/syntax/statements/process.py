@@ -33,7 +33,7 @@ class ProcessStatement(Named, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `process NAME: consumed -> produced` and its clauses."""
+        """Builds the node from `process NAME: consumed -> produced` and its clauses."""
         found = reader.gather(children, "a process")
         name = reader.declared(children[1])
         message = f"the process `{name.text}` has no rate"

@@ -1,4 +1,4 @@
-"""`state`: an unknown over time, or an array of them."""
+"""`state`: a variable of the differential equations, or an array of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class StateStatement(Declaration):
         example='state X : gX/L in [0, 50] = 0.1 "biomass"',
         title="states",
         kind=Kind.STATE,
-        role="state, an unknown over time",
+        role="state, a variable with a balance",
     )
     declarator: Declarator
     unit: UnitExpression | None = None
@@ -32,7 +32,7 @@ class StateStatement(Declaration):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `state NAME` and its clauses."""
+        """Builds the node from `state NAME` and its clauses."""
         found = reader.gather(children, "a state")
         declarator: Declarator = children[1]
         if declarator.name.text in reader.words:
@@ -50,6 +50,6 @@ class StateStatement(Declaration):
         return (self.declarator.name,)
 
     def places(self) -> Iterator[Place]:
-        """The ends of the indices, the start and the range."""
+        """The bounds of the indices, the initial value and the range."""
         yield from fixed(self.declarator.first, self.declarator.last, self.start)
         yield from ends(self.range)

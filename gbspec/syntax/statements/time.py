@@ -30,15 +30,15 @@ class TimeStatement(Named):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `time NAME` and its clauses."""
+        """Builds the node from `time NAME` and its clauses."""
         found = reader.gather(children, "`time`")
         name = reader.declared(children[1])
         return cls(reader.over(children), name, found.get("unit"), found.get("from"), found.get("text"))
 
     def replaces(self) -> tuple[Key, ...]:
-        """There is one in a model, whatever it is called."""
+        """One key: a model has one such statement, whatever the time's name."""
         return (("time", ""),)
 
     def places(self) -> Iterator[Place]:
-        """The start."""
+        """The time at which trajectories start."""
         return fixed(self.start)

@@ -1,4 +1,4 @@
-"""`truth`: the reference for something that is learned."""
+"""`truth`: the reference for a learnable constant or an unknown."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbspec.syntax.transformer import Children, ClauseRules, Names
 
 @dataclass(frozen=True)
 class TruthStatement(About, Formula):
-    """`truth beta = 3`, `truth phi(x1, x2, Da) = …` (parameters None where there are no parentheses)."""
+    """`truth beta = 3`, `truth phi(x1, x2, Da) = …` (`parameters` is None without parentheses)."""
 
     entry = Entry(
         word="truth",
@@ -30,12 +30,12 @@ class TruthStatement(About, Formula):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `truth NAME(names) = value`."""
+        """Builds the node from `truth NAME(names) = value`."""
         found = reader.gather(children, "a truth")
         formals = next((child.items for child in children if isinstance(child, Names)), None)
         return cls(reader.over(children), reader.name_at(children[1]), found["value"], formals)
 
     def places(self) -> Iterator[Place]:
-        """The value, as far as this statement alone tells what it is the truth of."""
+        """The value; its rule is judged from this statement only (parameters: the truth of an unknown)."""
         formals = frozenset(parameter.text for parameter in self.parameters or ())
         yield Place(self.value, rules.TRUTH, None, formals, counts=False)

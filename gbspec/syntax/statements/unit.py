@@ -1,4 +1,4 @@
-"""`unit`: a base unit of the model's own."""
+"""`unit`: a base unit defined by the model."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class UnitStatement(Remark):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `unit NAME` and its description."""
+        """Builds the node from `unit NAME` and its description."""
         found = reader.gather(children, "`unit`")
         return cls(reader.over(children), reader.name_at(children[1]), found.get("text"))
 
     def replaces(self) -> tuple[Key, ...]:
-        """Units are names apart from those in expressions."""
+        """One key; units have a namespace separate from that of expressions."""
         return (("unit", self.name.text),)

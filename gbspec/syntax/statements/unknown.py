@@ -48,7 +48,7 @@ class UnknownStatement(Declaration):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `unknown names(arguments)` and its clauses."""
+        """Builds the node from `unknown names(arguments)` and its clauses."""
         found = reader.gather(children, "an unknown function")
         return cls(
             reader.over(children),
@@ -62,11 +62,11 @@ class UnknownStatement(Declaration):
         )
 
     def declares(self) -> tuple[Name, ...]:
-        """The outputs."""
+        """The names of the outputs."""
         return self.names
 
     def places(self) -> Iterator[Place]:
-        """The postulates, the ranges of the arguments, the widths of the network, and what contracts name."""
+        """The postulates, the ranges of the arguments, the widths of the network, and the expressions of contracts."""
         formals = frozenset(argument.name.text for argument in self.arguments)
         for postulate in self.postulates:
             yield Place(postulate, rules.POSTULATE, None, formals, nn=True)

@@ -1,4 +1,4 @@
-"""`without`: what a model drops of the file that it extends."""
+"""`without`: removes a statement of the file that the model extends."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class WithoutStatement(Remark):
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
-        """From `without KIND NAME`."""
+        """Builds the node from `without KIND NAME`."""
         first, *second = (reader.name_at(token) for token in children[1:])
         if not second:
             return cls(reader.over(children), None, first)
@@ -39,5 +39,5 @@ class WithoutStatement(Remark):
         return cls(reader.over(children), first, second[0])
 
     def replaces(self) -> tuple[Key, ...]:
-        """It is carried out, and replaces nothing."""
+        """Nothing: it removes a statement instead."""
         return ()

@@ -1,7 +1,7 @@
-"""From the parser's reductions to nodes: one method a rule of the grammar, called bottom up with what the rule matched.
+"""From the parser's reductions to nodes: one method per rule of the grammar, called bottom up.
 
-What a rule cannot say (a clause twice, a comparison used as a number, a refused name) is found here, with its place.
-The rules of statements are read by the statements' own classes.
+Errors that the grammar cannot express (a repeated clause, a comparison used as a number, a reserved name) are reported
+here. The nodes of statements are built by their own classes (`gbspec.syntax.statements`).
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""The rules of the whole grammar: those of clauses and expressions, and each statement's own."""
+"""The rules of the whole grammar: clauses, expressions and statements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gbspec.syntax.transformer.clauses import ClauseRules
 
 
 class Builder(Transformer[Token, ast.Node], ClauseRules):
-    """Builds the nodes of one statement after the other."""
+    """Builds the nodes of one statement at a time."""
 
     def __init__(self) -> None:
         Transformer.__init__(self)

@@ -157,7 +157,7 @@ class ClauseRules(ExpressionRules):
         return ast.Argument(self.over(children), self.declared(children[0]), found.get("unit"), found.get("range"))
 
     def required(self, children: Children, found: dict[str, Any], kind: str, message: str, help: str) -> Any:
-        """A clause that the statement cannot do without."""
+        """The content of a required clause; reports `message` if it is missing."""
         if kind in found:
             return found[kind]
         span = self.over(children)
@@ -165,7 +165,7 @@ class ClauseRules(ExpressionRules):
         return ast.Number(span, "0")
 
     def gather(self, children: Children, of: str) -> dict[str, Any]:
-        """The clauses among what a rule matched, by kind; a clause given twice is a finding."""
+        """The clauses that a rule matched, by kind; a repeated clause is reported."""
         clauses = [child for child in children if isinstance(child, Clause)]
         seen: dict[str, Clause] = {}
         bounds: list[ast.Bound] = []

@@ -1,4 +1,4 @@
-"""What the rules share: places, names, checks, and the state of one statement being built."""
+"""Helpers that the rules share: places, names, checks, and the state of the statement being built."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbspec.syntax import nodes as ast
 from gbspec.syntax.names import REFUSED, is_name, normalise
 from gbspec.syntax.walking import ungrouped
 
-Children = list[Any]  # tokens and what the rules below yielded
+Children = list[Any]  # tokens and the results of the rules below
 
 
 @dataclass(frozen=True)
@@ -52,17 +52,17 @@ CLAUSE_WORDS = {
     "lower": "lower bound",
     "upper": "upper bound",
 }
-"""What each kind of clause is called in messages."""
+"""The name of each kind of clause in messages."""
 
 
 MAX_PROBLEMS = 20
-"""How many findings one statement gets; more would only come from a damaged file."""
+"""The maximal number of diagnostics per statement; only a damaged file would have more."""
 
 
 class Parts:
     """Places, names and checks that the rules share; the state of one statement being built.
 
-    `words` are those that begin a statement.
+    `words` are the keywords that begin a statement.
     """
 
     def __init__(self, words: frozenset[str] = frozenset()) -> None:
@@ -77,7 +77,7 @@ class Parts:
         self._depth: dict[int, int] = {}
 
     def place(self, first: Any, last: Any | None = None) -> Span:
-        """The span from one token or node to another (or of one)."""
+        """The span from one token or node to another (or of a single one)."""
         last = first if last is None else last
         start = cast(int, first.start_pos) + self.offset if isinstance(first, Token) else first.span.start
         end = cast(int, last.end_pos) + self.offset if isinstance(last, Token) else last.span.end
@@ -88,11 +88,11 @@ class Parts:
         return self.place(children[0], children[-1])
 
     def problem(self, code: str, message: str, place: Span, *, label: str = "", help: str = "") -> None:
-        """Records a finding about the statement."""
+        """Records a diagnostic about the statement."""
         self.report(Diagnostic(code, message, place, label, help=help))
 
     def report(self, finding: Diagnostic) -> None:
-        """Records a finding, unless the statement has had its share of them."""
+        """Records a diagnostic, unless the statement has reached its limit."""
         if len(self.problems) < MAX_PROBLEMS:
             self.problems.append(finding)
 
@@ -114,7 +114,7 @@ class Parts:
         if name.text in REFUSED:
             self.problem(
                 "GB136",
-                f"`{name.text}` cannot be declared: it has a meaning of its own in every expression",
+                f"`{name.text}` cannot be declared: it has a fixed meaning in every expression",
                 name.span,
                 help=f"choose another name, e.g. `{name.text}_` or `{name.text}_1`",
             )
@@ -147,7 +147,7 @@ class Parts:
         return expression
 
     def nested(self, node: Any, below: Iterable[Any], chain: Any = None) -> Any:
-        """Notes how deep a node nests; `chain` is the left part of a sum or product, which adds nothing."""
+        """Records the nesting depth of a node; `chain` is the left part of a sum or product, which adds no depth."""
         depth = 1 + max((self._depth.get(id(child), 0) for child in below), default=0)
         if chain is not None:
             depth = max(depth, self._depth.get(id(chain), 0))
@@ -157,20 +157,20 @@ class Parts:
                 "GB138",
                 f"this expression is nested more than {ast.MAX_DEPTH} deep",
                 node.span,
-                help="give its inner parts names of their own with `let`",
+                help="give names to its inner parts with `let`",
             )
         return node
 
 
 def is_condition(expression: ast.Expression) -> bool:
-    """Whether an expression is true or false rather than a number."""
+    """Whether an expression is a condition rather than a number."""
     if isinstance(expression, ast.Comparison | ast.Logic):
         return True
     return isinstance(expression, ast.Unary) and expression.operator == "not"
 
 
 def nodes(children: Sequence[Any]) -> tuple[Any, ...]:
-    """What the rules below yielded, without the tokens between."""
+    """The results of the rules below, without the tokens between them."""
     return tuple(child for child in children if not isinstance(child, Token))
 
 
