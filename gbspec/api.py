@@ -19,26 +19,21 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from gbspec import frontend
 from gbspec.diagnostics import Diagnostic, Findings
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.operations import analysing, fitting, models, reporting, tables
-from gbspec.report.notebook import register
+from gbspec.report import register
 
 register()
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.bifurcation.diagram import Diagram
-    from gbspec.analysis.bifurcation.eigen import Eigen
-    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
-    from gbspec.analysis.prediction.forecast import Forecast
-    from gbspec.analysis.prediction.start_comparison import InitialStates
-    from gbspec.analysis.validation.validate import Validation
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.runs.store import Run
-    from gbspec.studies.crossvalidation import CrossValidation
-    from gbspec.training.profile.likelihood import Profile
-    from gbspec.training.progress import Progress
+    from gbspec.analysis import Diagram, Eigen, Forecast, InitialStates, PlaneDiagram, Validation
+    from gbspec.backends import GeneratedModule
+    from gbspec.data import Trajectories
+    from gbspec.runs import Run
+    from gbspec.studies import CrossValidation
+    from gbspec.training import Profile, Progress
 
 
 @dataclass(frozen=True)
@@ -50,14 +45,14 @@ class Specification:
     warnings: tuple[Diagnostic, ...] = ()
 
     def __str__(self) -> str:
-        from gbspec.diagnostics.render import render_text
-        from gbspec.report.text import model_summary
+        from gbspec.diagnostics import render_text
+        from gbspec.report import model_summary
 
         return "\n".join(part for part in (model_summary(self.model), render_text(self.warnings)) if part)
 
     def check(self) -> tuple[Diagnostic, ...]:
         """The warnings, including those on identifiability; errors were raised when the model was loaded."""
-        from gbspec.passes.examine import examine
+        from gbspec.passes import examine
 
         findings = Findings(self.warnings)
         examine(self.model, findings)
@@ -105,7 +100,7 @@ class Specification:
         **options: Any,
     ) -> FittedRun:
         """Fits learnables and unknowns to data, into a run directory; `options` are the fields of `TrainOptions`."""
-        from gbspec.training.options import TrainOptions
+        from gbspec.training import TrainOptions
 
         model = models.specified(self.model, values or {})
         made = fitting.train(model, _table(data, model), Path(directory), TrainOptions(**options), progress)
@@ -123,9 +118,8 @@ class Specification:
         **options: Any,
     ) -> CrossValidation:
         """Errors of predictions of held-out data, fold by fold; `options` are the fields of `TrainOptions`."""
-        from gbspec.studies.crossvalidation import CrossOptions, crossvalidate
-        from gbspec.training import Silent
-        from gbspec.training.options import TrainOptions
+        from gbspec.studies import CrossOptions, crossvalidate
+        from gbspec.training import Silent, TrainOptions
 
         shown, division = progress or Silent(), CrossOptions(folds, over, window)
         table = _table(data, self.model)
@@ -163,20 +157,20 @@ class Specification:
 
 @dataclass(frozen=True)
 class FittedRun:
-    """A trained run directory. `run` has its model, members and `fit.json`."""
+    """A trained run directory. `run` has its model, members and `run.fit`, a `FitRecord` (`fit.json`)."""
 
     run: Run
 
     def __str__(self) -> str:
-        constants = ", ".join(f"{name} = {entry['value']}" for name, entry in self.run.fit.get("constants", {}).items())
+        constants = ", ".join(f"{name} = {value}" for name, value in self.constants.items())
         return f"{self.run.model.name} in {self.run.path}: " + (constants or "no learned constants")
 
     @property
     def constants(self) -> dict[str, float]:
         """The learned constants, as means over members."""
-        return {name: entry["value"] for name, entry in self.run.fit.get("constants", {}).items()}
+        return {name: entry.value for name, entry in self.run.fit.constants.items()}
 
-    def member(self, number: int | None = None) -> Any:
+    def member(self, number: int | None = None) -> GeneratedModule:
         """The generated module with a member's weights (default: the best member's)."""
         return self.run.member(self.run.best if number is None else number)
 
@@ -261,7 +255,7 @@ class FittedRun:
         show: Sequence[str] = (),
     ) -> Figure:
         """A figure of one of the kinds of `gbspec plot`, also written to `path` if given."""
-        from gbspec.report.style import save
+        from gbspec.report import save
 
         made = reporting.figure(kind, self.run, self._data(data), show)
         if path is not None:
@@ -279,7 +273,7 @@ class FittedRun:
         iterations: int = 60,
     ) -> Profile:
         """The profile likelihood of a learned constant; its figure is written to `path` if given."""
-        from gbspec.report.style import save
+        from gbspec.report import save
 
         table = tables.trained_on(self.run, data, Findings())
         found = fitting.profile(self.run, name, table, member=member, points=points, iterations=iterations)
@@ -314,7 +308,7 @@ def load(path: str | Path) -> Specification:
 def check(path: str | Path) -> tuple[Diagnostic, ...]:
     """All errors and warnings of a model file, in the order of the text; raises nothing."""
     from gbspec.diagnostics import UserError
-    from gbspec.passes.examine import examine
+    from gbspec.passes import examine
 
     findings = Findings()
     try:
@@ -353,7 +347,7 @@ def bifurcate(source: str | Path, over: str, low: float, high: float, **options:
 
 def figure(result: Any) -> Figure:
     """The figure of a diagram, of curves in a plane, of eigenvalues, of initial states or of a profile."""
-    from gbspec.report.notebook import figure as draw
+    from gbspec.report import figure as draw
 
     return draw(result)
 
@@ -364,9 +358,7 @@ def study(cases: str | Sequence[str], directory: str | Path, **options: Any) -> 
     `options` are the fields of `StudyOptions`. Workers are separate processes: a script that calls this with data
     to fit needs `if __name__ == "__main__":`.
     """
-    from gbspec.studies.options import StudyOptions
-    from gbspec.studies.runner import run_study
-    from gbspec.studies.tasks import study_of
+    from gbspec.studies import StudyOptions, run_study, study_of
 
     chosen = StudyOptions(**options)
     named = [cases] if isinstance(cases, str) else list(cases)
@@ -383,8 +375,7 @@ def _simulate(
     like: str | Path | Trajectories | None,
     options: Mapping[str, Any],
 ) -> Trajectories:
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.table import write
+    from gbspec.data import SimulateOptions, write
 
     if isinstance(like, str | Path):
         like = tables.read_data(like, subject.model, Findings(), require_channels=False)

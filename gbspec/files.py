@@ -81,6 +81,6 @@ def _nearby(path: Path) -> str:
     return f"paths are relative to {Path.cwd()}"
 
 
-def finite(value: float) -> float | None:
-    """A number for JSON: None (`null`) if it is not finite, since JSON has no NaN."""
-    return float(value) if math.isfinite(value) else None
+def finite(value: float | None) -> float | None:
+    """A number for JSON: None (`null`) if it is unknown or not finite, since JSON has no NaN."""
+    return float(value) if value is not None and math.isfinite(value) else None

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 from gbspec.diagnostics import Defect, Findings, Source, UserError
 
 if TYPE_CHECKING:
-    from gbspec.ir.model import Model
+    from gbspec.ir import Model
     from gbspec.semantics import Checked
-    from gbspec.syntax.ast import File
+    from gbspec.syntax import File
 
 Read = Callable[[str | Path], Source]
 """Reads the text of the model's file and of those that it extends; an editor may have newer texts than the disk."""
@@ -82,7 +82,7 @@ def after(name: str, path: str | Path, findings: Findings, read: Read | None = N
 
 def verified(model: Model, name: str) -> Model:
     """The given Model; raises `Defect`, with the name of the stage or pass, if it is malformed."""
-    from gbspec.ir.verify import verify
+    from gbspec.ir import verify
 
     try:
         verify(model)
@@ -93,7 +93,7 @@ def verified(model: Model, name: str) -> Model:
 
 def resolve(path: str | Path) -> Path:
     """The path if it exists; else that of the bundled model with this name, if there is one; else the path."""
-    from gbspec.data.shipped import shipped_models
+    from gbspec.data import shipped_models
 
     given = Path(path)
     return given if given.exists() else shipped_models().get(str(path), given)
@@ -101,7 +101,7 @@ def resolve(path: str | Path) -> Path:
 
 def read_source(path: str | Path) -> Source:
     """The text of a model file. Raises `UserError` (GB001 to GB003) if it cannot be read."""
-    from gbspec.syntax.reading import read_source as read
+    from gbspec.syntax import read_source as read
 
     return read(resolve(path))
 
@@ -132,7 +132,7 @@ def _lower(state: State) -> State:
 
 def _claims(model: Model, findings: Findings) -> Model:
     if model.claims:
-        from gbspec.passes.claims import check_claims
+        from gbspec.passes import check_claims
 
         check_claims(model, findings)
     return model
@@ -140,7 +140,7 @@ def _claims(model: Model, findings: Findings) -> Model:
 
 def _contracts(model: Model, findings: Findings) -> Model:
     if any(unknown.contracts for unknown in model.unknowns):
-        from gbspec.passes.contracts import with_contracts
+        from gbspec.passes import with_contracts
 
         return with_contracts(model, findings)
     return model
@@ -158,19 +158,19 @@ def _model(state: State) -> Model:
 
 
 def _file_text(state: State) -> str:
-    from gbspec.syntax.dump import dump
+    from gbspec.syntax import dump
 
     return "" if state.file is None else dump(state.file)
 
 
 def _checked_text(state: State) -> str:
-    from gbspec.semantics.dump import dump
+    from gbspec.semantics import dump
 
     return "" if state.checked is None else dump(state.checked)
 
 
 def _model_text(state: State) -> str:
-    from gbspec.ir.dump import dump
+    from gbspec.ir import dump
 
     return dump(_model(state))
 

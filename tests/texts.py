@@ -8,7 +8,7 @@ from pathlib import Path
 import gbspec
 from gbspec.diagnostics import Findings, Source
 from gbspec.ir.model import Model
-from gbspec.ir.verify import verify
+from gbspec.ir.verification import verify
 from gbspec.lower import lower
 from gbspec.semantics import Checked, check
 from gbspec.syntax.parser import parse, read_source

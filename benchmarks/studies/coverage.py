@@ -53,10 +53,10 @@ def one_set(design: Design, seed: int) -> list[Row]:
     seconds = time.process_time() - began
     truths = {k.name: k.value for k in models.reference(model).model.constants}
     rows: list[Row] = []
-    for name, found in fit["constants"].items():
-        low, high = found["interval"] or (math.nan, math.nan)
+    for name, found in fit.constants.items():
+        low, high = found.interval or (math.nan, math.nan)
         rows.append(
-            dict(zip(FIELDS, (seed, name, truths[name], found["value"], found["sd"] or math.nan, low, high,
+            dict(zip(FIELDS, (seed, name, truths[name], found.value, found.sd or math.nan, low, high,
                               int(low <= truths[name] <= high), round(seconds)), strict=True))
         )  # fmt: skip
     return rows

@@ -113,7 +113,7 @@ USAGE_CODES = frozenset({"GB750", "GB754", "GB810", "GB814", "GB850"})
 
 
 def _wrong_input(diagnostics: tuple[Diagnostic, ...], output: Output) -> int:
-    from gbspec.diagnostics.render import to_json
+    from gbspec.diagnostics import to_json
 
     output.findings(diagnostics)
     output.document({"diagnostics": [to_json(d) for d in diagnostics]})

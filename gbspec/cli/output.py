@@ -86,8 +86,7 @@ class Output:
 
     def findings(self, diagnostics: Iterable[Diagnostic], *, errors_only: bool = False) -> None:
         """Diagnostics with excerpts on standard error; with `errors_only` (or `--quiet`) only the errors."""
-        from gbspec.diagnostics import Severity
-        from gbspec.diagnostics.render import render_text
+        from gbspec.diagnostics import Severity, render_text
 
         shown = [d for d in diagnostics if d.severity is Severity.ERROR or not (self.quiet or errors_only)]
         if shown:

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from gbspec.cli.output import Output
-from gbspec.report.text import number
-from gbspec.training.progress import Progress, Silent, Update
+from gbspec.report import number
+from gbspec.training import Progress, Silent, Update
 
 if TYPE_CHECKING:
     from rich.console import Console

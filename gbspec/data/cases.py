@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gbspec.data.names import similar
-from gbspec.data.overlay import Report, overlay
+from gbspec.data.overlays import Report, overlay
 from gbspec.data.sampling import Box, SimulateOptions
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
 

@@ -10,7 +10,7 @@ from gbspec.data.columns import Quantity
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
 from gbspec.diagnostics import Cell, Findings
-from gbspec.ir.model import Model, Range
+from gbspec.ir import Model, Range
 
 
 def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:

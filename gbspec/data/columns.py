@@ -9,7 +9,7 @@ from typing import Literal
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import Sheet
 from gbspec.diagnostics import Cell, Findings
-from gbspec.ir.model import Model, Range
+from gbspec.ir import Model, Range
 
 Role = Literal["channel", "condition", "input", "dose", "sd"]
 

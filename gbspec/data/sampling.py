@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 
 if TYPE_CHECKING:
-    from gbspec.ir.model import Model
+    from gbspec.ir import Model
 
 Box = tuple[float, float]
 

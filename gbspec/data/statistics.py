@@ -9,8 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir import Model, logarithmic
 
 MAD_TO_SD = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""

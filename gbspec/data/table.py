@@ -19,7 +19,7 @@ from gbspec.data.sheet import read_sheet
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 
 __all__ = ["read", "write"]
 

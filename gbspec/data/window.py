@@ -9,7 +9,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data.signals import evaluate
 from gbspec.data.trajectories import Trajectory
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 
 PREFIX = "recognition."
 """The names of the network's arrays in a member's weights: offsets, center, scale, weight, bias, of the layers

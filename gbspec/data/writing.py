@@ -12,7 +12,7 @@ from gbspec.data.columns import TRAJECTORY, quantities
 from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Cell, Diagnostic, UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 
 
 def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:

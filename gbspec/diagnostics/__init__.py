@@ -1,26 +1,5 @@
 """Places in texts, diagnostics, the catalogue of codes, and rendering as text and JSON."""
 
-from gbspec.diagnostics.diagnostic import (
-    ComputationError,
-    Defect,
-    Diagnostic,
-    Findings,
-    Label,
-    Severity,
-    UserError,
-)
-from gbspec.diagnostics.span import Cell, Place, Source, Span
+import lazy_loader
 
-__all__ = [
-    "Cell",
-    "ComputationError",
-    "Defect",
-    "Diagnostic",
-    "Findings",
-    "Label",
-    "Place",
-    "Severity",
-    "Source",
-    "Span",
-    "UserError",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

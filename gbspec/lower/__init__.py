@@ -1,6 +1,5 @@
 """From the checked syntax tree to the Model: names become symbols, expressions become sympy expressions."""
 
-from gbspec.lower.command import lower_expression
-from gbspec.lower.statements import lower
+import lazy_loader
 
-__all__ = ["lower", "lower_expression"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

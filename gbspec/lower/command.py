@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import sympy
 
 from gbspec.diagnostics import Findings
+from gbspec.ir import Expr, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.ir.model import Expr, symbol, unknown_function
 from gbspec.lower.expressions import build
-from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import ast
-from gbspec.syntax.names import FUNCTIONS
+from gbspec.semantics import suggestion
+from gbspec.syntax import FUNCTIONS, ast
 
 
 def lower_expression(expression: ast.Expression, model: ir.Model, findings: Findings) -> Expr:

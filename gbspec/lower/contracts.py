@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import assert_never
 
+from gbspec.ir import Expr
 from gbspec.ir import model as ir
-from gbspec.ir.model import Expr
-from gbspec.semantics.contracts import outputs_of
+from gbspec.semantics import outputs_of
 from gbspec.syntax import ast
 
 

@@ -11,10 +11,9 @@ from typing import assert_never
 
 import sympy
 
-from gbspec.ir.model import Expr
-from gbspec.semantics.expressions import chain, fold, operands
-from gbspec.syntax import ast
-from gbspec.syntax.names import FUNCTIONS
+from gbspec.ir import Expr
+from gbspec.semantics import chain, fold, operands
+from gbspec.syntax import FUNCTIONS, ast
 
 LARGEST_EXACT = 2**53
 """Larger whole numbers are not all representable as doubles, so they become floats."""

@@ -7,14 +7,10 @@ from functools import cache
 
 import sympy
 
-from gbspec.ir.arrays import Array, Element, Family, Total, Vector
-from gbspec.ir.model import Expr, symbol
+from gbspec.ir import Array, Element, Expr, Family, Total, Vector, symbol
 from gbspec.lower.expressions import is_finite
-from gbspec.semantics import arrays
-from gbspec.semantics.checked import Checked
-from gbspec.semantics.expressions import walk
-from gbspec.syntax import ast
-from gbspec.syntax.statements.base import target_name
+from gbspec.semantics import Checked, arrays, walk
+from gbspec.syntax import ast, target_name
 
 Build = Callable[[ast.Expression, Mapping[str, Expr]], Expr]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from gbspec.lower.expressions import parts_of
-from gbspec.semantics.expressions import chain
+from gbspec.semantics import chain
 from gbspec.syntax import ast
 
 

@@ -13,20 +13,14 @@ from typing import cast
 import sympy
 
 from gbspec.diagnostics import Findings
+from gbspec.ir import Expr, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.ir.model import Expr, symbol, unknown_function
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
-from gbspec.semantics import unknowns
-from gbspec.semantics.checked import Checked
-from gbspec.semantics.numbers import default_start
-from gbspec.semantics.processes import Term
-from gbspec.semantics.sites import truth_parameters
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.statements.base import target_name
+from gbspec.semantics import Checked, Term, default_start, truth_parameters, unknowns
+from gbspec.syntax import Kind, ast, target_name
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:

@@ -1,1 +1,5 @@
 """The language server for `.gb` files; only `server` and `messages` depend on the protocol."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -27,7 +27,7 @@ def check(workspace: Workspace, path: str | Path) -> Checked:
     this one, with the original place as a label.
     """
     from gbspec import frontend
-    from gbspec.passes.examine import examine
+    from gbspec.passes import examine
 
     source = workspace.source(path)
     findings = Findings()

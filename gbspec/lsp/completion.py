@@ -12,11 +12,8 @@ from gbspec.diagnostics import Source
 from gbspec.lsp import words
 from gbspec.lsp.index import DEFAULT_TIME
 from gbspec.lsp.workspace import Parsed, Workspace
-from gbspec.semantics.vocabulary import ACTIVATIONS
-from gbspec.syntax import ast
-from gbspec.syntax.expected import Expected, expected
-from gbspec.syntax.kinds import VALUES, Kind
-from gbspec.syntax.tokens import inert, statement_before
+from gbspec.semantics import ACTIVATIONS
+from gbspec.syntax import VALUES, Expected, Kind, ast, expected, inert, statement_before
 
 Sort = Literal["keyword", "name", "function", "unit", "value", "file"]
 
@@ -174,7 +171,7 @@ def _words(table: Mapping[str, str]) -> Iterator[Candidate]:
 
 
 def _warnings() -> Iterator[Candidate]:
-    from gbspec.diagnostics.catalogue import entries
+    from gbspec.diagnostics import entries
 
     return (Candidate(entry.code, "value", entry.title) for entry in entries().values() if entry.code.startswith("GB4"))
 

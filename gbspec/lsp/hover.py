@@ -11,8 +11,7 @@ from gbspec.diagnostics import Span, UserError
 from gbspec.lsp import words
 from gbspec.lsp.index import DEFAULT_TIME, Occurrence, Symbol, at, home
 from gbspec.lsp.workspace import Parsed, Workspace
-from gbspec.syntax import ast
-from gbspec.syntax.statements.base import Key, target_name
+from gbspec.syntax import Key, ast, target_name
 
 _MAX_LINES = 12
 
@@ -84,7 +83,7 @@ def word(text: str) -> str:
         return f"`{usage}`: {meaning}"
     meaning = words.meaning(text)
     if not meaning:
-        from gbspec.semantics.vocabulary import ACTIVATIONS
+        from gbspec.semantics import ACTIVATIONS
 
         meaning = "an activation of a network" if text in ACTIVATIONS else ""
     return f"`{text}`: {meaning}" if meaning else ""
@@ -92,7 +91,7 @@ def word(text: str) -> str:
 
 def code(text: str) -> str:
     """The title and explanation of a code of the catalogue."""
-    from gbspec.diagnostics.catalogue import explain
+    from gbspec.diagnostics import explain
 
     try:
         entry = explain(text)
@@ -103,7 +102,7 @@ def code(text: str) -> str:
 
 def _word(workspace: Workspace, path: str | Path, offset: int) -> Hover | None:
     """The hover for a keyword at the offset, outside strings and comments."""
-    from gbspec.syntax.tokens import word_at
+    from gbspec.syntax import word_at
 
     parsed = workspace.parsed(path)
     span = word_at(parsed.source, offset) if parsed is not None else None

@@ -14,9 +14,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gbspec.diagnostics import Span
-from gbspec.syntax import ast
-from gbspec.syntax.names import FUNCTIONS
-from gbspec.syntax.walk import children, walk
+from gbspec.syntax import FUNCTIONS, ast, children, walk
 
 DEFAULT_TIME = "t"
 """The name of the time in a model without a `time` statement."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.diagnostics import Span
-from gbspec.syntax import ast
-from gbspec.syntax.statements.base import target_text
+from gbspec.syntax import ast, target_text
 
 
 @dataclass(frozen=True)

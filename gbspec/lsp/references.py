@@ -9,8 +9,7 @@ from pathlib import Path
 from gbspec.diagnostics import Span
 from gbspec.lsp.index import DEFAULT_TIME, Occurrence, Symbol, at
 from gbspec.lsp.workspace import Parsed, Workspace, key
-from gbspec.syntax import ast
-from gbspec.syntax.names import REFUSED, is_name, normalise
+from gbspec.syntax import REFUSED, ast, is_name, normalise
 
 
 class Refused(Exception):  # noqa: N818 - a refusal, not an error

@@ -24,7 +24,7 @@ from gbspec.lsp.hover import hover
 from gbspec.lsp.messages import Messages, path_of, uri_of
 from gbspec.lsp.outline import outline
 from gbspec.lsp.workspace import Workspace, key
-from gbspec.syntax.formatter import format_text
+from gbspec.syntax import format_text
 from gbspec.version import __version__
 
 DELAY = 0.15

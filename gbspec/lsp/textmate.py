@@ -12,9 +12,7 @@ from collections.abc import Iterable
 from typing import TypeAlias
 
 from gbspec.lsp import words
-from gbspec.syntax import ast
-from gbspec.syntax.grammar import grammar_file
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast, grammar_file
 
 Pattern: TypeAlias = "dict[str, str | dict[str, dict[str, str]] | list[Pattern]]"
 

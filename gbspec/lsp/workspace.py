@@ -8,9 +8,7 @@ from pathlib import Path
 
 from gbspec.diagnostics import Findings, Source, Span, UserError
 from gbspec.lsp.index import Names, Occurrence, names_of, occurrences
-from gbspec.syntax import ast
-from gbspec.syntax.parser import parse
-from gbspec.syntax.reading import decode, read_source
+from gbspec.syntax import ast, decode, parse, read_source
 
 _MAX_FILES = 2000
 _SKIPPED = frozenset({"node_modules", "__pycache__"})

@@ -9,21 +9,24 @@ from typing import TYPE_CHECKING, Literal
 from gbspec.operations.models import Subject, truth_of
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcation.diagram import Diagram
-    from gbspec.analysis.bifurcation.eigen import Eigen
-    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
-    from gbspec.analysis.prediction.forecast import Forecast
-    from gbspec.analysis.prediction.predict import Prediction
-    from gbspec.analysis.prediction.start_comparison import InitialStates
-    from gbspec.analysis.systems.system import Box, System
-    from gbspec.analysis.validation.validate import Validation
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.runs.store import Run
+    from gbspec.analysis import (
+        Box,
+        Diagram,
+        Eigen,
+        Forecast,
+        InitialStates,
+        PlaneDiagram,
+        Prediction,
+        System,
+        Validation,
+    )
+    from gbspec.data import Trajectories
+    from gbspec.runs import Run
 
 
 def system(source: Subject) -> System:
     """A subject as a dynamical system to analyse."""
-    from gbspec.analysis.systems.system import system_of
+    from gbspec.analysis import system_of
 
     return system_of(source.evaluator, source.model)
 
@@ -32,25 +35,25 @@ def eigen(
     source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
 ) -> Eigen:
     """Eigenvalues of a subject; for a run also those of its model's truth, if there is one."""
-    from gbspec.analysis.bifurcation.eigen import eigen as run
+    from gbspec.analysis import eigen as run
 
     true = truth_of(source)
     truth = None if true is None else system(true)
     predicted: list[Prediction] = []
     if along is not None:
-        from gbspec.analysis.prediction.estimate import predictions
+        from gbspec.analysis import predictions
 
-        data = {} if source.run is None else source.run.fit.get("data", {})
+        data = None if source.run is None else source.run.fit.data
         predicted = predictions(source.evaluator, source.model, along, data)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
 
 
 def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] | None = None) -> InitialStates:
     """Learned, bred and true initial states of a run's trajectories, side by side."""
-    from gbspec.analysis.prediction.start_comparison import initial_states as run
+    from gbspec.analysis import initial_states as run
 
     true = truth_of(source)
-    known = {} if source.run is None else source.run.fit.get("data", {})
+    known = None if source.run is None else source.run.fit.data
     truth = None if true is None else true.evaluator
     return run(source.evaluator, source.model, data, known, system(source), truth, indices)
 
@@ -59,9 +62,8 @@ def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
     """The bifurcation diagram of a subject over one parameter, with at most `doublings` period doublings followed."""
-    from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions
-    from gbspec.analysis.bifurcation.bifurcate import bifurcate as run
-    from gbspec.analysis.bifurcation.cycles import CycleOptions
+    from gbspec.analysis import BifurcationOptions, CycleOptions
+    from gbspec.analysis import bifurcate as run
 
     return run(
         system(source), over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings))
@@ -78,14 +80,14 @@ def true_diagram(
 
 def joined(diagrams: Sequence[Diagram]) -> Diagram:
     """The diagram of the first member, its special points with intervals over all members."""
-    from gbspec.analysis.bifurcation.members import with_intervals
+    from gbspec.analysis import with_intervals
 
     return with_intervals(diagrams) if len(diagrams) > 1 else diagrams[0]
 
 
 def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram:
     """The Hopf and fold curves of a subject in a box of the plane of two of its parameters."""
-    from gbspec.analysis.bifurcation.plane_diagram import bifurcation_plane as run
+    from gbspec.analysis import bifurcation_plane as run
 
     return run(system(source), names, boxes)
 
@@ -98,15 +100,15 @@ def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) 
 
 def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] = "mean") -> Validation:
     """Errors of a run on data, at half its step, by an adaptive solver, and against the truth."""
-    from gbspec.analysis.validation.validate import validate as check
+    from gbspec.analysis import validate as check
 
     return check(run, data, member=member)
 
 
 def predict(run: Run, data: Trajectories, *, window: int | None = None, path: str | Path | None = None) -> Forecast:
     """Predictions of a run for a table, from the first `window` measured rows; also written to `path`, if given."""
-    from gbspec.analysis.prediction.forecast import forecast
-    from gbspec.report.predictions import write
+    from gbspec.analysis import forecast
+    from gbspec.report import write
 
     found = forecast(run, data, window=window)
     if path is not None:

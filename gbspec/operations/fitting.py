@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
-    from gbspec.training import Progress
-    from gbspec.training.options import TrainOptions
-    from gbspec.training.profile.likelihood import Profile
-    from gbspec.training.runs.variations import Point
+    from gbspec.data import Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import Run
+    from gbspec.training import Point, Profile, Progress, TrainOptions
 
 
 def train(
@@ -34,16 +32,15 @@ def fit(
 
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
     """The run fitted to `data`, with the check of each member's step and warnings for those that depend on it."""
-    from gbspec.analysis.validation.step_check import check_fit
-    from gbspec.training.recipe.context import split
+    from gbspec.analysis import check_fit
+    from gbspec.training import split
 
     if len(data) == 1:  # of a single trajectory the last rows were held out; the others were trained on
         data, _ = split(data, options.holdout, options.seed)
     checks = check_fit(run, data)
     warnings = [f"member {k}: {check.warning}" for k, check in zip(run.numbers, checks, strict=True) if check.warning]
-    return run.amended(
-        step_checks=[check.to_json() for check in checks], warnings=[*run.fit.get("warnings", []), *warnings]
-    )
+    records = tuple(check.record() for check in checks)
+    return run.amended(replace(run.fit, step_checks=records, warnings=(*run.fit.warnings, *warnings)))
 
 
 def sweep(
@@ -58,15 +55,15 @@ def sweep(
 
     A row's columns are those of `sweep.csv`; each varied option has a column with its name.
     """
-    from gbspec.runs.store import member_numbers, open_run
-    from gbspec.training.runs.sweep import sweep as run
+    from gbspec.runs import member_numbers, open_run
+    from gbspec.training import sweep as run
 
     rows = run(model, data, points, options, directory, progress)
     for point in points:
         if member_numbers(directory / point.name):
             made = open_run(directory / point.name)
             checked = with_step_checks(made, data, point.options)
-            for warning in checked.fit["warnings"][len(made.fit["warnings"]) :]:
+            for warning in checked.fit.warnings[len(made.fit.warnings) :]:
                 if progress is not None:
                     progress.message(f"{point.name}: {warning}")
     return rows
@@ -83,6 +80,6 @@ def profile(
     progress: Callable[[float, float], None] | None = None,
 ) -> Profile:
     """The profile likelihood of a learned constant."""
-    from gbspec.training.profile.likelihood import profile as follow
+    from gbspec.training import profile_constant
 
-    return follow(run, name, data, member=member, points=points, iterations=iterations, progress=progress)
+    return profile_constant(run, name, data, member=member, points=points, iterations=iterations, progress=progress)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from gbspec import frontend
 from gbspec.diagnostics import Findings, Source
-from gbspec.ir.methods import RK4, Method, method_named
+from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
+    from gbspec.backends import Evaluator
+    from gbspec.ir import Model
+    from gbspec.runs import Run
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def open_run(path: str | Path, values: Mapping[str, float] | None = None) -> Run
 
     Raises `UserError`: GB851 to GB853 if the path is not a run, or damaged; GB804 if a name cannot be set.
     """
-    from gbspec.runs.store import open_run as open_directory
+    from gbspec.runs import open_run as open_directory
 
     return set_values(open_directory(path), values)
 
@@ -71,7 +71,7 @@ def specified(model: Model, values: Mapping[str, float]) -> Model:
     constant, condition or input, and any error of the model with these values.
     """
     from gbspec.passes import with_values
-    from gbspec.syntax.settings import with_settings
+    from gbspec.syntax import with_settings
 
     if not values:
         return model
@@ -90,7 +90,7 @@ def subject(path: str | Path, values: Mapping[str, float], findings: Findings, m
 
 def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
     """A run at the learned parameters of a member (default: the best one). Raises `UserError` (GB804, GB854)."""
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends import Evaluator
 
     run = set_values(run, values)
     instance = run.member(run.best if member is None else member)
@@ -102,8 +102,7 @@ def reference(model: Model, values: Mapping[str, float] | None = None, method: M
 
     Raises `UserError`: GB803 for unknowns without a truth, GB804 for wrong `values`.
     """
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.module import load_module
+    from gbspec.backends import Evaluator, load_module
     from gbspec.passes import with_truth, with_values
 
     known = frontend.verified(with_truth(model), "with_truth")
@@ -114,7 +113,7 @@ def reference(model: Model, values: Mapping[str, float] | None = None, method: M
 
 def truth_of(source: Subject) -> Subject | None:
     """The truth of a run's model with the same values set; None if there is none."""
-    from gbspec.analysis.validation.truth_errors import has_reference
+    from gbspec.analysis import has_reference
 
     if source.run is None or not has_reference(source.run.model):
         return None
@@ -124,7 +123,7 @@ def truth_of(source: Subject) -> Subject | None:
 # ------------------------------------------------------------------------------------------------------------ compiling
 def forms() -> dict[str, str]:
     """The forms to which a model can be compiled, each with a help line: the pipeline's stages, then the backends."""
-    from gbspec.backends.registry import backends
+    from gbspec.backends import backends
 
     stages = {stage.name: stage.help for stage in frontend.STAGES}
     return {**stages, **{backend.name: backend.help for backend in backends().values()}}
@@ -136,7 +135,7 @@ def compile_file(path: str | Path, form: str, findings: Findings, solver: str | 
     For a stage of the pipeline the later stages are not run, so that their errors are not reported. `solver` names the
     integration method (GB850 if there is none of that name); without it a run keeps its own.
     """
-    from gbspec.backends.registry import backends
+    from gbspec.backends import backends
     from gbspec.runs import files
 
     if form not in backends():
@@ -152,7 +151,7 @@ def compile_file(path: str | Path, form: str, findings: Findings, solver: str | 
 
 def compile_model(model: Model, form: str, solver: str = "rk4") -> Compiled:
     """A Model, at its truth where numbers are needed, in one of `forms()`, with a solver's steps (else GB850)."""
-    from gbspec.backends.registry import backends
+    from gbspec.backends import backends
 
     if form not in backends():
         source = _source(model)
@@ -162,15 +161,14 @@ def compile_model(model: Model, form: str, solver: str = "rk4") -> Compiled:
 
 
 def _emitted(source: Model | Subject, form: str, method: Method) -> Compiled:
-    from gbspec.backends.module import class_name
-    from gbspec.backends.registry import backends
+    from gbspec.backends import backends, class_name
 
     model, instance = (source.model, source.evaluator.instance) if isinstance(source, Subject) else (source, None)
     return Compiled(model.name, backends()[form].emit(model, instance, method), class_name(model))
 
 
 def _stage(path: str | Path, form: str, findings: Findings, read: frontend.Read | None = None) -> Compiled:
-    from gbspec.syntax.ast import ModelStatement
+    from gbspec.syntax import ModelStatement
 
     state = frontend.after(form, path, findings, read)
     statements = state.file.statements if state.file else ()

@@ -12,30 +12,29 @@ from gbspec.operations.models import learned
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gbspec.analysis.bifurcation.diagram import Diagram
-    from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.runs.store import Run
-    from gbspec.training.profile.likelihood import Profile
+    from gbspec.analysis import Diagram, PlaneDiagram
+    from gbspec.data import Trajectories
+    from gbspec.runs import Run
+    from gbspec.training import Profile
 
 
 def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
     """The figure of one or several members' diagrams, together with the truth's."""
-    from gbspec.report.files import diagram
+    from gbspec.report import diagram
 
     return diagram(analysing.joined(diagrams), diagrams[1:], truth)
 
 
 def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
     """The figure of one or several members' curves, together with the truth's."""
-    from gbspec.report.files import plane
+    from gbspec.report import plane
 
     return plane(diagrams[0], diagrams[1:], truth)
 
 
 def profile_figure(run: Run, found: Profile) -> Figure:
     """The figure of a profile, with the truth if the model has one."""
-    from gbspec.report.files import profile as draw
+    from gbspec.report import profile as draw
 
     truths = {t.name: t.value for t in run.model.truth_constants}
     return draw(found, truths.get(found.name))
@@ -43,7 +42,7 @@ def profile_figure(run: Run, found: Profile) -> Figure:
 
 def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
     """A figure of a run: one of `gbspec.report.kinds`."""
-    from gbspec.report.files import draw
+    from gbspec.report import draw
 
     return draw(kind, run, data, show)
 
@@ -58,9 +57,8 @@ def report(
 ) -> None:
     """Writes the report of a run as one HTML file; `diagram` names a parameter and its range."""
     from gbspec.files import write_text
-    from gbspec.report.collect import Fitted
-    from gbspec.report.html.page import Findings as Found
-    from gbspec.report.html.page import page
+    from gbspec.report import Findings as Found
+    from gbspec.report import Fitted, page
 
     source = learned(run)
     drawn = None

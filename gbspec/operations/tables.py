@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 
 if TYPE_CHECKING:
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
+    from gbspec.data import SimulateOptions, Trajectories
+    from gbspec.ir import Model
     from gbspec.operations.models import Subject
-    from gbspec.runs.store import Run
+    from gbspec.runs import Run
 
 
 def simulate(
@@ -23,22 +22,22 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
 ) -> Trajectories:
     """Simulated measurements of a subject; conditions that were set keep their values."""
-    from gbspec.analysis.simulation.simulate import simulate as run
-    from gbspec.data.sampling import fixed
+    from gbspec.analysis import simulate as run
+    from gbspec.data import fixed
 
     return run(source.evaluator, source.model, fixed(options, source.values, source.model), like, progress)
 
 
 def read_data(path: str | Path, model: Model, findings: Findings, *, require_channels: bool = True) -> Trajectories:
     """A table of measurements for a model. Raises `UserError` with all errors in it."""
-    from gbspec.data.table import read
+    from gbspec.data import read
 
     return read(path, model, findings, require_channels)
 
 
 def training_data(run: Run, findings: Findings) -> Trajectories | None:
     """The table that a run was trained on; None if it is no longer at its path."""
-    path = run.fit.get("data", {}).get("path")
+    path = run.fit.data.path
     return read_data(path, run.model, findings) if path and Path(path).is_file() else None
 
 
@@ -47,12 +46,11 @@ def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Traject
 
     Raises `UserError` (GB859) if they are not found, or differ.
     """
-    known = run.fit.get("data", {})
     data = training_data(run, findings) if path is None else read_data(path, run.model, findings)
     if data is None:
-        message = f"the table that the run was trained on, `{known.get('path')}`, is no longer at that path"
+        message = f"the table that the run was trained on, `{run.fit.data.path}`, is no longer at that path"
         raise UserError([Diagnostic("GB859", message, None, help="give its path: `--data TABLE`")])
-    if data.sha256 != known.get("sha256"):
+    if data.sha256 != run.fit.data.sha256:
         message = f"`{data.path}` is not the table that the run was trained on"
         help = "continuing the fit needs the same table, unchanged"
         raise UserError([Diagnostic("GB859", message, None, help=help)])

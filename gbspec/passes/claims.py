@@ -15,7 +15,7 @@ from enum import Enum
 import sympy
 
 from gbspec.diagnostics import Findings, Label
-from gbspec.ir.model import Claim, Expr, Model
+from gbspec.ir import Claim, Expr, Model
 from gbspec.passes.conservation import as_text
 from gbspec.passes.terms import Opened, constants_of, exact, terms
 

@@ -9,8 +9,7 @@ from typing import TypeVar
 import sympy
 from sympy.polys.matrices import DomainMatrix
 
-from gbspec.ir.dump import written
-from gbspec.ir.model import Expr, Model
+from gbspec.ir import Expr, Model, written
 from gbspec.passes.terms import Opened, constants_of, larger_than
 
 K = TypeVar("K")

@@ -21,8 +21,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from gbspec.ir.forms import center, logistic, raw, scale, softplus, spread
-from gbspec.ir.model import Expr, Network, Unknown
+from gbspec.ir import Expr, Network, Unknown, center, logistic, raw, scale, softplus, spread
 from gbspec.passes.requirements import Link, Refused, Wanted, Zero, shown
 from gbspec.passes.signs import Prover
 

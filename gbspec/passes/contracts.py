@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import sympy
 
 from gbspec.diagnostics import Findings, Label, Span
-from gbspec.ir.forms import Form
-from gbspec.ir.model import NN, Model, Network, Range, Unknown
+from gbspec.ir import NN, Form, Model, Network, Range, Unknown
 from gbspec.passes.constructions import Builder, Construction
 from gbspec.passes.intervals import REAL, Box, Interval, of_range
 from gbspec.passes.layouts import TooNarrow, layout

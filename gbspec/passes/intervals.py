@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from gbspec.ir.forms import logistic, softplus
-from gbspec.ir.model import Expr, Range
+from gbspec.ir import Expr, Range, logistic, softplus
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gbspec.ir.forms import Block, Layout, Shape
+from gbspec.ir import Block, Layout, Shape
 
 TURNED = str.maketrans("+-", "-+")
 SHAPES: tuple[Shape, ...] = ("free", "convex", "concave", "saturating")

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.ir.model import Condition, Constant, Input, Learnable, Model, Range, TruthConstant
+from gbspec.ir import Condition, Constant, Input, Learnable, Model, Range, TruthConstant
 from gbspec.passes.contracts import with_contracts
 
 D = TypeVar("D", Condition, Input)

@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 
 import sympy
 
-from gbspec.ir.dump import written
-from gbspec.ir.model import NN, Contract, Expr, Network, Unknown
+from gbspec.ir import NN, Contract, Expr, Network, Unknown, written
 from gbspec.passes.intervals import REAL, Interval
 from gbspec.passes.signs import Prover
 

@@ -15,7 +15,7 @@ from collections import deque
 
 import sympy
 
-from gbspec.ir.model import Expr
+from gbspec.ir import Expr
 from gbspec.passes.intervals import REAL, Box, Interval, enclosure
 
 BUDGET = 2000

@@ -9,7 +9,7 @@ from itertools import product
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir.model import Expr, Model
+from gbspec.ir import Expr, Model
 
 MOST_TERMS = 2000
 """A product of sums that would have more terms than this is not expanded."""

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import sympy
 
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Constant, Expr, Model, TruthFunction, symbol, unknown_function
+from gbspec.ir import Constant, Expr, Model, TruthFunction, symbol, unknown_function
 
 
 def with_truth(model: Model) -> Model:

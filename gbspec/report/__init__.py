@@ -1,1 +1,5 @@
 """Figures of fits, learned functions, constants, histories, residuals and phase planes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,22 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.predict import Start, input_values, learned_positions, learned_start, predict
-from gbspec.analysis.prediction.start_comparison import InitialStates
-from gbspec.analysis.prediction.start_comparison import initial_states as compare_starts
-from gbspec.analysis.systems.system import system_of
+from gbspec.analysis import (
+    Estimator,
+    InitialStates,
+    Start,
+    input_values,
+    learned_positions,
+    learned_start,
+    predict,
+    system_of,
+)
+from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
-from gbspec.backends.casadi.evaluator import Evaluator
-from gbspec.backends.module import load_module
-from gbspec.data.statistics import deviations
-from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.ir.model import Model
-from gbspec.ir.residuals import residuals as residuals_of
+from gbspec.backends import Evaluator, load_module
+from gbspec.data import Trajectories, Trajectory, deviations
+from gbspec.ir import Model
+from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
     ChannelFit,
@@ -30,9 +34,8 @@ from gbspec.report.content import (
     Residuals,
     TrajectoryFit,
 )
-from gbspec.runs.store import Run
-from gbspec.training.problem.packing import pack
-from gbspec.training.problem.scaling import scaling_of
+from gbspec.runs import Run
+from gbspec.training import pack, scaling_of
 
 DENSE = 240
 """Points of a curve over one trajectory."""
@@ -62,7 +65,7 @@ class Fitted:
         """Where trajectory `index` starts under a member: as learned, as known, or estimated from its own data."""
         if (member, index) not in self._starts:
             evaluator, item = self.evaluators[member], self.data.items[index]
-            position = learned_positions(evaluator.instance, self.data, self.run.fit.get("data", {}))[index]
+            position = learned_positions(evaluator.instance, self.data, self.run.fit.data)[index]
             if position is not None:
                 found = learned_start(evaluator, position, item)
             else:
@@ -90,7 +93,7 @@ def initial_states(fitted: Fitted, indices: Sequence[int]) -> InitialStates:
     """The first member's initial states of these trajectories beside bred and true ones. Raises `UserError` (GB876)."""
     evaluator, model = fitted.evaluators[0], fitted.model
     system = system_of(evaluator, model)
-    return compare_starts(evaluator, model, fitted.data, fitted.run.fit.get("data", {}), system, fitted.truth, indices)
+    return compare_starts(evaluator, model, fitted.data, fitted.run.fit.data, system, fitted.truth, indices)
 
 
 def at_times(item: Trajectory, times: Array) -> Trajectory:
@@ -189,17 +192,10 @@ def _channel_of(model: Model, state: int) -> int | None:
 def constants(run: Run) -> tuple[LearnedConstant, ...]:
     """The learned constants of `fit.json` beside their truths."""
     truths = {t.name: t.value for t in run.model.truth_constants}
-    starts = {k.name: k.start for k in run.model.learnables}
-    found = []
-    for name, entry in run.fit.get("constants", {}).items():
-        if not isinstance(entry.get("value"), int | float):  # a constant of each trajectory has no single value
-            continue
-        ends = entry.get("interval")
-        interval = (float(ends[0]), float(ends[1])) if ends and None not in ends else None
-        members = tuple(float(value) for value in entry.get("per_member") or ())
-        start = entry.get("start", starts.get(name))
-        found.append(LearnedConstant(name, float(entry["value"]), interval, members, start, truths.get(name)))
-    return tuple(found)
+    return tuple(
+        LearnedConstant(name, entry.value, entry.interval, entry.per_member, entry.start, truths.get(name))
+        for name, entry in run.fit.constants.items()
+    )
 
 
 def history(run: Run) -> tuple[History, ...]:
@@ -250,7 +246,7 @@ class _Recorded:
 def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
     """The arguments [P, A] with which the model calls a network along its solutions at the measured rows."""
     evaluator = fitted.evaluators[0]
-    member: Any = evaluator.instance  # its class is generated from the model
+    member = evaluator.instance
     networks = list(member.numpy_networks())
     networks[network] = recorded = _Recorded(networks[network])
     for index, item in enumerate(fitted.data.items):
@@ -260,7 +256,7 @@ def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
         condition = np.broadcast_to(item.condition, (len(x), len(item.condition)))
         inputs = input_values(fitted.model, item, item.times)[rows]
         own = tuple(np.float64(value) for value in fitted.start(0, index).constants)
-        for method in (member._rhs, member._observe):
+        for method in (member.equations.rhs, member.equations.observe):
             method(member.arithmetic("numpy"), t, x, condition, inputs, own, tuple(networks))
     found = np.concatenate([np.zeros((0, len(fitted.model.networks[network].arguments))), *recorded.calls])
     return found[:: max(1, len(found) // limit)]

@@ -107,7 +107,7 @@ class History:
 
 @dataclass(frozen=True)
 class Residuals:
-    """The residuals [N] of one channel (see `gbspec.ir.residuals`) at `times` [N] of all trajectories.
+    """The residuals [N] of one channel (see `gbspec.ir.residual`) at `times` [N] of all trajectories.
 
     `predicted` [N] are the values there in the channel's unit; `logarithmic`: the residuals are of logarithms.
     """

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from gbspec.analysis.bifurcation.diagram import Diagram
-from gbspec.analysis.bifurcation.eigen import Eigen
-from gbspec.analysis.bifurcation.plane_diagram import PlaneDiagram
-from gbspec.analysis.prediction.start_comparison import InitialStates
-from gbspec.data.trajectories import Trajectories
+from gbspec.analysis import Diagram, Eigen, InitialStates, PlaneDiagram
+from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report.drawn import drawn
 from gbspec.report.figures import diagram as diagrams
@@ -18,8 +15,8 @@ from gbspec.report.figures import plane as planes
 from gbspec.report.figures import profile as profiles
 from gbspec.report.kinds import kind_of
 from gbspec.report.source import MissingError, Source
-from gbspec.runs.store import Run
-from gbspec.training.profile.likelihood import Profile
+from gbspec.runs import Run
+from gbspec.training import Profile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from gbspec.analysis.prediction.forecast import Forecast
-from gbspec.data.columns import TRAJECTORY
-from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
+from gbspec.analysis import Forecast
+from gbspec.data import FORMATS, PARQUET, SEPARATORS, TRAJECTORY
 from gbspec.diagnostics import Cell, Diagnostic, UserError
 from gbspec.files import writable, write_text
 

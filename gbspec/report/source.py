@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from gbspec.data.statistics import evenly_spaced
+from gbspec.data import evenly_spaced
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report.collect import Fitted
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcation.eigen import Eigen
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.runs.store import Run
+    from gbspec.analysis import Eigen
+    from gbspec.data import Trajectories
+    from gbspec.runs import Run
 
 
 class MissingError(Exception):

@@ -9,9 +9,8 @@ import sympy
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.backends.casadi.evaluator import Evaluator
-from gbspec.backends.module import load_module
-from gbspec.ir.model import NN, Channel, Condition, Constant, Expr, Model, State, Unknown
+from gbspec.backends import Evaluator, load_module
+from gbspec.ir import NN, Channel, Condition, Constant, Expr, Model, State, Unknown
 from gbspec.passes import with_truth
 from gbspec.report.collect import Fitted, visited
 from gbspec.report.content import LearnedFunction, Plane, Slice

@@ -1,5 +1,5 @@
 """The run directory: what training writes and everything else reads."""
 
-from gbspec.runs.store import Run, open_run
+import lazy_loader
 
-__all__ = ["Run", "open_run"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.backends.module import load_module
+from gbspec.backends import GeneratedModule, load_module
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
-from gbspec.ir.methods import METHODS, RK4, Method
-from gbspec.ir.model import Model
+from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files
+from gbspec.runs.record import DAMAGED, FitRecord, read_record
 
 
 @dataclass(frozen=True)
@@ -29,29 +27,29 @@ class Run:
 
     path: Path
     model: Model
-    fit: dict[str, Any]
+    fit: FitRecord
     numbers: tuple[int, ...]
     values: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
-    def module(self) -> type[Any]:
+    def module(self) -> type[GeneratedModule]:
         """The class of the generated module, stepped by the method that the run was trained with."""
         return load_module(self.model, self.method)
 
     @property
     def method(self) -> Method:
         """The method that it was trained with; older runs do not name theirs, the classical one."""
-        return METHODS[self.fit.get("solver", RK4.name)]
+        return METHODS[self.fit.solver]
 
     def stepped_by(self, method: Method) -> Run:
         """The same run with steps of another method."""
-        return replace(self, fit={**self.fit, "solver": method.name})
+        return replace(self, fit=replace(self.fit, solver=method.name))
 
     @cached_property
-    def _loaded(self) -> dict[int, Any]:
+    def _loaded(self) -> dict[int, GeneratedModule]:
         return {}
 
-    def member(self, number: int = 0) -> Any:
+    def member(self, number: int = 0) -> GeneratedModule:
         """The generated module with the weights of one member.
 
         Raises `UserError` (GB854) where there is no such member, (GB853) where its weights are damaged or belong to
@@ -70,7 +68,7 @@ class Run:
                 raise UserError([Diagnostic("GB853", message, None, help=help_text)]) from None
         return self._loaded[number]
 
-    def _set(self, member: Any) -> Any:
+    def _set(self, member: GeneratedModule) -> GeneratedModule:
         """The member with `values` in its constants; those of which each trajectory has its own are all set."""
         if not self.values:
             return member
@@ -81,28 +79,27 @@ class Run:
                 weights[f"per_trajectory.{name}"] = np.full_like(weights[f"per_trajectory.{name}"], self.values[name])
         return type(member)(weights, member.info)
 
-    def amended(self, **entries: Any) -> Run:
-        """The same run with other entries in `fit.json`, which is written."""
-        fit = {**self.fit, **entries}
-        files.write_json(self.path / files.FIT, fit)
+    def amended(self, fit: FitRecord) -> Run:
+        """The same run with another `fit.json`, which is written."""
+        fit.write(self.path)
         return replace(self, fit=fit)
 
     @property
-    def members(self) -> tuple[Any, ...]:
+    def members(self) -> tuple[GeneratedModule, ...]:
         """The generated module with the weights of each member."""
         return tuple(self.member(number) for number in self.numbers)
 
     @property
     def best(self) -> int:
         """The number of the member whose loss is least."""
-        losses = {n: _loss(entry) for n, entry in zip(self.numbers, self.fit.get("members", []), strict=False)}
+        losses = {n: m.loss for n, m in zip(self.numbers, self.fit.members, strict=False) if m.loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
 
-    def mean(self, predict: Callable[[Any], Array]) -> Array:
+    def mean(self, predict: Callable[[GeneratedModule], Array]) -> Array:
         """The mean over members of what `predict` (module instance -> array) gives."""
         return np.asarray(np.mean([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
-    def spread(self, predict: Callable[[Any], Array]) -> Array:
+    def spread(self, predict: Callable[[GeneratedModule], Array]) -> Array:
         """The standard deviation over members of what `predict` gives (zero for a single member)."""
         return np.asarray(np.std([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
@@ -123,16 +120,11 @@ class Run:
             return list(csv.DictReader(file))
 
 
-def _loss(entry: dict[str, Any]) -> float:
-    value = entry.get("loss")
-    return float(value) if value is not None else float("inf")
-
-
 def open_run(path: str | Path) -> Run:
     """Reads a run directory.
 
-    Raises `UserError`: GB851 where it is no run, GB852 where a file of it is missing or damaged, GB853 where no member
-    has weights; and whatever is wrong with its `model.gb`.
+    Raises `UserError`: GB851 where it is no run, GB852 where a file of it is missing or damaged, GB857 where it is of
+    another version of the generated module, GB853 where no member has weights; and what is wrong with its `model.gb`.
     """
     directory = Path(path)
     if not (directory / files.FIT).is_file() and not (directory / files.MODEL).is_file():
@@ -140,10 +132,11 @@ def open_run(path: str | Path) -> Run:
         help_text = "a run is what `gbspec train MODEL DATA -o RUN` writes: it holds `model.gb` and `fit.json`"
         raise UserError([Diagnostic("GB851", message, None, help=help_text)])
     findings = Findings()
-    fit = _read_fit(directory / files.FIT, findings)
+    fit = read_record(directory, findings)
     if not (directory / files.MODEL).is_file():
-        findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=_DAMAGED)
-    findings.raise_if_failed()
+        findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=DAMAGED)
+    if fit is None or findings.failed:
+        raise UserError(findings)
     model = load_model(directory / files.MODEL, Findings())
     numbers = member_numbers(directory)
     if not numbers:
@@ -151,31 +144,6 @@ def open_run(path: str | Path) -> Run:
         help_text = "its training stopped before the first iteration; train again (`--resume` continues)"
         raise UserError([Diagnostic("GB853", message, None, help=help_text)])
     return Run(directory, model, fit, numbers)
-
-
-_DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
-
-
-def _read_fit(path: Path, findings: Findings) -> dict[str, Any]:
-    if not path.is_file():
-        findings.error("GB852", f"`{path}` is missing", None, help=_DAMAGED)
-        return {}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        findings.error("GB852", f"`{path}` is damaged: {error}", None, help=_DAMAGED)
-        return {}
-    if not isinstance(content, dict) or "gbspec" not in content or "model" not in content:
-        findings.error("GB852", f"`{path}` does not describe a fit of gbspec", None, help=_DAMAGED)
-        return {}
-    solver = content.get("solver", RK4.name)
-    if not isinstance(solver, str) or solver not in METHODS:
-        message = f"`{path}` names a solver that this version does not have: `{solver}`"
-        findings.error(
-            "GB852", message, None, help=f"use the version that wrote it; here there are {', '.join(METHODS)}"
-        )
-        return {}
-    return content
 
 
 def member_numbers(directory: Path) -> tuple[int, ...]:

@@ -1,6 +1,5 @@
 """Checks on the syntax tree: scope, balances, calls, numbers, units; before sympy simplifies the expressions."""
 
-from gbspec.semantics.check import check
-from gbspec.semantics.checked import Checked
+import lazy_loader
 
-__all__ = ["Checked", "check"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

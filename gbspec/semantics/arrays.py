@@ -17,10 +17,7 @@ from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.statements.base import Place
-from gbspec.syntax.walk import children
+from gbspec.syntax import Kind, Place, ast, children
 
 LARGEST = 2000
 """The most elements that an array may have."""

@@ -11,9 +11,7 @@ from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.sites import Site, Sites
 from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.statements.base import Key, target_name
+from gbspec.syntax import Key, Kind, ast, target_name
 
 _TWICE = {
     "balance": ("GB302", "`{0}` has two balances", "add their right sides, or delete one of them"),

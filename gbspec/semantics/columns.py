@@ -8,9 +8,7 @@ from typing import assert_never
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.merge import Item
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.statements.base import target_name
+from gbspec.syntax import Kind, ast, target_name
 
 
 def check(items: Iterable[Item], table: Table, findings: Findings) -> None:

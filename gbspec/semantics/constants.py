@@ -9,8 +9,7 @@ from typing import assert_never
 
 from gbspec.semantics.expressions import chain, fold, operands
 from gbspec.semantics.vocabulary import CONSTANTS
-from gbspec.syntax import ast
-from gbspec.syntax.names import FUNCTIONS
+from gbspec.syntax import FUNCTIONS, ast
 
 _ONE: dict[str, Callable[[float], float]] = {
     name: getattr(math, name) for name in FUNCTIONS if name not in ("abs", "sign", "atan2", "min", "max")

@@ -12,10 +12,7 @@ from gbspec.semantics.expressions import chain, fold, operands, walk
 from gbspec.semantics.table import Table
 from gbspec.semantics.unification import Solution, factor_between
 from gbspec.semantics.units import ONE, Unit, read
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.names import FUNCTIONS
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax import FUNCTIONS, Kind, ast, ungrouped
 
 _OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", "degree_Fahrenheit"})
 _SAME = frozenset({"abs", "min", "max"})

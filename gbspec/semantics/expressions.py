@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TypeVar, assert_never
 
-from gbspec.syntax import ast
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax import ast, ungrouped
 
 T = TypeVar("T")
 

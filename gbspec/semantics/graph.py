@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Table
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind
 
 NODES = frozenset({Kind.CONST, Kind.LET, Kind.FUNCTION, Kind.PROCESS})
 """The kinds whose values are given by expressions."""

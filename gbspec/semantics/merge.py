@@ -16,9 +16,7 @@ from typing import TypeVar
 
 from gbspec.diagnostics import Findings, Source, Span, UserError
 from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import ast
-from gbspec.syntax.statements.base import Key
-from gbspec.syntax.walk import children
+from gbspec.syntax import Key, ast, children
 
 _UNITS = (ast.UnitName, ast.UnitNumber, ast.UnitBinary)
 
@@ -93,7 +91,7 @@ def _without_extends(item: Item) -> Item:
 
 def _chain(file: ast.File, findings: Findings, load: Load) -> tuple[list[ast.File], bool]:
     """The file, what it extends, what that extends, …; False if one of them could not be read."""
-    from gbspec.syntax.parser import parse
+    from gbspec.syntax import parse
 
     files = [file]
     seen = [_identity(Path(file.span.source.path))]

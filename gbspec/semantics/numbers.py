@@ -13,9 +13,7 @@ from gbspec.semantics.graph import Graph
 from gbspec.semantics.merge import Item
 from gbspec.semantics.sites import Site, Sites
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.rules import CONST_VALUE
+from gbspec.syntax import CONST_VALUE, Kind, ast
 
 GEOMETRIC_FROM = 100.0
 """From this ratio of positive bounds on, the default starting value of a learnable is the bounds' geometric mean."""

@@ -8,8 +8,7 @@ from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.graph import NODES, Graph
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Table
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.rules import ANY
+from gbspec.syntax import ANY, Kind
 
 
 def enforce(sites: Iterable[Site], table: Table, graph: Graph, findings: Findings) -> None:

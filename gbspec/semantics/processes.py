@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from gbspec.diagnostics import Findings, Span
 from gbspec.semantics.expressions import ADDITIVE, chain, walk
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast
 
 
 @dataclass(frozen=True)

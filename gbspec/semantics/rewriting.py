@@ -6,8 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import cast
 
-from gbspec.syntax import ast
-from gbspec.syntax.statements.base import Place
+from gbspec.syntax import Place, ast
 
 
 def rebuilt(

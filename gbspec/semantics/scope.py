@@ -10,9 +10,7 @@ from gbspec.semantics.merge import Merged
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.names import FUNCTIONS
+from gbspec.syntax import FUNCTIONS, Kind, ast
 
 _SUGGESTIONS = 20
 _PLACES = 4

@@ -8,9 +8,7 @@ from dataclasses import dataclass, field
 from gbspec.diagnostics import Span
 from gbspec.semantics.merge import Item
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast, rules
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.statements.base import Place
+from gbspec.syntax import Kind, Place, ast, rules
 
 
 @dataclass

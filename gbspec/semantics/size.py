@@ -10,8 +10,7 @@ from gbspec.semantics.expressions import fold
 from gbspec.semantics.graph import Graph
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast
 
 LARGEST = 200_000
 """The maximal number of operations of an expression with its functions expanded."""

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.merge import Item
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from gbspec.semantics.numbers import functions_of
 from gbspec.semantics.sites import Sites
 from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast
 
 
 def check(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> list[ast.TruthStatement]:

@@ -15,9 +15,7 @@ from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Table
 from gbspec.semantics.unification import Solution
 from gbspec.semantics.units import ONE, Namespace, Unit
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
-from gbspec.syntax.statements.base import target_name
+from gbspec.syntax import Kind, ast, target_name
 
 Terms = Mapping[str, Sequence[tuple[bool, Term]]]
 Usable = Callable[[ast.Expression], bool]

@@ -10,8 +10,7 @@ from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.vocabulary import ACTIVATIONS, suggestion
-from gbspec.syntax import ast
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax import ast, ungrouped
 
 WIDEST = 4096
 """The maximal number of units of a hidden layer."""

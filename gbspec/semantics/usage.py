@@ -8,8 +8,7 @@ from gbspec.diagnostics import Findings, Label
 from gbspec.semantics.merge import Item
 from gbspec.semantics.sites import Site, Sites
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast
 
 _USELESS = {
     Kind.CONDITION: "the data would have to contain it for no purpose",

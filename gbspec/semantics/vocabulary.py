@@ -6,7 +6,7 @@ import difflib
 import math
 from collections.abc import Iterable
 
-from gbspec.syntax.names import FUNCTIONS, explain_look_alike, looks_like
+from gbspec.syntax import FUNCTIONS, explain_look_alike, looks_like
 
 CONSTANTS = {"pi": math.pi}
 

@@ -1,1 +1,5 @@
 """Studies: the cases of a `cases.toml` fitted many times and set beside what was published; cross-validation."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gbspec.data.fingerprint import fingerprint
-from gbspec.data.trajectories import Trajectories
+from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import finite, write_text
 from gbspec.runs import files
@@ -25,7 +24,7 @@ from gbspec.studies.folds import Fold, Over, folds, way
 from gbspec.studies.heldout import Errors, Point, errors, held_out
 
 if TYPE_CHECKING:
-    from gbspec.ir.model import Model
+    from gbspec.ir import Model
     from gbspec.training import Progress, TrainOptions
 
 SUMMARY = "crossvalidation.json"
@@ -183,7 +182,7 @@ _KNOWN = ("trajectory", "time", "channel", "measured", "in_logarithms")
 
 def _spreads(data: Trajectories) -> dict[str, float]:
     """The deviation of each channel over all of the data."""
-    from gbspec.data.statistics import channel_statistics
+    from gbspec.data import channel_statistics
 
     return {one.name: one.scale for one in channel_statistics(data)}
 

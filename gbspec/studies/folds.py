@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.data import Trajectories, Trajectory
 from gbspec.diagnostics import Diagnostic, UserError
 
 Over = Literal["trajectories", "time"]

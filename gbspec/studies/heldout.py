@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.prediction.noise import interval, noise_at
+from gbspec.analysis import interval, noise_at
 from gbspec.arrays import Array, Mask
 from gbspec.files import finite
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir import logarithmic
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
-    from gbspec.runs.store import Run
+    from gbspec.runs import Run
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def held_out(run: Run, fold: Fold, window: int | None) -> list[Point]:
 
 
 def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
-    from gbspec.analysis.prediction.forecast import forecast
+    from gbspec.analysis import forecast
 
     found = forecast(run, fold.whole, window=window)
     points = []
@@ -80,8 +80,8 @@ def _trajectories(run: Run, fold: Fold, window: int | None) -> list[Point]:
 
 
 def _stretches(run: Run, fold: Fold) -> list[Point]:
-    from gbspec.analysis.prediction.predict import learned_start, predict
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.analysis import learned_start, predict
+    from gbspec.backends import Evaluator
 
     evaluators = [Evaluator(member) for member in run.members]
     points = []

@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gbspec.diagnostics import ComputationError, Findings, UserError
-from gbspec.runs import files
+from gbspec.runs import encode, files
 from gbspec.studies.tasks import Task
 
 if TYPE_CHECKING:
-    from gbspec.analysis.validation.validate import Validation
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
+    from gbspec.analysis import Validation
+    from gbspec.data import Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import Run
 
 NORMS = ("L1", "L2", "Linf")
 
@@ -110,19 +110,19 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
         "cpu_seconds": fitted[0] - prepared[0],
         "wall_seconds": fitted[1] - prepared[1],
         "other_cpu_seconds": time.process_time() - fitted[0] + prepared[0] - began[0],
-        "loss": run.fit["members"][0]["loss"],
-        "stages": run.fit["members"][0]["stages"],
-        "constants": {name: entry["value"] for name, entry in run.fit["constants"].items()},
+        "loss": run.fit.members[0].loss,
+        "stages": [encode(stage) for stage in run.fit.members[0].stages],
+        "constants": {name: entry.value for name, entry in run.fit.constants.items()},
         "max_step": run.max_step,
         **found,
         **starts(run, data, task),
-        "versions": {"gbspec": run.fit["gbspec"], **run.fit["versions"]},
+        "versions": {"gbspec": run.fit.gbspec, **run.fit.versions},
     }
 
 
 def measured(task: Task, model: Model, place: Place) -> Trajectories:
     """The member's data: the case's table, or simulated ones, read back from a table as a user's would be."""
-    from gbspec.data.table import write
+    from gbspec.data import write
     from gbspec.operations import models, tables
 
     if task.case.data is not None:
@@ -139,7 +139,7 @@ def measured(task: Task, model: Model, place: Place) -> Trajectories:
 
 def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
     """The errors of a fitted member on its data and against the truth, and what was warned of."""
-    from gbspec.analysis.validation.validate import validate
+    from gbspec.analysis import validate
 
     found = validate(run, data, member=0, sampling=task.case.sampling, metrics=task.case.metrics)
     return {
@@ -148,7 +148,7 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
         "unsolved": list(found.failed),
         "step_check": found.step_check.to_json(),
         "step_warning": found.step_check.warning,
-        "warnings": [*run.fit["warnings"], *found.warnings],
+        "warnings": [*run.fit.warnings, *found.warnings],
     }
 
 

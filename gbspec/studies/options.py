@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.options import Effort
+from gbspec.training import Effort
 
 
 @dataclass(frozen=True)

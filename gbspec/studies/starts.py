@@ -14,16 +14,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gbspec.analysis.prediction.predict import input_values, learned_start, needed
-from gbspec.analysis.simulation.simulate import true_starts
-from gbspec.analysis.systems.steady import ordered_eigenvalues
-from gbspec.analysis.validation.truth_errors import truth_evaluator, truth_model
+from gbspec.analysis import (
+    input_values,
+    learned_start,
+    needed,
+    ordered_eigenvalues,
+    true_starts,
+    truth_evaluator,
+    truth_model,
+)
 from gbspec.arrays import Array
 
 if TYPE_CHECKING:
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.runs.store import Run
+    from gbspec.backends import Evaluator
+    from gbspec.data import SimulateOptions, Trajectories
+    from gbspec.runs import Run
 
 Spectra = np.ndarray[tuple[int, int], np.dtype[np.complex128]]
 
@@ -35,7 +40,7 @@ class Starts:
     run: Run
     data: Trajectories
     interval: float
-    truth: Any
+    truth: Evaluator
     learned: Any
     true: Array
     found: Array
@@ -43,7 +48,7 @@ class Starts:
     @classmethod
     def of(cls, run: Run, data: Trajectories, sampling: SimulateOptions) -> Starts:
         """Of the first member of a run on simulated data. Raises ComputationError where the truth cannot be solved."""
-        from gbspec.backends.casadi.evaluator import Evaluator
+        from gbspec.backends import Evaluator
 
         truth, learned = truth_evaluator(run.model), Evaluator(run.member(run.numbers[0]))
         true = true_starts(truth, truth_model(run.model), sampling)
@@ -68,10 +73,10 @@ class Starts:
             "error": np.median(np.abs(learned - true), axis=0).tolist(),
         }
 
-    def _spectra(self, evaluator: Any, states: Array) -> Spectra:
+    def _spectra(self, evaluator: Evaluator, states: Array) -> Spectra:
         return np.array([ordered_eigenvalues(self._jacobian(evaluator, i, state)) for i, state in enumerate(states)])
 
-    def _jacobian(self, evaluator: Any, index: int, state: Array) -> Array:
+    def _jacobian(self, evaluator: Evaluator, index: int, state: Array) -> Array:
         item = self.data.items[index]
         inputs = input_values(self.run.model, item, np.array([item.start]))[0]
         return np.asarray(evaluator.jacobian_at(item.start, state, item.condition, inputs), dtype=np.float64)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gbspec.data.cases import Case
+from gbspec.data import Case
 from gbspec.files import write_text
 from gbspec.runs import files
 from gbspec.studies.member import NORMS, Place, read_record

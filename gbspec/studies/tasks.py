@@ -14,13 +14,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gbspec.data.cases import FILE, Case, Cases, load_cases
-from gbspec.data.names import similar
-from gbspec.data.overlay import overlay
-from gbspec.data.shipped import models_folder
+from gbspec.data import FILE, Case, Cases, load_cases, models_folder, overlay, similar
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
 from gbspec.studies.options import StudyOptions
-from gbspec.training.options import TrainOptions
+from gbspec.training import TrainOptions
 
 SET_BY_THE_STUDY = ("members", "seed", "workers", "threads", "scheduler", "resume")
 """Options of training that a case cannot have, since the study gives them."""

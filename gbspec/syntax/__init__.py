@@ -1,5 +1,5 @@
 """From text to a syntax tree: file reading, parser, statements, names, formatter. Only this package imports lark."""
 
-from gbspec.syntax.parser import parse, parse_expression, read_source
+import lazy_loader
 
-__all__ = ["parse", "parse_expression", "read_source"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

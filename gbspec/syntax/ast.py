@@ -3,7 +3,7 @@
 Nothing here knows what a name means. Numbers keep their text so that the formatter writes them as they were.
 
 Nesting (brackets, signs, powers) is limited to `MAX_DEPTH` by the parser, but a sum or product may have thousands of
-terms, each `Binary` holding the terms before it on its left: go through trees with `gbspec.syntax.walk` (`walk`,
+terms, each `Binary` holding the terms before it on its left: go through trees with `gbspec.syntax.walking` (`walk`,
 `fold`, `same`), not by recursion into `Binary.left`.
 """
 
@@ -43,28 +43,32 @@ from gbspec.syntax.nodes import (
     UnitNumber,
     ZeroAt,
 )
-from gbspec.syntax.statements.allow import AllowStatement
-from gbspec.syntax.statements.balance import BalanceStatement
-from gbspec.syntax.statements.base import About, Formula, Remark
-from gbspec.syntax.statements.closure import ClosureStatement
-from gbspec.syntax.statements.condition import ConditionStatement
-from gbspec.syntax.statements.conserve import ConserveStatement
-from gbspec.syntax.statements.const import ConstStatement
-from gbspec.syntax.statements.dose import DoseStatement
-from gbspec.syntax.statements.function import FunctionStatement
-from gbspec.syntax.statements.initial import InitialStatement
-from gbspec.syntax.statements.input import InputStatement
-from gbspec.syntax.statements.learn import LearnStatement
-from gbspec.syntax.statements.let import LetStatement
-from gbspec.syntax.statements.model import ModelStatement
-from gbspec.syntax.statements.observe import ObserveStatement
-from gbspec.syntax.statements.process import ProcessStatement
-from gbspec.syntax.statements.state import StateStatement
-from gbspec.syntax.statements.time import TimeStatement
-from gbspec.syntax.statements.truth import TruthStatement
-from gbspec.syntax.statements.unit import UnitStatement
-from gbspec.syntax.statements.unknown import UnknownStatement
-from gbspec.syntax.statements.without import WithoutStatement
+from gbspec.syntax.statements import (
+    About,
+    AllowStatement,
+    BalanceStatement,
+    ClosureStatement,
+    ConditionStatement,
+    ConserveStatement,
+    ConstStatement,
+    DoseStatement,
+    Formula,
+    FunctionStatement,
+    InitialStatement,
+    InputStatement,
+    LearnStatement,
+    LetStatement,
+    ModelStatement,
+    ObserveStatement,
+    ProcessStatement,
+    Remark,
+    StateStatement,
+    TimeStatement,
+    TruthStatement,
+    UnitStatement,
+    UnknownStatement,
+    WithoutStatement,
+)
 
 __all__ = [
     "MAX_DEPTH",

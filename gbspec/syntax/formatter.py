@@ -17,7 +17,7 @@ from gbspec.syntax.chunks import split
 from gbspec.syntax.parser import Parsed, parse, parse_statements
 from gbspec.syntax.spacing import Piece, pieces
 from gbspec.syntax.transformer import Clause
-from gbspec.syntax.walk import same
+from gbspec.syntax.walking import same
 
 WIDTH = 100
 _INDENT = 4

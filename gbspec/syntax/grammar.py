@@ -11,7 +11,7 @@ from pathlib import Path
 from lark import Lark
 
 from gbspec.diagnostics import Defect
-from gbspec.syntax.transformer.builder import Builder
+from gbspec.syntax.transformer import Builder
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _FOLDERS = (_PACKAGE / "_grammar", _PACKAGE.parent / "grammar")

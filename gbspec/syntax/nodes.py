@@ -3,7 +3,7 @@
 Nothing here knows what a name means. Numbers keep their text so that the formatter writes them as they were.
 
 Nesting (brackets, signs, powers) is limited to `MAX_DEPTH` by the parser, but a sum or product may have thousands of
-terms, each `Binary` holding the terms before it on its left: go through trees with `gbspec.syntax.walk` (`walk`,
+terms, each `Binary` holding the terms before it on its left: go through trees with `gbspec.syntax.walking` (`walk`,
 `fold`, `same`), not by recursion into `Binary.left`.
 """
 

@@ -3,38 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any, Literal
 
 from gbspec.diagnostics import Findings
-from gbspec.ir.methods import METHODS, RK4, listed, unknown_method
+from gbspec.ir import METHODS, RK4, listed, unknown_method
+from gbspec.runs import DAMAGED, JsonError, Option, decode, files
+from gbspec.training.stages import BY_METHOD, Effort, StageName
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
-Effort = Literal["low", "normal", "high"]
 Initial = Literal["learned", "bred", "recognition"]
 Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
 
-STAGES = (
-    "adam",
-    "imputed forcing",
-    "initial states",
-    "teacher forcing",
-    "initial states again",
-    "half step",
-    "blend",
-    "initial states of whole solutions",
-    "autoregressive",
-    "choice",
-    "forcing as asked",
-    "search",
-    "least squares",
-    "least squares, starts too",
-    "lbfgs",
-    "bred initial states",
-)
-"""The stages after the warm start from which `auto` chooses; the plan decides which of them run."""
+STAGES = tuple(str(name) for name in StageName if name not in BY_METHOD)
+"""The stages that `--stages` can name; the plan says which of them a model and its data have."""
 
 
 @dataclass(frozen=True)
@@ -229,6 +214,22 @@ class TrainOptions:
         """
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
+
+    @classmethod
+    def recorded(cls, options: Mapping[str, Option], run: Path) -> TrainOptions:
+        """The options of a run as its `fit.json` has them; those that it lacks are at their defaults.
+
+        Raises UserError (GB852) where one has a value that it cannot have.
+        """
+        findings = Findings()
+        try:
+            found = decode(cls, options, "options")
+            found.check(findings)
+        except JsonError as error:
+            for finding in error.findings:
+                findings.error("GB852", f"`{run / files.FIT}` is damaged: {finding}", None, help=DAMAGED)
+        findings.raise_if_failed()
+        return found
 
 
 def _number(text: str) -> float | None:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from gbspec.backends.module import load_module
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.ir.model import Model
+from gbspec.runs.record import DataRecord, FitRecord, MemberRecord
 from gbspec.runs.store import Run, open_run
 
 
@@ -66,15 +66,15 @@ def urp_instance() -> Any:
 def write_run(tmp_path: Path) -> Callable[..., Run]:
     """Writes a run directory of instances of one model and opens it."""
 
-    def write(model: Model, *instances: Any, **fit: Any) -> Run:
+    def write(model: Model, *instances: Any) -> Run:
         directory = tmp_path / "run"
         for k, instance in enumerate(instances):
             folder = directory / "members" / str(k)
             folder.mkdir(parents=True)
             instance.save(folder / "weights.safetensors")
         (directory / "model.gb").write_text(model.text, encoding="utf-8")
-        content = {"gbspec": "0", "model": model.name, "members": [{"loss": 1.0} for _ in instances], **fit}
-        (directory / "fit.json").write_text(json.dumps(content), encoding="utf-8")
+        members = tuple(MemberRecord(k, 1.0, {}, 0.0, ()) for k in range(len(instances)))
+        FitRecord("0", model.name, DataRecord("", "", 0, 0, 0), {}, {}, {}, {}, members, ()).write(directory)
         return open_run(directory)
 
     return write

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.bifurcation.eigen import eigen, format_eigenvalue
-from gbspec.analysis.prediction.predict import Prediction, Start
+from gbspec.analysis.prediction.solutions import Prediction, Start
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import brusselator, textbook, urp

@@ -17,6 +17,7 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import UserError
 from gbspec.operations import analysing, models
 from gbspec.report.files import result as draw
+from gbspec.runs.record import DataRecord
 from tests.analysis.conftest import model_of, nearly_true
 
 OPTIONS = SimulateOptions(trajectories=2, span=3.0, sampling="gamma", channels="own-clock", seed=2,
@@ -44,7 +45,7 @@ def found(data: Trajectories) -> InitialStates:
 def compare(instance: Any, data: Trajectories, truth: Any) -> InitialStates:
     model, evaluator = model_of("urp_gb2"), Evaluator(instance)
     system = analysing.system(models.Subject(model, evaluator))
-    return initial_states(evaluator, model, data, {"sha256": "known"}, system, truth)
+    return initial_states(evaluator, model, data, DataRecord("", "known", 4, 0, 0), system, truth)
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")  # starts are tried from which the solution runs away

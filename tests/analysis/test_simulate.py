@@ -11,7 +11,7 @@ import pytest
 from gbspec.analysis.simulation.design import measurement_times
 from gbspec.analysis.simulation.simulate import SimulateOptions, simulate
 from gbspec.arrays import Array
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.sampling import fixed
 from gbspec.data.signals import evaluate
 from gbspec.data.table import read, write

@@ -40,21 +40,21 @@ def options(step: float) -> TrainOptions:
 
 def test_a_fit_that_leans_on_its_step_says_so(data: Trajectories, tmp_path: Path) -> None:
     run = fitting.train(model_of(DECAY), data, tmp_path / "run", options(1.0))
-    assert [check["half_step"] > 0.01 for check in run.fit["step_checks"]] == [True, True]
-    assert [check["trajectories"] for check in run.fit["step_checks"]] == [8, 8]
-    told = [warning for warning in run.fit["warnings"] if "depends on its training step of 1" in warning]
+    assert [check.half_step > 0.01 for check in run.fit.step_checks] == [True, True]
+    assert [check.trajectories for check in run.fit.step_checks] == [8, 8]
+    told = [warning for warning in run.fit.warnings if "depends on its training step of 1" in warning]
     assert [warning.partition(":")[0] for warning in told] == ["member 0", "member 1"]
     assert all("Train with a smaller `--max-step`" in warning for warning in told)
     assert open_run(tmp_path / "run").fit == run.fit
     found = validate(run, data, truth=False)
-    assert found.step_check.half_step == pytest.approx(run.fit["step_checks"][0]["half_step"])
-    assert found.warnings_after(run.fit) == run.fit["warnings"]  # the report says it once
+    assert found.step_check.half_step == pytest.approx(run.fit.step_checks[0].half_step)
+    assert found.warnings_after(run.fit.warnings) == list(run.fit.warnings)  # the report says it once
 
 
 def test_a_fit_that_holds_at_any_step_has_its_check_and_no_warning(data: Trajectories, tmp_path: Path) -> None:
     run = fitting.train(model_of(DECAY), data, tmp_path / "run", options(0.1))
-    assert all(0 <= check[name] < 0.01 for check in run.fit["step_checks"] for name in ("half_step", "adaptive"))
-    assert not any("depends on its training step" in warning for warning in run.fit["warnings"])
+    assert all(0 <= getattr(check, name) < 0.01 for check in run.fit.step_checks for name in ("half_step", "adaptive"))
+    assert not any("depends on its training step" in warning for warning in run.fit.warnings)
 
 
 def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> None:
@@ -72,8 +72,8 @@ def test_solutions_that_the_step_alone_can_follow_are_told(tmp_path: Path) -> No
     found = Findings()
     data = tables.read_data(str(tmp_path / "blow.csv"), model, found)
     run = fitting.train(model, data, tmp_path / "run", TrainOptions(max_step=1.0, workers=1))
-    assert run.fit["step_checks"][0]["unsolved"] == 2
-    assert any("2 of 2 trajectories" in w and "but not by an adaptive solver" in w for w in run.fit["warnings"])
+    assert run.fit.step_checks[0].unsolved == 2
+    assert any("2 of 2 trajectories" in w and "but not by an adaptive solver" in w for w in run.fit.warnings)
 
 
 def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:
@@ -84,7 +84,7 @@ def test_what_the_adaptive_solver_misses_is_not_the_steps_fault() -> None:
 def test_the_rest_of_a_single_trajectory_is_known_again(data: Trajectories, tmp_path: Path) -> None:
     one = data.subset([3])
     fit = fitting.train(model_of(DECAY), one, tmp_path / "run", replace(options(1.0), holdout=0.3)).fit
-    assert [check["trajectories"] for check in fit["step_checks"]] == [1, 1]
+    assert [check.trajectories for check in fit.step_checks] == [1, 1]
 
 
 def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_each_run_of_a_sweep_is_checked(data: Trajectories, tmp_path: Path) -> N
 
     points = [Point("long", {}, options(1.0)), Point("short", {}, options(0.1))]
     fitting.sweep(model_of(DECAY), data, points, tmp_path, TrainOptions(workers=1), Heard())
-    assert len(open_run(tmp_path / "short").fit["step_checks"]) == 2
+    assert len(open_run(tmp_path / "short").fit.step_checks) == 2
     assert [text.partition(":")[0] for text in said if "depends on its training step" in text] == ["long", "long"]
 
 
@@ -106,4 +106,4 @@ def test_a_sweep_of_a_model_with_a_constant_called_run(data: Trajectories, tmp_p
     model = model_of(DECAY.replace("-lost", "-run*lost").replace("unknown", "learn run = 1 in [0.1, 3]\nunknown"))
     points = [Point("one", {}, replace(options(0.1), members=1))]
     fitting.sweep(model, data, points, tmp_path, TrainOptions(workers=1))
-    assert len(open_run(tmp_path / "one").fit["step_checks"]) == 1
+    assert len(open_run(tmp_path / "one").fit.step_checks) == 1

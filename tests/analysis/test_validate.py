@@ -12,7 +12,7 @@ import pytest
 import sympy
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.predict import learned_positions, learned_start, predict
+from gbspec.analysis.prediction.solutions import learned_positions, learned_start, predict
 from gbspec.analysis.simulation.simulate import simulate
 from gbspec.analysis.validation.comparison_points import sampling_for
 from gbspec.analysis.validation.step_check import StepCheck, step_check
@@ -21,12 +21,13 @@ from gbspec.analysis.validation.validate import bundled_case, validate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.operations.models import reference
+from gbspec.runs.record import DataRecord
 from gbspec.runs.store import Run
 from tests.analysis.conftest import model_of, nearly_true
 
@@ -209,8 +210,8 @@ def test_learned_starts_are_found_by_the_table_where_weights_keep_no_fingerprint
     instance = nearly_true()
     instance.weights["initial"] = np.zeros((4, 2))
     same = replace(urp_data, sha256="abc")
-    assert learned_positions(instance, same, {"sha256": "abc"}) == [0, 1, 2, 3]
-    assert learned_positions(instance, same, {"sha256": "other"}) == [None] * 4
+    assert learned_positions(instance, same, DataRecord("", "abc", 4, 0, 0)) == [0, 1, 2, 3]
+    assert learned_positions(instance, same, DataRecord("", "other", 4, 0, 0)) == [None] * 4
 
 
 def test_estimated_starts_recover_the_true_ones() -> None:

@@ -65,8 +65,8 @@ def check_agreement(model: Model, at: Point, seed: int) -> None:
 
     rhs = truth.rhs(at)
     with np.errstate(all="ignore"):
-        close(instance._rhs(m, at.t, at.x, *known), rhs, "numpy rhs")
-        close(instance._observe(m, at.t, at.x, *known), truth.observe(at), "numpy observe")
+        close(instance.equations.rhs(m, at.t, at.x, *known), rhs, "numpy rhs")
+        close(instance.equations.observe(m, at.t, at.x, *known), truth.observe(at), "numpy observe")
     close(instance.rhs(at.t, at.x, at.condition, at.inputs), rhs, "torch rhs")
     close(evaluator.rhs_many(at.t, at.x, at.condition, at.inputs)[0], rhs, "casadi rhs")
     close(np.array(instance.casadi_rhs()(at.t, at.x, at.condition, at.inputs)).ravel(), rhs, "casadi rhs, as exported")

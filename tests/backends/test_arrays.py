@@ -16,9 +16,9 @@ from gbspec.backends.c import c_code
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.latex import document
 from gbspec.backends.module import generate, load_module
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from gbspec.ir.model import Model
-from gbspec.ir.verify import verify
+from gbspec.ir.verification import verify
 from gbspec.passes import with_truth
 from gbspec.report.html import mathml
 from tests.backends.test_agreement import RANDOM, check_agreement, check_derivatives, check_step, close, instance_of
@@ -136,7 +136,11 @@ def test_random_arrays_agree_with_what_they_are_written_out(text: str, seed: int
     wanted = long.rhs(at.t, at.x, at.condition).numpy()
     m, constants = short.arithmetic("numpy"), tuple(map(np.float64, at.constants))
     with np.errstate(all="ignore"):
-        close(short._rhs(m, at.t, at.x, at.condition, at.inputs, constants, short.numpy_networks()), wanted, "numpy")
+        close(
+            short.equations.rhs(m, at.t, at.x, at.condition, at.inputs, constants, short.numpy_networks()),
+            wanted,
+            "numpy",
+        )
     close(Evaluator(short).rhs_many(at.t, at.x, at.condition)[0], wanted, "casadi")
     close(short.observe(at.t, at.x, at.condition), long.observe(at.t, at.x, at.condition), "channels")
     close(short.initial(at.x, at.condition), long.initial(at.x, at.condition), "starts")
@@ -192,7 +196,7 @@ def test_each_unknown_is_called_once_for_an_array() -> None:
         calls.append(tuple(x.shape))
         return (x,)
 
-    instance._rhs(instance.arithmetic("torch"), 0.0, torch.ones(3, 50), None, None, (), (network,))
+    instance.equations.rhs(instance.arithmetic("torch"), 0.0, torch.ones(3, 50), None, None, (), (network,))
     assert calls == [(3, 50)]
 
 

@@ -11,7 +11,7 @@ import sympy
 from matplotlib.mathtext import MathTextParser
 
 from gbspec.backends.latex import document, expression, name
-from gbspec.backends.latex.document import text
+from gbspec.backends.latex.page import text
 from gbspec.backends.registry import backends
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings

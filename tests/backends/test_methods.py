@@ -123,9 +123,9 @@ def test_a_step_by_torch_numpy_and_c_is_that_of_the_tableau(name: str, tmp_path:
             else instance.torch_networks({k: tensor(v) for k, v in instance.weights.items()})
         )
         constants = tuple(given(value) for value in instance.weights["constants"])
-        rhs = instance._field(m, given(condition), constants, networks)
-        grid = instance._grid(m, given(0.2), given(0.3))
-        close(instance._step(m, rhs, grid, given(x), tuple(map(given, inputs))), wanted)
+        rhs = instance.equations.field(m, given(condition), constants, networks)
+        grid = instance.equations.grid(m, given(0.2), given(0.3))
+        close(instance.equations.step(m, rhs, grid, given(x), tuple(map(given, inputs))), wanted)
     step = casadi.external("step", c_library(instance, tmp_path))
     close(np.array(step(0.2, x, 0.3, condition, *inputs)).ravel(), wanted)
 

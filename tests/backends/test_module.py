@@ -258,7 +258,9 @@ def test_the_tape_gives_the_gradient_of_every_weight() -> None:
     tape: list[tuple[int, int, torch.Tensor, torch.Tensor]] = []
     networks = instance.torch_networks(weights, tape)
     constants = tuple(weights["constants"].unbind())
-    result = cls._rhs(cls.arithmetic("torch"), torch.tensor(0.0), x, condition, None, constants, networks).sum()
+    result = cls.equations.rhs(
+        cls.arithmetic("torch"), torch.tensor(0.0), x, condition, None, constants, networks
+    ).sum()
     assert [(network, layer) for network, layer, _, _ in tape] == [(0, 0), (0, 1), (0, 2)]
     cotangents = torch.autograd.grad(result, [z for *_, z in tape], retain_graph=True)
     for (_, layer, a, _), cotangent in zip(tape, cotangents, strict=True):

@@ -230,7 +230,7 @@ def test_memory_does_not_grow_with_the_length(
     """Trajectories of which only a part of the activations is kept have the same gradient; no work space is large."""
     problem, parameters, theta, kernel = small
     assert kernel.work_bytes(100_000) < 8 * 2**20
-    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 100_000)
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.kernel_text"], "KEPT_BYTES", 100_000)
     short = Kernel(problem.model)
     assert short.work_bytes(problem.packed.depth) < kernel.work_bytes(problem.packed.depth)
     expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, short))
@@ -253,7 +253,7 @@ def test_jacobians_of_intervals_longer_than_what_is_kept(monkeypatch: pytest.Mon
     """With a call that is made once for a whole interval, whose slopes every part of it needs."""
     problem, parameters, theta = random_problem(model_of(INVARIANT), 3, step=0.02)
     compare_jacobians(problem, parameters, theta)
-    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 20_000)
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.kernel_text"], "KEPT_BYTES", 20_000)
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
     compare_jacobians(problem, parameters, theta)
 

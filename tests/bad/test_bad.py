@@ -30,7 +30,7 @@ def rendered_findings(path: Path) -> str:
 def run_front_end(path: Path, findings: Findings) -> None:
     """Runs all steps of `gbspec check`."""
     from gbspec.frontend import load_model
-    from gbspec.passes.examine import examine
+    from gbspec.passes.examination import examine
 
     examine(load_model(path, findings), findings)
 

@@ -124,7 +124,7 @@ def check_agreement(model: Model, instance: Any, x: torch.Tensor) -> None:
         value, jacobian = both.map(len(x))(x.detach().numpy().T)
         jacobian = np.asarray(jacobian).reshape(len(x), -1)
         arithmetic = instance.arithmetic("numpy")
-        _, output, method = instance._unknowns[unknown.name]
+        _, output, method = instance.equations.unknowns[unknown.name]
         by_numpy = method(
             arithmetic, tuple(instance.weights["constants"]), instance.numpy_networks(), *x.detach().numpy().T
         )[output]

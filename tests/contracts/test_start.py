@@ -72,7 +72,7 @@ def test_nothing_is_saturated_at_the_start(text: str) -> None:
         instance = cls.random(seed)
         raw = {name: torch.tensor(value, requires_grad=True) for name, value in instance.weights.items()}
         networks = instance.torch_networks(raw)
-        method = instance._unknowns["f"][2]
+        method = instance.equations.unknowns["f"][2]
         out = method(instance.arithmetic("torch"), tuple(raw["constants"]), networks, *x.unbind(1))[0]
         trained = [name for name in raw if name.endswith((".weight", ".bias"))]
         slopes = torch.autograd.grad(out.pow(2).sum(), [raw[name] for name in trained])

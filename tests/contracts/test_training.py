@@ -90,7 +90,7 @@ def fitted(unknown: str, truth: Any, ranges: list[tuple[float, float]], iteratio
         weights["network.f.output_center"][0], weights["network.f.output_scale"][0] = y.mean(), y.std()
     names = [name for name in weights if name.endswith((".weight", ".bias"))]
     sizes = [weights[name].numel() for name in names]
-    arithmetic, method = instance.arithmetic("torch"), instance._unknowns["f"][2]
+    arithmetic, method = instance.arithmetic("torch"), instance.equations.unknowns["f"][2]
 
     def predict(vector: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
         parts = zip(names, vector.split(sizes), strict=True)

@@ -9,7 +9,7 @@ from gbspec import frontend
 from gbspec.data.sampling import SimulateOptions
 from gbspec.data.statistics import deviations
 from gbspec.diagnostics import Findings
-from gbspec.ir.residuals import logarithmic, residuals
+from gbspec.ir.residual import logarithmic, residuals
 from gbspec.operations import models, tables
 
 TEXT = """\

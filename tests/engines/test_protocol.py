@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gbspec.arrays import Array
-from gbspec.ir.residuals import LOG_FLOOR, residuals, slopes
+from gbspec.ir.residual import LOG_FLOOR, residuals, slopes
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.engine import Engine, Lack, UnableError, taken
 from gbspec.training.engines.objective import half_squares, linearise, predicted, residual_table, residual_vector

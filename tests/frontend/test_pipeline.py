@@ -14,15 +14,16 @@ from pathlib import Path
 import pytest
 
 import gbspec
+import gbspec.ir
 from gbspec import frontend
 from gbspec.backends.module import load_module
 from gbspec.diagnostics import Defect, Findings, Source, UserError
-from gbspec.ir import verify as verifier
 from gbspec.ir.model import Constant, Model
 from gbspec.lsp.checking import check
 from gbspec.lsp.workspace import Workspace
 from gbspec.operations.models import compile_file
 from gbspec.runs import files
+from gbspec.runs.record import DataRecord, FitRecord
 from gbspec.runs.store import open_run
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -107,7 +108,7 @@ def test_a_new_pass_that_breaks_the_model_is_caught_too(monkeypatch: pytest.Monk
 
 def test_every_model_that_a_stage_makes_is_verified_once(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Model] = []
-    monkeypatch.setattr(verifier, "verify", seen.append)
+    monkeypatch.setattr(gbspec.ir, "verify", seen.append)
     made = frontend.load_model("claim.gb", Findings(), read)
     assert len(seen) == 2, "after lowering and after contracts; claims leave the Model as it is"
     assert seen[0].unknowns[0].form is None
@@ -120,7 +121,7 @@ def run_of(folder: Path, model: Model) -> Path:
     """A run directory with one member, as written by training."""
     (folder / files.MEMBERS / "0").mkdir(parents=True)
     (folder / files.MODEL).write_text(model.text, encoding="utf-8")
-    files.write_json(folder / files.FIT, {"gbspec": gbspec.__version__, "model": model.name})
+    FitRecord("0", model.name, DataRecord("", "", 0, 0, 0), {}, {}, {}, {}, (), ()).write(folder)
     load_module(model).random(0).save(folder / files.MEMBERS / "0" / files.WEIGHTS)
     return folder
 

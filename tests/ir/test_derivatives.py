@@ -66,7 +66,7 @@ def by_torch(expression: sympy.Expr, point: tuple[float, ...]) -> list[float]:
     states = tuple(State(name, initial=Initial("learn")) for name in ("x", "y", "z"))
     model = Model("m", states=states, balances=(expression, X, Y), channels=(Channel("x", value=X, state=0),))
     state = torch.tensor(point, dtype=torch.float64, requires_grad=True)
-    rates = load_module(model)._rhs(_torch_arithmetic(), torch.tensor(0.0), state, (), (), (), ())
+    rates = load_module(model).equations.rhs(_torch_arithmetic(), torch.tensor(0.0), state, (), (), (), ())
     rate = rates[..., 0]
     if not rate.requires_grad:
         return [0.0, 0.0, 0.0]

@@ -10,10 +10,10 @@ import pytest
 import sympy
 
 from gbspec.diagnostics import Defect, Findings
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from gbspec.ir.forms import center, raw, scale, spread
 from gbspec.ir.model import Activation, Channel, Constant, Learnable, Model, Range, symbol, unknown_function
-from gbspec.ir.verify import verify
+from gbspec.ir.verification import verify
 from gbspec.passes.contracts import with_contracts
 from gbspec.semantics.vocabulary import ACTIVATIONS
 from tests.texts import model_of

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from tests.texts import checked, codes, model_of
 
 BASE = """model base "Base"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import sympy
 
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from gbspec.ir.model import Dose, Noise, Prior, Range, State, symbol, unknown_function
 from gbspec.semantics.numbers import default_start
 from tests.texts import SHIPPED, model_at, model_of

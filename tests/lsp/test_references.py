@@ -14,11 +14,11 @@ from gbspec import frontend
 from gbspec.cli.commands.check import describe
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings, UserError
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from gbspec.lsp.index import at
 from gbspec.lsp.references import Refused, definitions, everywhere, rename, replaced
 from gbspec.lsp.workspace import Workspace, key
-from gbspec.passes.examine import examine
+from gbspec.passes.examination import examine
 from gbspec.syntax import ast
 
 MODEL = """\

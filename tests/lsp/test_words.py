@@ -10,7 +10,7 @@ from gbspec.diagnostics.catalogue import explain
 from gbspec.lsp import words
 from gbspec.lsp.messages import UNUSED
 from gbspec.syntax import names
-from gbspec.syntax.expected import Expected, expected
+from gbspec.syntax.expectations import Expected, expected
 from gbspec.syntax.grammar import engine
 
 

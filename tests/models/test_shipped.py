@@ -15,7 +15,7 @@ from gbspec.analysis.simulation.simulate import simulate
 from gbspec.backends.casadi.evaluator import Evaluator
 from gbspec.backends.module.loader import load_module
 from gbspec.data.cases import find_cases
-from gbspec.data.fingerprint import fingerprint
+from gbspec.data.fingerprints import fingerprint
 from gbspec.data.shipped import models_folder, shipped_model, shipped_models
 from gbspec.data.table import read, write
 from gbspec.data.trajectories import Trajectories

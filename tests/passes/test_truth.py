@@ -8,7 +8,7 @@ import pytest
 
 from gbspec.diagnostics import UserError
 from gbspec.ir.model import symbol
-from gbspec.ir.verify import verify
+from gbspec.ir.verification import verify
 from gbspec.passes import with_truth, with_values
 from tests.texts import SHIPPED, model_at, model_of
 

@@ -21,6 +21,7 @@ from gbspec.report.figures.summary import liveliest
 from gbspec.report.files import draw
 from gbspec.report.kinds import KINDS
 from gbspec.report.unknowns import Expression, learned_functions, postulate_of, truth_of
+from gbspec.runs.record import ConstantRecord, DataRecord, FitRecord, MemberRecord
 from gbspec.runs.store import Run
 
 TEXT = """\
@@ -49,8 +50,10 @@ def written(folder: Path, text: str) -> Run:
         place = folder / "members" / str(member)
         place.mkdir(parents=True)
         load_module(model).random(seed=member).save(place / "weights.safetensors")
-    entry = {"value": 0.5, "sd": 0.1, "interval": [0.4, 0.6], "start": 0.5, "per_member": [0.5, 0.5]}
-    return Run(folder, model, {"constants": {"Y": entry}, "members": [{"loss": 2.0}, {"loss": 1.0}]}, (0, 1))
+    constants = {"Y": ConstantRecord(0.5, 0.1, (0.4, 0.6), 0.5, (0.5, 0.5))}
+    members = tuple(MemberRecord(k, loss, {}, 0.0, ()) for k, loss in enumerate((2.0, 1.0)))
+    fit = FitRecord("0", model.name, DataRecord("", "", 3, 0, 0), {}, {}, constants, {}, members, ())
+    return Run(folder, model, fit, (0, 1))
 
 
 @pytest.fixture(scope="module")

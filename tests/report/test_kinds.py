@@ -42,6 +42,7 @@ from gbspec.report.drawn import drawn
 from gbspec.report.html import page
 from gbspec.report.html.charts import chart
 from gbspec.report.source import MissingError, Source
+from gbspec.runs.record import DataRecord, FitRecord, MemberRecord
 from gbspec.runs.store import Run
 
 X = np.linspace(1.0, 2.0, 5)
@@ -69,7 +70,9 @@ def run(tmp_path: Path) -> Run:
     model = frontend.load_model(tmp_path / "decay.gb", Findings())
     (tmp_path / "members" / "0").mkdir(parents=True)
     load_module(model).random(seed=0).save(tmp_path / "members" / "0" / "weights.safetensors")
-    return Run(tmp_path, model, {"members": [{"loss": 1.0}]}, (0,))
+    members = (MemberRecord(0, 1.0, {}, 0.0, ()),)
+    fit = FitRecord("0", model.name, DataRecord("", "", 0, 0, 0), {}, {}, {}, {}, members, ())
+    return Run(tmp_path, model, fit, (0,))
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gbspec.ir.dump import dump
+from gbspec.ir.dumping import dump
 from gbspec.ir.model import symbol
 from gbspec.passes import with_truth
 from gbspec.report.text import model_summary

@@ -9,7 +9,7 @@ import pytest
 from gbspec.diagnostics import Findings, UserError
 from gbspec.diagnostics.catalogue import Entry, entries
 from gbspec.frontend import load_model
-from gbspec.passes.examine import examine
+from gbspec.passes.examination import examine
 
 TOPICS = {"names", "balances", "learning", "conservation", "units"}
 ENTRIES = [entry for entry in entries().values() if entry.topic in TOPICS]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from gbspec.syntax import ast
-from gbspec.syntax.walk import fold
+from gbspec.syntax.walking import fold
 
 OPERATORS = {
     "+": lambda a, b: a + b,

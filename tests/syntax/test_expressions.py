@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gbspec.diagnostics import Findings, Source
 from gbspec.syntax import ast
 from gbspec.syntax.parser import parse_expression
-from gbspec.syntax.walk import children, same, ungrouped, walk
+from gbspec.syntax.walking import children, same, ungrouped, walk
 from tests.syntax.evaluate import evaluate
 
 VALUES = {"x": 1.25, "y": 0.5, "lambda_": 2.0}

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from gbspec.diagnostics import Findings, Source, UserError
 from gbspec.syntax.formatter import WIDTH, format_text
 from gbspec.syntax.parser import parse, read_source
-from gbspec.syntax.walk import same
+from gbspec.syntax.walking import same
 from tests.syntax.texts import files
 
 ROOT = Path(__file__).parents[2]

@@ -10,7 +10,7 @@ from gbspec.diagnostics import Findings, Source
 from gbspec.syntax import ast
 from gbspec.syntax.formatter import format_text
 from gbspec.syntax.parser import parse, parse_expression
-from gbspec.syntax.walk import walk
+from gbspec.syntax.walking import walk
 from tests.effort import calls
 
 

@@ -11,8 +11,8 @@ import pytest
 from gbspec.diagnostics import Findings, Source
 from gbspec.lower.statements import lower
 from gbspec.semantics.balances import _TWICE
-from gbspec.semantics.check import check
 from gbspec.semantics.checked import Checked
+from gbspec.semantics.checking import check
 from gbspec.syntax import ast
 from gbspec.syntax.formatter import format_text
 from gbspec.syntax.grammar import grammar_file

@@ -110,7 +110,7 @@ def test_shipped_models_are_affine(name: str) -> None:
 def same(given: Points) -> None:
     module, ops, weights, (t, x, c, u), k = given
     networks = module.torch_networks(weights)
-    expected = module._rhs(ops, t, x, c, u, tuple(k), networks)
+    expected = module.equations.rhs(ops, t, x, c, u, tuple(k), networks)
     shape = expected.shape
     found = affine(module, ops, c, k, networks).at(slice(7))(t, x, u)
     assert torch.allclose(found.expand(shape), expected, rtol=1e-13, atol=1e-13)

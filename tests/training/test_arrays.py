@@ -20,7 +20,7 @@ from gbspec.ir.model import Model
 from gbspec.operations.models import reference
 from gbspec.operations.tables import simulate
 from gbspec.training import TrainOptions, train
-from gbspec.training.recipe import plan
+from gbspec.training.recipe import planning
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 from tests.training.conftest import model_of, problem_of, trajectory
 from tests.training.reference import linearise, measured_residuals, unroll
@@ -119,19 +119,20 @@ def spreading() -> tuple[Model, Trajectories]:
 def test_a_pointwise_rate_is_learned_from_an_array(tmp_path: Path) -> None:
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
-    assert run.fit["constants"]["D"]["value"] == pytest.approx(0.3, rel=0.02)
+    assert run.fit.constants["D"].value == pytest.approx(0.3, rel=0.02)
     u = torch.linspace(0.1, 0.9, 9, dtype=torch.float64)
     found = run.member().functions["g"](u).detach()
     assert float((found - 0.8 * u * (1 - u)).abs().max()) < 0.01
 
 
 def test_many_states_are_fitted_without_a_jacobian(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.recipe.plan.PASSES", 10)
+    monkeypatch.setattr("gbspec.training.recipe.planning.PASSES", 10)
     monkeypatch.setattr("gbspec.training.starts.warm_start.ELIMINATION_WORK", 3e4)
     monkeypatch.setattr("gbspec.training.starts.warm_start.EVALUATIONS", 100)
-    monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 15)  # type: ignore[arg-type]
+    monkeypatch.setitem(planning.ALONE, "low", 15)  # type: ignore[arg-type]
     model, data = spreading()
     run = train(model, data, TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
-    stages = run.fit["members"][0]["stages"]
-    assert [stage["name"] for stage in stages] == ["warm start", "lbfgs"]
-    assert stages[1]["loss"] < 0.5 * stages[0]["loss"]
+    stages = run.fit.members[0].stages
+    assert [stage.name for stage in stages] == ["warm start", "lbfgs"]
+    first, last = (stage.loss for stage in stages)
+    assert first is not None and last is not None and last < 0.5 * first

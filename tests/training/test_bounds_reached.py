@@ -31,5 +31,5 @@ def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
     rows = "".join(f"{t},{2.718281828 ** (-rate * t)}\n" for t in (0.1, 0.2, 0.4, 0.8))
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
-    assert any("`k` ended at its bound 2" in warning for warning in fit["warnings"]) is stopped
-    assert (fit["constants"]["k"]["interval"] is None) is stopped
+    assert any("`k` ended at its bound 2" in warning for warning in fit.warnings) is stopped
+    assert (fit.constants["k"].interval is None) is stopped

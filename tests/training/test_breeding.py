@@ -51,7 +51,7 @@ def test_bred_starts_lie_on_the_slow_manifold(tmp_path: Path) -> None:
     for initial in ("learned", "bred"):
         run = train(model_of(FAST), data, TrainOptions(initial=initial, **QUICK), tmp_path / initial)  # type: ignore[arg-type]
         errors[initial] = off(run, true)
-        assert run.fit["constants"]["k"]["value"] == pytest.approx(0.5, rel=0.05)
+        assert run.fit.constants["k"].value == pytest.approx(0.5, rel=0.05)
     assert errors["bred"] < 0.05
     assert errors["bred"] < 0.3 * errors["learned"]
 
@@ -60,4 +60,4 @@ def test_an_expressed_start_is_not_bred(tmp_path: Path) -> None:
     data, _ = decays(2)
     model = model_of(FAST + "state c in [0, 9]\nc' = k*h\ninitial c = 0\n")
     run = train(model, data, TrainOptions(initial="bred", **QUICK), tmp_path / "run")  # type: ignore[arg-type]
-    assert any("not bred" in warning and "`c`" in warning for warning in run.fit["warnings"])
+    assert any("not bred" in warning and "`c`" in warning for warning in run.fit.warnings)

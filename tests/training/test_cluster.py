@@ -44,7 +44,7 @@ def holding(mark: Path) -> Callable[[], None]:
     """A function for workers: the first member 0 that tells of an iteration of its last stage goes no further."""
 
     def hold() -> None:  # it travels as it is, for a worker does not find this file
-        from gbspec.training.runs.parallel import Sender
+        from gbspec.training.runs.jobs import Sender
 
         tell = Sender.update
 
@@ -91,7 +91,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def assert_equal(run: Run, alone: Run) -> None:
-    assert all("strongly correlated" in warning for warning in run.fit["warnings"])
+    assert all("strongly correlated" in warning for warning in run.fit.warnings)
     for member in range(3):
         for name, value in alone.member(member).weights.items():
             assert np.array_equal(run.member(member).weights[name], value), name
@@ -115,7 +115,7 @@ def test_an_interrupted_run_goes_on_without_the_cluster(scheduler: Any, alone: R
     options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
     with pytest.raises(KeyboardInterrupt):
         train(model, data, options, tmp_path / "run", Recorder(interrupt_after=1))
-    assert open_run(tmp_path / "run").fit["warnings"]
+    assert open_run(tmp_path / "run").fit.warnings
     run = train(model, data, TrainOptions(**OPTIONS, workers=1, resume=True), tmp_path / "run")  # type: ignore[arg-type]
     assert_equal(run, alone)
 

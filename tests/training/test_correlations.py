@@ -34,10 +34,10 @@ def test_they_are_those_of_least_squares(tmp_path: Path, doses: tuple[float, ...
     design = np.array([[t, u * t] for _, t, u in rows])
     covariance = np.linalg.inv(design.T @ design)
     wanted = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
-    found = run.fit["correlations"]
+    found = run.fit.correlations
     assert found["a"]["b"] == pytest.approx(wanted, abs=0.01) == found["b"]["a"]
     assert found["a"]["a"] == pytest.approx(1)
-    assert any("`a` and `b` are strongly correlated" in warning for warning in run.fit["warnings"]) is warned
+    assert any("`a` and `b` are strongly correlated" in warning for warning in run.fit.warnings) is warned
 
 
 def table(*rows: tuple[float, ...]) -> dict[str, dict[str, float]]:

@@ -61,7 +61,7 @@ def test_trains_on_a_gpu(method: str, tmp_path: Path) -> None:
     options: dict[str, Any] = {"method": method, "epochs": 2, "warm_start": False}
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     runs = [train(model, data, TrainOptions(**options, device=device), tmp_path / device) for device in ("cpu", "cuda")]
-    losses = [run.fit["members"][0]["loss"] for run in runs]
+    losses = [run.fit.members[0].loss for run in runs]
     assert losses[1] == pytest.approx(losses[0], rel=1e-6)
 
 

@@ -179,7 +179,7 @@ def test_learned_lags_in_parts_of_solutions_and_of_data(monkeypatch: pytest.Monk
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.02, blend=0.3)
     same_by_the_kernel(problem, parameters, theta)
     whole = kernel_of(problem.model, type(problem.module))
-    monkeypatch.setattr(sys.modules["gbspec.backends.native.source"], "KEPT_BYTES", 12_000)
+    monkeypatch.setattr(sys.modules["gbspec.backends.native.kernel_text"], "KEPT_BYTES", 12_000)
     monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
     same_by_the_kernel(problem, parameters, theta)
     kernel, index = kernel_of(problem.model, type(problem.module)), np.array([2, 0])
@@ -242,9 +242,9 @@ def test_a_trajectory_taken_twice_gets_its_doses_twice() -> None:
 def test_learns_the_fraction_and_the_lag(tmp_path: Path) -> None:
     model = model_of(DEPOT)
     run = train(model, depot_data(model, 2), TrainOptions(effort="low", max_step=0.25), tmp_path / "run")
-    constants = run.fit["constants"]
+    constants = run.fit.constants
     for name, value in {"F": 0.7, "tlag": 0.63, "ka": 1.4}.items():
-        assert constants[name]["value"] == pytest.approx(value, rel=1e-3), name
+        assert constants[name].value == pytest.approx(value, rel=1e-3), name
 
 
 @pytest.mark.parametrize("lag", ["1/c", "log(c)", "sqrt(c - 1)"])

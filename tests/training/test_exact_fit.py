@@ -32,7 +32,7 @@ def test_a_fit_ends_without_an_interval(tmp_path: Path, monkeypatch: pytest.Monk
     rows = "".join(f"{t},{2.718281828 ** (-0.5 * t)}\n" for t in (0.1, 0.2, 0.4, 0.8))
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
-    assert fit["constants"]["k"]["interval"] is None and fit["constants"]["k"]["sd"] is None
+    assert fit.constants["k"].interval is None and fit.constants["k"].sd is None
 
 
 def test_a_decrease_that_was_not_foretold_ends_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,7 +40,7 @@ def test_a_decrease_that_was_not_foretold_ends_no_fit(tmp_path: Path, monkeypatc
     (tmp_path / "m.gb").write_text(TEXT)
     (tmp_path / "d.csv").write_text("t,x\n0,1\n0.1,0.951\n0.2,0.904\n0.4,0.819\n0.8,0.670\n")
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
-    assert abs(fit["constants"]["k"]["value"] - 0.5) < 0.01
+    assert abs(fit.constants["k"].value - 0.5) < 0.01
 
 
 def test_equations_that_say_nothing_about_the_prior_leave_it_as_it_is(
@@ -53,4 +53,4 @@ def test_equations_that_say_nothing_about_the_prior_leave_it_as_it_is(
     rows = "".join(f"{t / 10},{2.718281828 ** (-0.05 * t)}\n" for t in range(1, 20))
     (tmp_path / "d.csv").write_text("t,x\n" + rows)
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", threads=1).run.fit
-    assert fit["members"][0]["rmse"]["x"] < 0.1
+    assert fit.members[0].rmse["x"] < 0.1

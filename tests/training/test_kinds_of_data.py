@@ -56,33 +56,33 @@ def test_an_input_held_between_samples_and_a_start_that_is_missing(tmp_path: Pat
     box = {"A": (0.5, 9.0), "B": (0.0, 1.5)}
     run, data = fitted(tmp_path, text, without_b, trajectories=4, span=5, dt=0.25, keep_start=True, initial=box, seed=1)
     assert all(len(np.unique(item.inputs[0].values)) > 2 for item in data.items), "the flow steps"
-    constants = run.run.fit["constants"]
-    assert constants["k1"]["value"] == pytest.approx(50 / 60, rel=1e-3)
-    assert constants["k2"]["value"] == pytest.approx(100 / 60, rel=1e-3)
+    constants = run.run.fit.constants
+    assert constants["k1"].value == pytest.approx(50 / 60, rel=1e-3)
+    assert constants["k2"].value == pytest.approx(100 / 60, rel=1e-3)
     starts = np.array([item.values[0] for item in data.items])
     found = run.run.member().weights["initial"]
     assert found[:, 0] == pytest.approx(starts[:, 0], rel=1e-12), "measured without noise, so believed"
     assert found[:, 1] == pytest.approx(starts[:, 1], abs=5e-3), "not measured, so learned"
-    assert run.run.fit["warnings"] == []
+    assert run.run.fit.warnings == ()
 
 
 def test_one_channel_of_two_states(tmp_path: Path) -> None:
     text = shipped("one_compartment", "mlp(16, 16)", "mlp(8)")
     run, _ = fitted(tmp_path, text, trajectories=5, span=16, dt=1, sampling="gamma", noise=0.02, seed=1)
-    assert run.run.fit["constants"]["ka"]["value"] == pytest.approx(1.2, rel=0.05)
+    assert run.run.fit.constants["ka"].value == pytest.approx(1.2, rel=0.05)
     conc = np.linspace(0.5, 8, 50)
     found = function(run, "elimination", conc)
     truth = 1.8 * conc / (4 + conc)
     assert np.abs(found - truth).max() < 0.06 * np.ptp(truth)
-    assert run.run.fit["warnings"] == []
+    assert run.run.fit.warnings == ()
 
 
 def test_thousands_of_even_samples_of_one_run(tmp_path: Path) -> None:
     text = shipped("friction_oscillator", "mlp(24, 24)", "mlp(8, 8)")
     run, data = fitted(tmp_path, text, trajectories=1, span=100, dt=0.05, keep_start=True, seed=1)
     assert data.measurements == 4002
-    assert run.run.fit["constants"]["k"]["value"] == pytest.approx(4, rel=2e-3)
-    rmse = run.run.fit["members"][0]["rmse"]  # of the solution from the start to the end
+    assert run.run.fit.constants["k"].value == pytest.approx(4, rel=2e-3)
+    rmse = run.run.fit.members[0].rmse  # of the solution from the start to the end
     assert all(rmse[name] < 0.05 * data.items[0].values[:, j].std() for j, name in enumerate(("q", "w")))
 
 
@@ -123,7 +123,7 @@ def learned_solutions(
 def test_noise_in_proportion_gives_intervals_in_proportion(tmp_path: Path) -> None:
     text = DECAY.format(noise=" noise lognormal(0.2)")
     run, data = fitted(tmp_path, text, trajectories=4, span=5, dt=0.5, keep_start=True, noise=0.2, seed=1)
-    noise = run.run.fit["noise"]["N"]
+    noise = run.run.fit.noise["N"]
     assert noise == pytest.approx(0.2, rel=0.3), "of the logarithm"
     seen = run.predict(data).items
     high, mean, low, measured = (
@@ -145,12 +145,12 @@ def test_noisy_first_values_count_as_measurements_where_everything_is_known(tmp_
     exact, found = gbspec.load(tmp_path / "m.gb").simulate(**how), run.run.member().weights["initial"][:, 0]
     off = np.array([[item.values[0, 0] for item in each.items] for each in (data, exact)])
     assert np.abs(found - off[1]).mean() < 0.8 * np.abs(off[0] - off[1]).mean()
-    low, high = run.run.fit["constants"]["k"]["interval"]
+    low, high = run.run.fit.constants["k"].interval
     assert low < 0.8 < high and high - low < 0.1
-    assert run.run.fit["warnings"] == []
+    assert run.run.fit.warnings == ()
 
 
 def test_exact_first_values_stay_where_everything_is_known(tmp_path: Path) -> None:
     run, data = fitted(tmp_path, DECAY.format(noise=""), trajectories=2, span=3, dt=0.5, keep_start=True, seed=3)
-    assert run.run.fit["constants"]["k"]["value"] == pytest.approx(0.8, abs=1e-5)
+    assert run.run.fit.constants["k"].value == pytest.approx(0.8, abs=1e-5)
     assert run.run.member().weights["initial"][:, 0] == pytest.approx([i.values[0, 0] for i in data.items], rel=1e-12)

@@ -73,6 +73,6 @@ def test_reaches_the_published_sum_of_squares(text: str, table: str, expected: f
     data = read(DATA / table, model, findings)
     run = train(model, data, TrainOptions(), tmp_path / "run")
     counts = np.isfinite(data.items[0].values).sum(axis=0)
-    rmse = run.fit["members"][0]["rmse"]
+    rmse = run.fit.members[0].rmse
     total = sum(n * rmse[name] ** 2 for n, name in zip(counts, data.channels, strict=True))
     assert total == pytest.approx(expected, rel=1e-4)

@@ -18,7 +18,9 @@ from safetensors.numpy import load_file
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training import TrainOptions, train
 from gbspec.training.progress import Silent
-from gbspec.training.runs.parallel import Job, _without_main, cores, fit_jobs
+from gbspec.training.runs.jobs import Job
+from gbspec.training.runs.parallel import cores, fit_jobs
+from gbspec.training.runs.processes import _without_main
 from gbspec.training.runs.summary import MemberResult
 from tests.training.conftest import URP, model_of, urp_data
 
@@ -80,7 +82,7 @@ def test_what_the_others_reached_is_kept_where_a_worker_finds_something_wrong(mo
     reached = cast(MemberResult, object())
     taken: list[tuple[int, object]] = []
     engine = nullcontext(OneIsWrong(reached))
-    monkeypatch.setattr("gbspec.training.runs.parallel._processes", lambda workers, threads: engine)
+    monkeypatch.setattr("gbspec.training.runs.parallel.processes", lambda workers, threads: engine)
     jobs = cast(list[Job], [SimpleNamespace(member=0), SimpleNamespace(member=1)])
     with pytest.raises(UserError, match="damaged"):
         fit_jobs(jobs, TrainOptions(members=2, workers=2), Silent(), lambda job, what: taken.append((job.member, what)))

@@ -55,7 +55,7 @@ def test_a_normal_prior_gives_the_posterior_of_a_linear_model(method: str, tmp_p
     mean, _ = posterior(table, 1.0, 0.05)
     assert mean < 1.9, "the prior matters"
     # Huber's function, which `lm` minimises, is not quite that of the normal distribution.
-    assert run.fit["constants"]["k"]["value"] == pytest.approx(mean, rel=0.1 if method == "lm" else 1e-4)
+    assert run.fit.constants["k"].value == pytest.approx(mean, rel=0.1 if method == "lm" else 1e-4)
 
 
 def test_adam_reaches_the_posterior_too(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_adam_reaches_the_posterior_too(tmp_path: Path) -> None:
         method="adam", epochs=60, max_step=0.5, learning_rate=0.03, forcing="autoregressive", batch_size=1
     )
     run = train(model_of(straight("prior normal(1, 0.05)")), table, options, tmp_path / "run")
-    assert run.fit["constants"]["k"]["value"] == pytest.approx(posterior(table, 1.0, 0.05)[0], rel=5e-3)
+    assert run.fit.constants["k"].value == pytest.approx(posterior(table, 1.0, 0.05)[0], rel=5e-3)
 
 
 def test_a_lognormal_prior_acts_on_the_logarithm(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_lognormal_prior_acts_on_the_logarithm(tmp_path: Path) -> None:
         TrainOptions(effort="low", max_step=0.5),
         tmp_path / "run",
     )
-    k = run.fit["constants"]["k"]["value"]
+    k = run.fit.constants["k"].value
     slope = float(TIMES @ (k * TIMES - table.items[0].values[:, 0])) / SD**2
     assert slope + np.log(k) / np.log1p(cv**2) / k == pytest.approx(0, abs=1e-2 * abs(slope)), "the mode of log k"
     assert 1.0 < k < 1.9
@@ -91,7 +91,7 @@ def test_without_a_stated_noise_the_residuals_tell_it(tmp_path: Path) -> None:
     )
     mean, _ = posterior(table, 1.0, 0.1)
     assert mean < 1.98
-    assert run.fit["constants"]["k"]["value"] == pytest.approx(mean, abs=0.01)
+    assert run.fit.constants["k"].value == pytest.approx(mean, abs=0.01)
 
 
 def test_each_trajectory_has_the_prior_for_itself(tmp_path: Path) -> None:
@@ -110,9 +110,9 @@ def test_each_trajectory_has_the_prior_for_itself(tmp_path: Path) -> None:
 def test_what_the_data_do_not_tell_stays_at_the_prior(tmp_path: Path) -> None:
     text = straight("> 0", more="learn a = 5 > 0 prior lognormal(2, 0.1)\n").replace("x' = k", "x' = k*a")
     run = train(model_of(text), data([2.0]), TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
-    constants = run.fit["constants"]
-    assert constants["a"]["value"] == pytest.approx(2, rel=1e-2)
-    assert constants["a"]["sd"] == pytest.approx(0.2, rel=0.3)
+    constants = run.fit.constants
+    assert constants["a"].value == pytest.approx(2, rel=1e-2)
+    assert constants["a"].sd == pytest.approx(0.2, rel=0.3)
 
 
 def test_rows_and_gradients_agree_with_differences() -> None:

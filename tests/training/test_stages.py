@@ -11,7 +11,7 @@ from gbspec.diagnostics import UserError
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, Update, train
 from gbspec.training.options import STAGES
-from gbspec.training.recipe import plan
+from gbspec.training.recipe import planning
 from gbspec.training.recipe.preparation import prepare
 from tests.training.conftest import URP, Recorder, model_of, urp_data
 
@@ -77,7 +77,7 @@ def test_stages_that_are_none_are_told(options: dict[str, str], expected: str, t
 
 def test_a_named_stage_that_had_nothing_to_do_is_told(tmp_path: Path) -> None:
     run = train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(stages="choice", workers=1), tmp_path / "run")
-    assert "member 0: the stage `choice` was requested, but had nothing to do" in run.fit["warnings"]
+    assert "member 0: the stage `choice` was requested, but had nothing to do" in run.fit.warnings
 
 
 def test_names_are_kept_as_the_recipe_has_them() -> None:
@@ -90,9 +90,9 @@ def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatc
     def names(text: str, **options: str) -> set[str]:
         model, data = model_of(text), urp_data(4, 2.0, 6)
         ready = prepare(model, load_module(model), data, TrainOptions(**options), 0)  # type: ignore[arg-type]
-        return {stage.name for stage in plan.plan(ready.context, ready.parameters, {})}
+        return {stage.name for stage in planning.plan(ready.context, ready.parameters)}
 
     found = names(URP, initial="bred") | names(URP, forcing="0.5") | names(KNOWN)
-    monkeypatch.setattr(plan, "PASSES", 1)
+    monkeypatch.setattr(planning, "PASSES", 1)
     found |= names(URP)
     assert found == set(STAGES)

@@ -74,14 +74,14 @@ def test_a_sweep_is_its_runs_and_goes_on_where_it_was_stopped(tmp_path: Path) ->
     assert [row["members"] for row in rows] == [1] * 4
     alone = train(model, data, grid[2].options, tmp_path / "alone")
     swept = open_run(tmp_path / "sweep" / "max_step=0.2,seed=3")
-    assert swept.fit["options"]["max_step"] == 0.2
-    assert all("strongly correlated" in warning for warning in swept.fit["warnings"])
+    assert swept.fit.options["max_step"] == 0.2
+    assert all("strongly correlated" in warning for warning in swept.fit.warnings)
     for name, value in alone.member().weights.items():
         assert np.array_equal(swept.member().weights[name], value), name
     written = table(tmp_path)
     assert [row["run"] for row in written] == [point.name for point in grid]
-    assert float(written[2]["loss"]) == alone.fit["members"][0]["loss"] == rows[2]["loss"]
-    assert float(written[2]["beta"]) == alone.fit["constants"]["beta"]["value"]
+    assert float(written[2]["loss"]) == alone.fit.members[0].loss == rows[2]["loss"]
+    assert float(written[2]["beta"]) == alone.fit.constants["beta"].value
 
 
 def test_a_sweep_that_goes_on_may_have_new_values(tmp_path: Path) -> None:

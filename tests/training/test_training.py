@@ -15,7 +15,7 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
-from gbspec.training.recipe import plan
+from gbspec.training.recipe import planning
 from tests.training.conftest import URP, Recorder, model_of, trajectory, urp_data, urp_rhs
 
 
@@ -39,16 +39,16 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_learns_the_reactor(fitted: Path) -> None:
     run = open_run(fitted)
     assert relative_rhs_error(run.member(), urp_data(30, 5.0, 99, together=True)) < 0.01
-    constants = run.fit["constants"]
-    assert constants["B"]["value"] == pytest.approx(11, rel=0.05)
-    assert constants["beta"]["value"] == pytest.approx(3, rel=0.07)
-    assert all(rmse < 0.1 for rmse in run.fit["members"][0]["rmse"].values())
+    constants = run.fit.constants
+    assert constants["B"].value == pytest.approx(11, rel=0.05)
+    assert constants["beta"].value == pytest.approx(3, rel=0.07)
+    assert all(rmse < 0.1 for rmse in run.fit.members[0].rmse.values())
 
 
 def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     fit = json.loads((fitted / "fit.json").read_text())
     expected = ["gbspec", "model", "data", "options", "versions", "constants", "noise", "members", "warnings"]
-    assert list(fit) == [*expected, "correlations", "solver"]
+    assert list(fit) == [*expected, "correlations", "solver", "step_checks", "interface"]
     assert list(fit["data"]) == ["path", "sha256", "trajectories", "rows", "values"]
     assert list(fit["constants"]["B"]) == ["value", "sd", "interval", "start", "per_member"]
     assert list(fit["members"][0]) == ["seed", "loss", "rmse", "seconds", "stages"]
@@ -70,11 +70,11 @@ def test_interrupted_and_resumed_ends_with_the_same_numbers(tmp_path: Path) -> N
             train(model, data, options, path, recorder)
         assert len(recorder.updates) == after, "the iteration under way ends, no other begins"
         assert open_run(path).member().weights["constants"].shape == (2,), "an interrupted run can be used"
-        assert "interrupted" in open_run(path).fit["warnings"][0]
+        assert "interrupted" in open_run(path).fit.warnings[0]
         resumed = train(model, data, TrainOptions(effort="low", resume=True), path)
         for name, value in whole.member().weights.items():
             assert np.array_equal(resumed.member().weights[name], value), name
-        assert not any("interrupted" in warning for warning in open_run(path).fit["warnings"])
+        assert not any("interrupted" in warning for warning in open_run(path).fit.warnings)
         losses = [row["loss"] for row in open_run(path).history()]
         assert losses == [row["loss"] for row in open_run(tmp_path / "whole").history()]
 
@@ -110,14 +110,14 @@ def test_each_method_resumes_and_improves(method: str, tmp_path: Path) -> None:
 )
 def test_options_give_a_finite_fit(more: dict[str, object], tmp_path: Path) -> None:
     run = train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(**more), tmp_path / "run")  # type: ignore[arg-type]
-    assert math.isfinite(run.fit["members"][0]["loss"])
+    assert math.isfinite(run.fit.members[0].loss)
     low, high = 0.0, 50.0
     assert low < run.member().weights["constants"][0] < high
 
 
 def test_too_much_for_a_jacobian_goes_by_minibatches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gbspec.training.recipe.plan.LARGEST", 1000)
-    monkeypatch.setitem(plan.ITERATIONS["low"], "adam", 3)  # type: ignore[arg-type]
+    monkeypatch.setattr("gbspec.training.recipe.planning.LARGEST", 1000)
+    monkeypatch.setitem(planning.ALONE, "low", 3)  # type: ignore[arg-type]
     recorder = Recorder()
     train(model_of(URP), urp_data(4, 2.0, 6), TrainOptions(effort="low", batch_size=2), tmp_path / "run", recorder)
     assert [u.stage for u in recorder.updates] == ["warm start", "initial states", "adam", "adam", "adam"]
@@ -131,9 +131,9 @@ def test_members_differ_and_repeat(tmp_path: Path) -> None:
     a, b = (run.member(0).weights["network.phi.0.weight"] for run in (first, second))
     assert np.array_equal(a, b)
     assert not np.array_equal(a, first.member(1).weights["network.phi.0.weight"])
-    assert [m["seed"] for m in first.fit["members"]] == [3, 4]
-    per_member = first.fit["constants"]["B"]["per_member"]
-    assert first.fit["constants"]["B"]["value"] == pytest.approx(np.mean(per_member))
+    assert [m.seed for m in first.fit.members] == [3, 4]
+    per_member = first.fit.constants["B"].per_member
+    assert first.fit.constants["B"].value == pytest.approx(np.mean(per_member))
 
 
 @pytest.mark.slow
@@ -204,7 +204,7 @@ def test_a_run_solves_with_the_step_that_it_was_fitted_with_last(tmp_path: Path)
     for half_step, step in ((True, 0.1), (False, 0.2)):
         run = model.train(data, tmp_path / f"{half_step}", max_step=0.2, half_step=half_step, threads=1, workers=1).run
         assert run.max_step == step
-        stages = [stage["name"] for stage in run.fit["members"][0]["stages"]]
+        stages = [stage.name for stage in run.fit.members[0].stages]
         assert ("half step" in stages) is half_step
 
 
@@ -214,4 +214,4 @@ def test_an_unknown_that_cancels_out_leaves_the_rest_to_be_learned(tmp_path: Pat
     items = [trajectory(str(a), 0.0, [0.0, 1.0, 2.0], [[a * math.exp(-t)] for t in range(3)], []) for a in (1.0, 1.5)]
     data = Trajectories(tuple(items), ("x",), "made.csv", f"{0:064x}")
     run = train(model_of(text), data, TrainOptions(effort="low", workers=1), tmp_path / "run")
-    assert run.fit["constants"]["k"]["value"] == pytest.approx(1.0, abs=0.02)
+    assert run.fit.constants["k"].value == pytest.approx(1.0, abs=0.02)

@@ -34,14 +34,14 @@ def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Te
     after = list(before)
     for i in range(packed.trajectories):
         c, k = condition[i : i + 1], tuple(constants[i : i + 1].unbind(1))
-        x = module._initial(problem.ops, starts[i : i + 1], c, k)
+        x = module.equations.initial(problem.ops, starts[i : i + 1], c, k)
         done = 0
         for row in np.flatnonzero(packed.row_trajectory == i):
             for s in range(done, packed.row_step[row]):
                 t, h = (torch.from_numpy(table[s, i : i + 1]) for table in (packed.t, packed.h))
                 nodes = torch.from_numpy(packed.inputs[s, i : i + 1]).unbind(1)
-                field = module._field(problem.ops, c, k, networks)
-                x = module._step(problem.ops, field, module._grid(problem.ops, t, h), x, nodes)
+                field = module.equations.field(problem.ops, c, k, networks)
+                x = module.equations.step(problem.ops, field, module.equations.grid(problem.ops, t, h), x, nodes)
             done = int(packed.row_step[row])
             before[row] = x[0]
             value, weight = (torch.from_numpy(table[row]) for table in (problem.forcing.value, problem.forcing.weight))

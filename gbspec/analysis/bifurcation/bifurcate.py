@@ -20,9 +20,7 @@ from gbspec.analysis.bifurcation.diagram import Diagram
 from gbspec.analysis.bifurcation.hopf import analyse_hopf
 from gbspec.analysis.bifurcation.limit_cycle import Cycle
 from gbspec.analysis.bifurcation.settle import settle
-from gbspec.analysis.systems.family import Family
-from gbspec.analysis.systems.steady import steady_states
-from gbspec.analysis.systems.system import System
+from gbspec.analysis.systems import Family, System, steady_states
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings
 

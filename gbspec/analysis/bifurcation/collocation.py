@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems import Family
 from gbspec.arrays import Array, ComplexArray
 
 DEGREE = 4

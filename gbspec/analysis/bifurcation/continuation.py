@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 
 from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced, row_sizes
-from gbspec.analysis.systems.family import Family
-from gbspec.analysis.systems.steady import ordered_eigenvalues
+from gbspec.analysis.systems import Family, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
 
 Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]

@@ -31,7 +31,7 @@ from gbspec.arrays import Array, ComplexArray, Mask
 if TYPE_CHECKING:
     from gbspec.analysis.bifurcation.continuation import Kind
     from gbspec.analysis.bifurcation.hopf import Hopf
-    from gbspec.analysis.systems.family import Family
+    from gbspec.analysis.systems import Family
 
 
 @dataclass(frozen=True)

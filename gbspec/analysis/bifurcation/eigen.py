@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.systems.steady import ordered_eigenvalues, ordered_modes, steady_states
-from gbspec.analysis.systems.system import System, state_at
+from gbspec.analysis.systems import System, ordered_eigenvalues, ordered_modes, state_at, steady_states
 from gbspec.arrays import Array, ComplexArray
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.analysis.prediction.predict import Prediction
-    from gbspec.data.trajectories import Trajectories
+    from gbspec.analysis.prediction import Prediction
+    from gbspec.data import Trajectories
 
 
 def _pairs(values: ComplexArray) -> list[list[float]]:

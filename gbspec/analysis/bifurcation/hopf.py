@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems import Family
 from gbspec.arrays import Array, ComplexArray
 
 

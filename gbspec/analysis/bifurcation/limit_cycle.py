@@ -11,7 +11,7 @@ from gbspec.analysis.bifurcation.collocation import Orbit
 from gbspec.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
-    from gbspec.analysis.systems.family import Family
+    from gbspec.analysis.systems import Family
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,7 @@ import numpy as np
 
 from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.bifurcation.hopf import critical_pair, normal_form
-from gbspec.analysis.systems.compiled import Compiled
-from gbspec.analysis.systems.family import Family
-from gbspec.analysis.systems.system import Box, System
+from gbspec.analysis.systems import Box, Compiled, Family, System
 from gbspec.arrays import Array
 
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate, require_range
 from gbspec.analysis.bifurcation.plane import PlaneCurve, PlaneFamily, PlanePoint, fold_curve, hopf_curve
-from gbspec.analysis.systems.system import Box, System
+from gbspec.analysis.systems import Box, System
 from gbspec.arrays import Array
 
 LINES = 5

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbspec.analysis.systems.family import Family
+from gbspec.analysis.systems import Family
 from gbspec.arrays import Array
 
 Field = Callable[[float, Array], Array]

@@ -1,1 +1,5 @@
 """Predictions of fitted models, and the initial states that they start from."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,7 @@
 """Initial states (and own constants) of trajectories that training did not see: least squares, shared weights frozen.
 
 Estimated are the starts that neither the model expresses nor the first row measures, and the learnables of which each
-trajectory has its own. The residuals are those of `gbspec.ir.residuals` at all measured values, in units of the
+trajectory has its own. The residuals are those of `gbspec.ir.residual` at all measured values, in units of the
 standard deviation of the channel's data; what is known beforehand, from the trajectories of the training, pulls towards
 its centre: as strongly as the noise says where that is known, else just enough to keep what the data do not determine
 from running away.
@@ -9,13 +9,12 @@ from running away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.prediction.predict import (
+from gbspec.analysis.prediction.solutions import (
     Prediction,
     Start,
     learned_positions,
@@ -24,15 +23,16 @@ from gbspec.analysis.prediction.predict import (
     needed,
     predict,
 )
-from gbspec.analysis.systems.points import spread_points
+from gbspec.analysis.systems import spread_points
 from gbspec.arrays import Array
-from gbspec.data.statistics import deviations
-from gbspec.data.window import recognised
-from gbspec.ir.residuals import logarithmic, residuals
+from gbspec.data import deviations, recognised
+from gbspec.ir import logarithmic, residuals
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.ir.model import Model
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
+    from gbspec.runs import DataRecord
 
 
 PULL = 1e-3
@@ -51,7 +51,7 @@ class Prior:
     sd: Array
 
 
-def prior_of(member: Any, model: Model) -> Prior:
+def prior_of(member: GeneratedModule, model: Model) -> Prior:
     """From the learned starts of the training data; where there are none, from declared guesses and ranges."""
     learned = member.weights.get("initial")
     if learned is not None and len(learned):
@@ -67,14 +67,14 @@ def prior_of(member: Any, model: Model) -> Prior:
 
 
 def predictions(
-    evaluator: Any, model: Model, trajectories: Trajectories, data: Mapping[str, Any] | None = None
+    evaluator: Evaluator, model: Model, trajectories: Trajectories, data: DataRecord | None = None
 ) -> list[Prediction]:
     """The predictions of one member for a table: from learned starts on training data, else known or estimated ones.
 
     `data` is what `fit.json` says of the training data, where there is one.
     """
     estimator = Estimator(evaluator, model, deviations(model, trajectories))
-    positions = learned_positions(evaluator.instance, trajectories, data or {})
+    positions = learned_positions(evaluator.instance, trajectories, data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
         for item, position in zip(trajectories.items, positions, strict=True)
@@ -86,7 +86,7 @@ class Estimator:
     """Least squares for the start of one trajectory. `scales` [C] are the residuals' (see `deviations`); `noise` [C],
     where it is known, is the standard deviation of measurements in the same units (of logarithms, if log-normal)."""
 
-    def __init__(self, evaluator: Any, model: Model, scales: Array, noise: Array | None = None) -> None:
+    def __init__(self, evaluator: Evaluator, model: Model, scales: Array, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.scales = evaluator, model, scales
         self.logarithmic = logarithmic(model)
         self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))

@@ -9,24 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.predict import Prediction, Start, learned_positions, learned_start, needed, predict
-from gbspec.analysis.systems.system import trained_ranges
+from gbspec.analysis.prediction.solutions import Prediction, Start, learned_positions, learned_start, needed, predict
+from gbspec.analysis.systems import trained_ranges
 from gbspec.arrays import Array, Mask
-from gbspec.data.statistics import channel_scales, deviations
+from gbspec.data import channel_scales, deviations
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
+    from gbspec.backends import Evaluator
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
+    from gbspec.runs import Run
 
 Use = Literal["training", "window", "predicted"]
 """What a row was to the prediction: seen in training, used to estimate the start, or neither."""
@@ -170,7 +171,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
     Raises ComputationError where no trajectory can be solved.
     """
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends import Evaluator
 
     scales = channel_scales(trajectories)
     each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]
@@ -225,11 +226,11 @@ class _View:
 class _MemberPredictions:
     """One member over a table."""
 
-    def __init__(self, evaluator: Any, run: Run, trajectories: Trajectories, scales: Array) -> None:
+    def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Array) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
         self.estimator = Estimator(evaluator, run.model, deviations(run.model, trajectories), noise)
-        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.get("data", {}))
+        self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
         self.scales = scales
 
     def view(self, index: int, rows: int) -> _View:

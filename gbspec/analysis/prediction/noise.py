@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir.residuals import logarithmic
+from gbspec.ir import logarithmic
 
 if TYPE_CHECKING:
-    from gbspec.runs.store import Run
+    from gbspec.runs import Run
 
 
 NORMAL_90 = 1.6448536269514722
@@ -23,7 +23,7 @@ NORMAL_90 = 1.6448536269514722
 
 def noise_at(run: Run, values: Array) -> Array:
     """The standard deviation [..., C] of a measurement of channels at `values` [..., C], in their own units."""
-    found = np.array([run.fit.get("noise", {}).get(c.name) or 0.0 for c in run.model.channels], dtype=np.float64)
+    found = np.array([run.fit.noise.get(c.name) or 0.0 for c in run.model.channels], dtype=np.float64)
     return np.asarray(found * np.where(logarithmic(run.model), np.abs(values), 1.0), dtype=np.float64)
 
 

@@ -8,23 +8,24 @@ data say little of it, while one along a slow direction stays.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
-from gbspec.analysis.prediction.predict import learned_positions, learned_start, needed
-from gbspec.analysis.systems.steady import ordered_modes
-from gbspec.analysis.systems.system import System
+from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
+from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
-from gbspec.data.statistics import deviations
+from gbspec.data import deviations
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
+    from gbspec.backends import Evaluator
+    from gbspec.data import Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import DataRecord
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,12 @@ def _median(values: Sequence[float]) -> float:
 
 
 def initial_states(
-    evaluator: Any,
+    evaluator: Evaluator,
     model: Model,
     data: Trajectories,
-    trained_on: Mapping[str, Any],
+    trained_on: DataRecord | None,
     system: System,
-    truth: Any | None = None,
+    truth: Evaluator | None = None,
     indices: Sequence[int] | None = None,
 ) -> InitialStates:
     """Compares the starts of the trajectories `indices` (all) of a table that a run was trained on.

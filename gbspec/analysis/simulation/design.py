@@ -12,12 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.names import similar
-from gbspec.data.sampling import Box, SimulateOptions, regimen
-from gbspec.data.signals import clipped
-from gbspec.data.trajectories import DoseEvents, Signal, Trajectory
+from gbspec.data import Box, DoseEvents, Signal, SimulateOptions, Trajectory, clipped, regimen, similar
 from gbspec.diagnostics import Findings
-from gbspec.ir.model import Model, Range
+from gbspec.ir import Model, Range
 
 SHAPE = 4.0
 """Shape of the gamma distribution of intervals (standard deviation: half of the mean)."""

@@ -11,7 +11,7 @@ import sympy
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Source
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 
 CONDITIONS = (sympy.core.relational.Relational, sympy.logic.boolalg.BooleanFunction, sympy.logic.boolalg.BooleanAtom)
 """What a condition is in sympy (whose symbols count as conditions too, and are none here)."""
@@ -34,7 +34,7 @@ class Region:
 def regions(texts: Sequence[str], model: Model, findings: Findings) -> tuple[Region, ...]:
     """Reads conditions on the model's time, states, conditions, inputs and constants; reports what is wrong in them."""
     from gbspec.lower import lower_expression
-    from gbspec.syntax.parser import parse_expression
+    from gbspec.syntax import parse_expression
 
     names = (
         model.time,

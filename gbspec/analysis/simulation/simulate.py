@@ -15,11 +15,9 @@ import numpy as np
 from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan, plan_like
 from gbspec.analysis.simulation.region import Region, regions
 from gbspec.arrays import Array
-from gbspec.data.sampling import SimulateOptions
-from gbspec.data.signals import clipped, evaluate
-from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate
 from gbspec.diagnostics import ComputationError, Findings
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 
 __all__ = ["SimulateOptions", "Solver", "simulate", "solve"]
 

@@ -1,1 +1,5 @@
 """A model as a dynamical system: its right-hand side in casadi, steady states."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

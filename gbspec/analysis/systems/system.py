@@ -17,12 +17,12 @@ import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.arrays import Array
-from gbspec.data.signals import Interpolation, evaluate
-from gbspec.data.trajectories import Signal
+from gbspec.data import Interpolation, Signal, evaluate
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
-    from gbspec.ir.model import Condition, Input, Model, Range, State
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.ir import Condition, Input, Model, Range, State
 
 Box = tuple[float, float]
 ANYTHING: Box = (-math.inf, math.inf)
@@ -166,7 +166,7 @@ class System:
         return f, jacobian.reshape(self.size, self.size)
 
 
-def system_of(evaluator: Any, model: Model) -> System:
+def system_of(evaluator: Evaluator, model: Model) -> System:
     """The system of an evaluator: constants as they stand in its module, ranges declared or, failing that, trained."""
     module = evaluator.instance
     values: dict[str, float] = {}
@@ -204,7 +204,7 @@ def _inside(value: float, box: Box) -> bool:
     return low - slack <= value <= high + slack
 
 
-def trained_ranges(model: Model, module: Any) -> dict[str, Box]:
+def trained_ranges(model: Model, module: GeneratedModule) -> dict[str, Box]:
     """Where the training data lay, kept with the weights, for each name that an unknown is applied to as it is."""
     import sympy
 
@@ -215,10 +215,10 @@ def trained_ranges(model: Model, module: Any) -> dict[str, Box]:
     }
     ranges: dict[str, Box] = {}
     for network in model.networks:
-        ends = [module.weights.get(f"network.{network.name}.input_{end}") for end in ("low", "high")]
+        lows, highs = (module.weights.get(f"network.{network.name}.input_{end}") for end in ("low", "high"))
         for output in network.outputs:
-            if output in applications and ends[0] is not None and ends[1] is not None:
-                for argument, low, high in zip(applications[output].args, *ends, strict=True):
+            if output in applications and lows is not None and highs is not None:
+                for argument, low, high in zip(applications[output].args, lows, highs, strict=True):
                     if argument.is_Symbol:
                         known = ranges.get(argument.name, (math.inf, -math.inf))
                         ranges[argument.name] = min(known[0], float(low)), max(known[1], float(high))

@@ -11,22 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan
-from gbspec.analysis.simulation.region import Region, regions
-from gbspec.analysis.systems.points import spread_points
-from gbspec.analysis.systems.system import trained_ranges
+from gbspec.analysis.simulation import Boxes, Plan, Region, boxes, plan, regions
+from gbspec.analysis.systems import spread_points, trained_ranges
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError, Findings
 
 if TYPE_CHECKING:
-    from gbspec.data.cases import MetricsOptions
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Signal
-    from gbspec.ir.model import Condition, Input, Model
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.data import MetricsOptions, Signal, SimulateOptions
+    from gbspec.ir import Condition, Input, Model
 
 
 RTOL = 1e-8
@@ -64,7 +61,7 @@ class SolutionPoints:
 class Sampler:
     """Draws trajectories of the truth. Raises UserError (GB751 to GB755) where the sampling does not fit the model."""
 
-    def __init__(self, evaluator: Any, model: Model, sampling: SimulateOptions, options: MetricsOptions) -> None:
+    def __init__(self, evaluator: Evaluator, model: Model, sampling: SimulateOptions, options: MetricsOptions) -> None:
         self.evaluator, self.model = evaluator, model
         self.options = options.settled(sampling.span)
         low, high = self.options.window or (0.0, sampling.span)
@@ -120,7 +117,7 @@ class Sampler:
 
     def inputs_at(self, signals: tuple[Signal, ...], times: Array) -> Array:
         """The inputs [T, m] at times."""
-        from gbspec.data.signals import evaluate
+        from gbspec.data import evaluate
 
         columns = [evaluate(s, item.interpolation, times) for s, item in zip(signals, self.model.inputs, strict=True)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
@@ -180,7 +177,7 @@ class Sampler:
 
 
 def solve_ends(
-    evaluator: Any,
+    evaluator: Evaluator,
     times: Array,
     starts: Array,
     conditions: Array,
@@ -200,7 +197,7 @@ def solve_ends(
     return ends
 
 
-def sampling_for(model: Model, sampling: SimulateOptions, member: Any) -> SimulateOptions:
+def sampling_for(model: Model, sampling: SimulateOptions, member: GeneratedModule) -> SimulateOptions:
     """The sampling with boxes filled in, where neither it nor the model has any: from the trained starts and ranges."""
     learned = member.weights.get("initial")
     initial, condition = dict(sampling.initial), dict(sampling.condition)

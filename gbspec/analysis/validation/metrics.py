@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.statistics import FLAT, measured_scale
+from gbspec.data import FLAT, measured_scale
 from gbspec.files import finite
 
 

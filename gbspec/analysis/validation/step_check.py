@@ -9,19 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gbspec.analysis.validation.metrics import truth_scale
 from gbspec.arrays import Array
-from gbspec.data.statistics import evenly_spaced
+from gbspec.data import evenly_spaced
 from gbspec.files import finite
+from gbspec.runs import StepRecord, encode
 
 if TYPE_CHECKING:
-    from gbspec.analysis.prediction.predict import Prediction
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.runs.store import Run
+    from gbspec.analysis.prediction import Prediction
+    from gbspec.backends import Evaluator
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.runs import Run
 
 
 DEPENDS = 0.01
@@ -49,15 +51,14 @@ class StepCheck:
     trajectories: int = 0
     unsolved: int = 0
 
+    def record(self) -> StepRecord:
+        """What `fit.json` keeps of it."""
+        return StepRecord(finite(self.half_step), finite(self.adaptive), self.step, self.trajectories, self.unsolved)
+
     def to_json(self) -> dict[str, object]:
         """Keys half_step, adaptive, the step, how many trajectories they rest on, and unsolved."""
-        return {
-            "half_step": None if self.half_step is None else finite(self.half_step),
-            "adaptive": None if self.adaptive is None else finite(self.adaptive),
-            "step": self.step,
-            "trajectories": self.trajectories,
-            "unsolved": self.unsolved,
-        }
+        document: dict[str, object] = encode(self.record())
+        return document
 
     @property
     def warning(self) -> str | None:
@@ -87,13 +88,13 @@ class StepCheck:
 
 def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
     """The check of each member of a run that was just fitted to `trajectories`, from the starts that it learned."""
-    from gbspec.analysis.prediction.predict import learned_positions, learned_start, predict
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.analysis.prediction import learned_positions, learned_start, predict
+    from gbspec.backends import Evaluator
 
     checks = []
     count = max(1, min(LOOKED_AT, STATES_LOOKED_AT // len(run.model.states)))
     for member in run.members:
-        positions = learned_positions(member, trajectories, run.fit.get("data", {}))
+        positions = learned_positions(member, trajectories, run.fit.data)
         fitted = [(i, position) for i, position in enumerate(positions) if position is not None]
         chosen = [fitted[k] for k in evenly_spaced(len(fitted), count)]
         evaluator = Evaluator(member)
@@ -105,7 +106,7 @@ def check_fit(run: Run, trajectories: Trajectories) -> tuple[StepCheck, ...]:
 
 
 def step_check(
-    evaluator: Any, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
+    evaluator: Evaluator, step: float | None, items: Sequence[Trajectory], predictions: Sequence[Prediction]
 ) -> StepCheck:
     """Solves up to 24 trajectories again with the training's step and with half of it, from the same starts."""
     pairs = [(item, one) for item, one in zip(items, predictions, strict=True) if not one.failure and len(one.times)]
@@ -124,7 +125,7 @@ def step_check(
     return StepCheck(_largest(fine - coarse, scale), _largest(adaptive - coarse, scale), step, len(chosen), unsolved)
 
 
-def _fixed(evaluator: Any, step: float, item: Trajectory, one: Prediction) -> Array:
+def _fixed(evaluator: Evaluator, step: float, item: Trajectory, one: Prediction) -> Array:
     states: Array = evaluator.integrate_fixed(
         one.start.state,
         item.times,

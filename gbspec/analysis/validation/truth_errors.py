@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import sympy
@@ -13,12 +13,12 @@ from gbspec.analysis.validation.comparison_points import RhsPoints, Sampler, Sol
 from gbspec.analysis.validation.metrics import Norms, norms, relative_errors
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir.model import symbol, unknown_function
+from gbspec.ir import symbol, unknown_function
 
 if TYPE_CHECKING:
-    from gbspec.data.cases import MetricsOptions
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.ir.model import Model
+    from gbspec.backends import Evaluator
+    from gbspec.data import MetricsOptions, SimulateOptions
+    from gbspec.ir import Model
 
 
 LEARNED_RTOL = 1e-7
@@ -60,7 +60,7 @@ class TruthErrors:
 
 def truth_errors(
     model: Model,
-    evaluators: Sequence[Any],
+    evaluators: Sequence[Evaluator],
     sampling: SimulateOptions,
     options: MetricsOptions,
 ) -> TruthErrors:
@@ -104,15 +104,14 @@ def without_truth(model: Model) -> tuple[str, ...]:
 
 def truth_model(model: Model) -> Model:
     """The model with its truth in place of what is learned."""
-    from gbspec.passes.truth import with_truth
+    from gbspec.passes import with_truth
 
     return with_truth(model)
 
 
-def truth_evaluator(model: Model) -> Any:
+def truth_evaluator(model: Model) -> Evaluator:
     """An evaluator of the model's truth: the same module and functions as for a fitted run."""
-    from gbspec.backends.casadi.evaluator import Evaluator
-    from gbspec.backends.module import load_module
+    from gbspec.backends import Evaluator, load_module
 
     return Evaluator(load_module(truth_model(model))())
 
@@ -126,7 +125,9 @@ def _scales(model: Model, scales: Mapping[str, float]) -> Array:
     return np.array(found)
 
 
-def _solution(model: Model, evaluators: Sequence[Any], points: SolutionPoints, scales: Mapping[str, float]) -> Norms:
+def _solution(
+    model: Model, evaluators: Sequence[Evaluator], points: SolutionPoints, scales: Mapping[str, float]
+) -> Norms:
     ends = np.mean(
         [
             solve_ends(
@@ -140,7 +141,12 @@ def _solution(model: Model, evaluators: Sequence[Any], points: SolutionPoints, s
 
 
 def _rhs(
-    model: Model, evaluators: Sequence[Any], truth: Any, at: RhsPoints, horizon: float, scales: Mapping[str, float]
+    model: Model,
+    evaluators: Sequence[Evaluator],
+    truth: Evaluator,
+    at: RhsPoints,
+    horizon: float,
+    scales: Mapping[str, float],
 ) -> Norms:
     arguments = (at.times, at.states, at.conditions, at.inputs)
     learned = np.mean([one.rhs_many(*arguments) for one in evaluators], axis=0)
@@ -148,7 +154,7 @@ def _rhs(
     return norms(truth.rhs_many(*arguments), learned, _scales(model, scales) / horizon, names)
 
 
-def _constants(model: Model, evaluators: Sequence[Any]) -> dict[str, float]:
+def _constants(model: Model, evaluators: Sequence[Evaluator]) -> dict[str, float]:
     truth = {item.name: item.value for item in model.truth_constants}
     if not truth:
         return {}
@@ -159,7 +165,7 @@ def _constants(model: Model, evaluators: Sequence[Any]) -> dict[str, float]:
 
 
 # ---------------------------------------------------------------------- functions
-def _functions(model: Model, evaluators: Sequence[Any], truth: Any, at: RhsPoints) -> dict[str, Norms]:
+def _functions(model: Model, evaluators: Sequence[Evaluator], truth: Evaluator, at: RhsPoints) -> dict[str, Norms]:
     """Each unknown at the arguments it is applied to, at every point; `all` of those applied once as one vector."""
     columns: dict[str, tuple[Array, Array]] = {}
     first: dict[str, tuple[Array, Array]] = {}
@@ -183,7 +189,7 @@ def _norms_of(names: Sequence[str], pairs: Sequence[tuple[Array, Array]]) -> Nor
     return norms(true, learned, np.where(size > 0, size, 1.0), names)
 
 
-def _arguments(model: Model, truth: Any, at: RhsPoints) -> dict[str, list[Array]]:
+def _arguments(model: Model, truth: Evaluator, at: RhsPoints) -> dict[str, list[Array]]:
     """Of every unknown that is applied, the arguments [N, a] of each application, with the truth at the points."""
     expressions = model.inlined([*model.balances, *(channel.value for channel in model.channels)])
     applied = {one for expression in expressions for one in expression.atoms(sympy.core.function.AppliedUndef)}
@@ -200,7 +206,7 @@ def _arguments(model: Model, truth: Any, at: RhsPoints) -> dict[str, list[Array]
     return {name: each for name, each in tables.items() if each}
 
 
-def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Any, at: RhsPoints) -> list[Array]:
+def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Evaluator, at: RhsPoints) -> list[Array]:
     """Expressions of the model [N] each at the points; unknowns within them mean their truths."""
     names = [
         model.time.symbol,

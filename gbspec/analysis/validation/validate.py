@@ -8,22 +8,19 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.prediction.predict import Prediction, mean_prediction
+from gbspec.analysis.prediction import Prediction, mean_prediction, predictions
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data.statistics import channel_scales
+from gbspec.data import channel_scales
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 
 if TYPE_CHECKING:
-    from gbspec.data.cases import Case, MetricsOptions
-    from gbspec.data.sampling import SimulateOptions
-    from gbspec.data.trajectories import Trajectories
-    from gbspec.ir.model import Model
-    from gbspec.runs.store import Run
+    from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import Run
 
 
 @dataclass(frozen=True)
@@ -69,10 +66,9 @@ class Validation:
         """The trajectories that could not be solved."""
         return tuple(item.trajectory for item in self.trajectories if item.failure)
 
-    def warnings_after(self, fit: Mapping[str, Any]) -> list[str]:
-        """The warnings of a fit (`fit.json`), then those of its validation that it does not say already."""
-        known = list(fit.get("warnings", []))
-        return known + [warning for warning in self.warnings if not any(warning in one for one in known)]
+    def warnings_after(self, known: Sequence[str]) -> list[str]:
+        """The warnings of a fit, then those of its validation that it does not say already."""
+        return [*known] + [warning for warning in self.warnings if not any(warning in one for one in known)]
 
     def to_json(self) -> dict[str, object]:
         """The document of `validate --json`."""
@@ -118,7 +114,7 @@ def validate(
 
     Raises UserError where there is no such member.
     """
-    from gbspec.backends.casadi.evaluator import Evaluator
+    from gbspec.backends import Evaluator
 
     members = run.members if member == "mean" else (run.member(member),)
     evaluators = [Evaluator(one) for one in members]
@@ -128,7 +124,7 @@ def validate(
     errors: tuple[TrajectoryError, ...] = ()
     check = StepCheck(None, None, run.max_step)
     if trajectories is not None:
-        each = [predictions(one, run.model, trajectories, run.fit.get("data", {})) for one in evaluators]
+        each = [predictions(one, run.model, trajectories, run.fit.data) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         channels, errors = _on_data(run.model, trajectories, predicted)
         # The step is a matter of each right-hand side, so a mean of several is checked by its first member.
@@ -189,8 +185,8 @@ def _against_truth(
     warnings: list[str],
 ) -> TruthErrors | None:
     """The errors against the truth; None, and a warning, where the comparison cannot be made."""
-    from gbspec.data.cases import MetricsOptions as Metrics
-    from gbspec.data.sampling import SimulateOptions as Sampling
+    from gbspec.data import MetricsOptions as Metrics
+    from gbspec.data import SimulateOptions as Sampling
 
     lacking = without_truth(model)
     if lacking:
@@ -220,8 +216,7 @@ def _against_truth(
 
 def bundled_case(model: Model) -> Case | None:
     """The case of a bundled model of this name, if its sampling fits this one's states and conditions."""
-    from gbspec.data.cases import find_cases
-    from gbspec.data.shipped import shipped_models
+    from gbspec.data import find_cases, shipped_models
 
     path = shipped_models().get(model.name)
     if path is None:

@@ -1,5 +1,5 @@
 """C of right-hand side, Jacobian, observations and one step, made by casadi."""
 
-from gbspec.backends.c.source import c_code, step
+import lazy_loader
 
-__all__ = ["c_code", "step"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.backends import Backend
 
 if TYPE_CHECKING:
-    from gbspec.ir.methods import Method
-    from gbspec.ir.model import Model
+    from gbspec.backends.protocol import GeneratedModule
+    from gbspec.ir import Method, Model
 
 
-def make(model: Model, instance: Any, method: Method) -> str:
+def make(model: Model, instance: GeneratedModule, method: Method) -> str:
     """C with the instance's numbers in it."""
     from gbspec.backends.c.source import c_code
 

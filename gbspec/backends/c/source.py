@@ -6,7 +6,8 @@ from typing import Any
 
 import casadi as ca
 
-from gbspec.ir.methods import METHODS
+from gbspec.backends.protocol import GeneratedModule
+from gbspec.ir import METHODS
 from gbspec.version import __version__
 
 _USE = """\
@@ -24,7 +25,7 @@ _USE = """\
 """
 
 
-def c_code(instance: Any) -> str:
+def c_code(instance: GeneratedModule) -> str:
     """C99 source of `rhs`, `jacobian`, `observe` and `step`, weights and constants of the instance as numbers in it.
 
     `instance` is one of the generated module's class with weights, or of a model without unknown functions.
@@ -49,7 +50,7 @@ def c_code(instance: Any) -> str:
     return "\n".join(lines) + generator.dump()
 
 
-def step(instance: Any) -> Any:
+def step(instance: GeneratedModule) -> Any:
     """casadi.Function step(t, x, h, condition, u0, u1, ...) -> x one step later; inputs at the nodes of the method."""
     kind: Any = ca.MX if instance.networks else ca.SX
     sizes = {"t": 1, "x": len(instance.states), "h": 1, "condition": len(instance.conditions)}
@@ -58,8 +59,8 @@ def step(instance: Any) -> Any:
     t, x, h, condition, *inputs = arguments.values()
     m = instance.arithmetic("casadi")
     constants = m.unpack(kind(ca.DM(instance.weights["constants"])))
-    rhs = instance._field(m, condition, constants, instance.casadi_networks())
-    after = instance._step(m, rhs, instance._grid(m, t, h), x, tuple(inputs))
+    rhs = instance.equations.field(m, condition, constants, instance.casadi_networks())
+    after = instance.equations.step(m, rhs, instance.equations.grid(m, t, h), x, tuple(inputs))
     return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["x_after"])
 
 
@@ -73,7 +74,7 @@ def _signature(function: Any) -> str:
     return f"{function.name()}({arguments}) -> {sized(function.name_out(0), function.size_out(0))}"
 
 
-def _vectors(instance: Any) -> list[str]:
+def _vectors(instance: GeneratedModule) -> list[str]:
     """What the components of each vector are."""
     method = METHODS[instance.solver]
     parts = {

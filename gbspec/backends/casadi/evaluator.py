@@ -13,7 +13,8 @@ from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
-from gbspec.ir.methods import METHODS
+from gbspec.backends.protocol import GeneratedModule
+from gbspec.ir import METHODS
 
 MAPS = 64
 """Functions over a number of points that an evaluator keeps for the next call with as many."""
@@ -26,7 +27,7 @@ class Evaluator:
     vector of the instance's own constants, used wherever none is given.
     """
 
-    def __init__(self, instance: Any) -> None:
+    def __init__(self, instance: GeneratedModule) -> None:
         self.instance = instance
         self.n_states, self.n_channels = len(instance.states), len(instance.channels)
         self.n_conditions, self.n_inputs = len(instance.conditions), len(instance.inputs)
@@ -84,7 +85,7 @@ class Evaluator:
         """The start x0 [n_states] with every state in its place whose start the model expresses."""
         m = self.instance.arithmetic("numpy")
         with np.errstate(all="ignore"):
-            start = self.instance._initial(
+            start = self.instance.equations.initial(
                 m, np.asarray(x0, dtype=np.float64), np.asarray(condition, dtype=np.float64), self._tuple(constants)
             )
         return np.array(start, dtype=np.float64)
@@ -220,7 +221,9 @@ class Evaluator:
         if len(doses) != len(names):
             raise ValueError(f"the model declares {len(names)} doses, {len(doses)} were given")
         m = self.instance.arithmetic("numpy")
-        terms = self.instance._doses(m, np.asarray(condition, dtype=np.float64).ravel(), self._tuple(constants))
+        terms = self.instance.equations.doses(
+            m, np.asarray(condition, dtype=np.float64).ravel(), self._tuple(constants)
+        )
         return [
             Jump(float(time) + float(lag), self.instance.states.index(name), float(amount) * float(fraction))
             for name, events, (fraction, lag) in zip(names, doses, terms, strict=True)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
-from gbspec.ir.methods import METHODS, RK4, Method
+from gbspec.backends.protocol import GeneratedModule
+from gbspec.ir import METHODS, RK4, Method
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def plan(
 class Stepper:
     """Runs plans; one accumulated function a power of two of steps, shorter plans filled up with steps of size 0."""
 
-    def __init__(self, instance: Any) -> None:
+    def __init__(self, instance: GeneratedModule) -> None:
         self._step = _step_function(instance)
         self._accumulated: dict[int, Any] = {}
 
@@ -96,7 +97,7 @@ class Stepper:
         return path[plan.after]
 
 
-def _step_function(instance: Any) -> Any:
+def _step_function(instance: GeneratedModule) -> Any:
     """casadi.Function (x, t, h, u0, u1, ..., jump, condition, constants) -> x one step later; inputs at the nodes."""
     kind: Any = ca.MX if instance.networks else ca.SX
     n_states = len(instance.states)
@@ -111,6 +112,6 @@ def _step_function(instance: Any) -> Any:
     arguments = {name: kind.sym(name, size) for name, size in sizes.items()}
     x, t, h, *inputs, jump, condition, constants = arguments.values()
     m = instance.arithmetic("casadi")
-    rhs = instance._field(m, condition, m.unpack(constants), instance.casadi_networks())
-    after = instance._step(m, rhs, instance._grid(m, t, h), x + jump, tuple(inputs))
+    rhs = instance.equations.field(m, condition, m.unpack(constants), instance.casadi_networks())
+    after = instance.equations.step(m, rhs, instance.equations.grid(m, t, h), x + jump, tuple(inputs))
     return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["after"])

@@ -1,1 +1,1 @@
-"""A Model as text, as the compiler understood it; `gbspec.ir.dump` writes it."""
+"""A Model as text, as the compiler understood it; `gbspec.ir.dumping` writes it."""

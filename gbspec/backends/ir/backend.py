@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 from gbspec.backends import Backend
 
 if TYPE_CHECKING:
-    from gbspec.ir.methods import Method
-    from gbspec.ir.model import Model
+    from gbspec.ir import Method, Model
 
 
 def make(model: Model, instance: Any, method: Method) -> str:
     """The Model, part by part."""
-    from gbspec.ir.dump import dump
+    from gbspec.ir import dump
 
     return dump(model)
 

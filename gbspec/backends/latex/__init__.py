@@ -1,6 +1,5 @@
 """A model as a page of typeset equations and tables."""
 
-from gbspec.backends.latex.document import document
-from gbspec.backends.latex.equations import balances, expression, name, observations, starts
+import lazy_loader
 
-__all__ = ["balances", "document", "expression", "name", "observations", "starts"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

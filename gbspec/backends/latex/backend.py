@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 from gbspec.backends import Backend
 
 if TYPE_CHECKING:
-    from gbspec.ir.methods import Method
-    from gbspec.ir.model import Model
+    from gbspec.ir import Method, Model
 
 
 def make(model: Model, instance: Any, method: Method) -> str:

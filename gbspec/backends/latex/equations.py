@@ -10,7 +10,7 @@ from typing import Any
 import sympy
 from sympy.printing.latex import LatexPrinter
 
-from gbspec.ir.model import NN, Expr, Model, Unknown
+from gbspec.ir import NN, Expr, Model, Unknown
 
 GREEK = frozenset(
     (

@@ -1,7 +1,5 @@
 """The standalone generated module: its text, and the class that this text defines."""
 
-from gbspec.backends.module.layers import NetworkLayers, network_layers
-from gbspec.backends.module.loader import load_module
-from gbspec.backends.module.render import INTERFACE, class_name, generate
+import lazy_loader
 
-__all__ = ["INTERFACE", "NetworkLayers", "class_name", "generate", "load_module", "network_layers"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

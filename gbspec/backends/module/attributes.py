@@ -7,8 +7,7 @@ import math
 from collections.abc import Iterable
 
 from gbspec.backends.module.elements import Code, names_of, places_of, table_of
-from gbspec.ir.methods import Method
-from gbspec.ir.model import Condition, Declared, Input, Learnable, Model, Network, Range, State
+from gbspec.ir import Condition, Declared, Input, Learnable, Method, Model, Network, Range, State
 
 WIDTH = 120
 """Columns of the generated text."""

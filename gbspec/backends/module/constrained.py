@@ -8,9 +8,7 @@ import sympy
 
 from gbspec.backends.printing import Names, PythonPrinter, temporary
 from gbspec.diagnostics import Defect
-from gbspec.ir.dump import guarantee
-from gbspec.ir.forms import Form, described
-from gbspec.ir.model import Expr, Network, Unknown
+from gbspec.ir import Expr, Form, Network, Unknown, described, guarantee
 
 WORDS = {"center": "network.center", "scale": "network.scale", "spread": "network.spread"}
 """Where the generated text finds the numbers kept with the weights, by the first word of their symbols."""

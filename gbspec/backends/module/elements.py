@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 
-from gbspec.ir.arrays import Array
-from gbspec.ir.model import Model
+from gbspec.ir import Array, Model
 
 
 class Code(str):

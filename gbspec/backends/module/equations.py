@@ -12,8 +12,12 @@ from gbspec.backends.module.constrained import Constrained, document
 from gbspec.backends.printing import (
     STATE,
     Assignment,
+    Column,
+    Entry,
+    Join,
     Names,
     NetworkCall,
+    Part,
     Program,
     PythonPrinter,
     Statement,
@@ -24,11 +28,8 @@ from gbspec.backends.printing import (
     is_vector,
     temporary,
 )
-from gbspec.backends.printing.nodes import Column, Entry, Join, Part
 from gbspec.diagnostics import Defect
-from gbspec.ir.arrays import Vector
-from gbspec.ir.methods import Explicit, Method
-from gbspec.ir.model import NN, Expr, Model, Network, Unknown
+from gbspec.ir import NN, Explicit, Expr, Method, Model, Network, Unknown, Vector
 
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
@@ -45,7 +46,7 @@ def scope(model: Model) -> Names:
 
 def method_name(network: Network) -> str:
     """The method that evaluates a network's unknowns."""
-    return f"_unknown_{identifier(network.name)}"
+    return f"unknown_{identifier(network.name)}"
 
 
 def unknown_method(model: Model, index: int) -> str:
@@ -120,18 +121,18 @@ def _described(unknowns: Sequence[Unknown]) -> str:
 
 
 def rhs_method(model: Model) -> str:
-    """`_rhs`."""
+    """`rhs`."""
     entries = [
         Assignment(temporary(f"d{state.name}"), balance, f"d{state.name}")
         for state, balance in zip(model.states, model.balances, strict=True)
     ]
-    return _whole(model, "_rhs", "balances", entries, "The time derivative of each state.")
+    return _whole(model, "rhs", "balances", entries, "The time derivative of each state.")
 
 
 def observe_method(model: Model) -> str:
-    """`_observe`."""
+    """`observe`."""
     entries = [Assignment(temporary(c.name), c.value, c.name) for c in model.channels]
-    return _whole(model, "_observe", "channels", entries, "The value of each channel.")
+    return _whole(model, "observe", "channels", entries, "The value of each channel.")
 
 
 def _whole(model: Model, name: str, vector: Vector, entries: Sequence[Assignment], document: str) -> str:
@@ -139,7 +140,7 @@ def _whole(model: Model, name: str, vector: Vector, entries: Sequence[Assignment
     names = scope(model)
     outputs, definitions = _short(model, vector, entries)
     program = Program(model, outputs, definitions).statements
-    bare = {output.symbol: output.value for output in outputs if output.value.is_Symbol and name != "_rhs"}
+    bare = {output.symbol: output.value for output in outputs if output.value.is_Symbol and name != "rhs"}
     program = [s for s in program if not (isinstance(s, Assignment) and s.symbol in bare)]
     read = _used(program) | set(bare.values())
     body = _unpacked(model, names, read)
@@ -177,7 +178,7 @@ def _packed(results: Sequence[Expr], names: Names) -> str:
 
 
 def initial_method(model: Model) -> str:
-    """`_initial`: expressed starts, in an order in which each comes after those that it depends on."""
+    """`initial`: expressed starts, in an order in which each comes after those that it depends on."""
     names = Names(PARAMETERS)
     names.fix(STATE, "state")
     for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
@@ -186,20 +187,20 @@ def initial_method(model: Model) -> str:
     document = "The start `state` with every start put in that the model expresses."
     parameters = ["cls", "math", "state", "condition", "constants"]
     if not expressed:
-        return _method("@classmethod", "_initial", parameters, document, ["return state"])
+        return _method("@classmethod", "initial", parameters, document, ["return state"])
     if model.arrays:
-        return _method("@classmethod", "_initial", parameters, document, _short_starts(model, names))
+        return _method("@classmethod", "initial", parameters, document, _short_starts(model, names))
     outputs = [Assignment(s.symbol, s.initial.value, s.name) for s in expressed]
     program = Program(model, outputs).statements
     given = {s.symbol for s in model.states} - {s.symbol for s in expressed}
     body = _unpacked(model, names, _used(program), given=given)
     body += _statements(program, names, model)
     body.append(f"return math.pack(state, ({_comma(names[s.symbol] for s in model.states)}))")
-    return _method("@classmethod", "_initial", parameters, document, body)
+    return _method("@classmethod", "initial", parameters, document, body)
 
 
 def _short_starts(model: Model, names: Names) -> list[str]:
-    """The body of `_initial` where there are arrays: runs of given starts are parts of the state as it comes."""
+    """The body of `initial` where there are arrays: runs of given starts are parts of the state as it comes."""
     vectors = Vectors(model)
     outputs: list[Assignment] = []
     of_families: list[Assignment] = []
@@ -227,7 +228,7 @@ def _short_starts(model: Model, names: Names) -> list[str]:
 
 
 def doses_method(model: Model) -> str:
-    """`_doses`: what of each dose arrives, and how much later; only models with doses have it."""
+    """`doses`: what of each dose arrives, and how much later; of none where the model has no doses."""
     names = Names(PARAMETERS)
     for item in (*model.conditions, *model.constants, *model.learnables):
         names.claim(item.symbol)
@@ -241,11 +242,11 @@ def doses_method(model: Model) -> str:
     pairs = [f"({fraction}, {lag})" for fraction, lag in zip(found[::2], found[1::2], strict=True)]
     body.append(f"return ({_comma(pairs)})")
     document = "For each dose the fraction of it that arrives, and the lag after which it does."
-    return _method("@classmethod", "_doses", ["cls", "math", "condition", "constants"], document, body)
+    return _method("@classmethod", "doses", ["cls", "math", "condition", "constants"], document, body)
 
 
 def solver_methods(method: Method) -> list[str]:
-    """`_grid` and `_step`: one step of an integration method."""
+    """`grid` and `step`: one step of an integration method."""
     match method:
         case Explicit():
             return [_grid_method(method), _step_method(method)]
@@ -254,18 +255,18 @@ def solver_methods(method: Method) -> list[str]:
 
 
 def _grid_method(method: Explicit) -> str:
-    """`_grid`: what `_step` needs of the time and size of a step."""
+    """`grid`: what `step` needs of the time and size of a step."""
     times = ", ".join(map(step_time, method.nodes))
     sizes = _comma(_multiple(factor, "column") for factor in _sizes(method))
     body = ["column = math.column(h)  # to multiply vectors", f"return ({times}), ({sizes})"]
     document = (
         f"A step of size h ({method.name.upper()}) from t: the times at which it needs inputs, parts of its size."
     )
-    return _method("@staticmethod", "_grid", ["math", "t", "h"], document, body)
+    return _method("@staticmethod", "grid", ["math", "t", "h"], document, body)
 
 
 def _step_method(method: Explicit) -> str:
-    """`_step`: one step of an explicit Runge-Kutta method."""
+    """`step`: one step of an explicit Runge-Kutta method."""
     nodes = method.nodes
     sizes = _targets(_size_name(factor) for factor in _sizes(method))
     body = [
@@ -278,7 +279,7 @@ def _step_method(method: Explicit) -> str:
     body.append(f"return {_ahead(method.b)}")
     times = ", ".join(map(step_time, nodes))
     document = f"One step ({method.name.upper()}) of state' = rhs(time, state, inputs); `inputs` are those at {times}."
-    return _method("@staticmethod", "_step", ["math", "rhs", "grid", "state", "inputs"], document, body)
+    return _method("@staticmethod", "step", ["math", "rhs", "grid", "state", "inputs"], document, body)
 
 
 def _sizes(method: Explicit) -> list[Fraction]:

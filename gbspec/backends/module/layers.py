@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gbspec.backends.module.template.networks import _folded, _layers, _torch_like
+from gbspec.backends.protocol import GeneratedModule
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -32,7 +33,7 @@ class NetworkLayers:
         return _folded({"raw": self.raw}, self.layers, scales)
 
 
-def network_layers(module: Any, weights: Mapping[str, Tensor], ops: Any) -> list[NetworkLayers]:
+def network_layers(module: GeneratedModule, weights: Mapping[str, Tensor], ops: Any) -> list[NetworkLayers]:
     """The networks of a generated module (its class or an instance) at weights by name; `ops` is its arithmetic of
     torch."""
     found = []

@@ -6,17 +6,16 @@ import hashlib
 import importlib.util
 import linecache
 import sys
-from typing import Any
 
 from gbspec.backends.module.render import class_name, generate
+from gbspec.backends.protocol import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir.methods import RK4, Method
-from gbspec.ir.model import Model
+from gbspec.ir import RK4, Method, Model
 
-_loaded: dict[str, type[Any]] = {}
+_loaded: dict[str, type[GeneratedModule]] = {}
 
 
-def load_module(model: Model, method: Method = RK4) -> type[Any]:
+def load_module(model: Model, method: Method = RK4) -> type[GeneratedModule]:
     """The class of the module generated for a method; one and the same for models whose module has the same text.
 
     The text runs as it would from a file: it is registered as a module and with `linecache`, so that tracebacks show it
@@ -29,7 +28,7 @@ def load_module(model: Model, method: Method = RK4) -> type[Any]:
     return _loaded[digest]
 
 
-def _execute(text: str, name: str, class_name: str) -> type[Any]:
+def _execute(text: str, name: str, class_name: str) -> type[GeneratedModule]:
     path = f"<{name}>"
     spec = importlib.util.spec_from_loader(name, loader=None, origin=path)
     if spec is None:

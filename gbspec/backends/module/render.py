@@ -11,13 +11,11 @@ from gbspec.backends.module import attributes, equations
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
-from gbspec.ir.arrays import Vector
-from gbspec.ir.methods import RK4, Method
-from gbspec.ir.model import NN, Declared, Model, Network, Range
+from gbspec.ir import NN, RK4, Declared, Method, Model, Network, Range, Vector
 from gbspec.version import __version__
 
-INTERFACE = 1
-"""The version of the generated module's interface; training and analysis refuse another."""
+INTERFACE = 2
+"""The version of the generated module: of its names, and of the weights that it reads; a run records it."""
 
 
 def generate(model: Model, method: Method = RK4) -> str:
@@ -43,7 +41,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.rhs_method(model),
         equations.observe_method(model),
         equations.initial_method(model),
-        *([equations.doses_method(model)] if model.doses else []),
+        equations.doses_method(model),
         *equations.solver_methods(method),
         _unknown_table(model),
     ]
@@ -54,17 +52,8 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         "class": f"class {class_name}:",
         "class docstring": docstring(_class_document(model)),
         "attributes": attributes.attributes(model, method),
-        "equations": _COMMENT + "\n\n".join(methods),
+        "equations": "\n\n".join(methods),
     }
-
-
-_COMMENT = """\
-# ------------------------------------------------------------------ the equations, for torch, casadi and numpy
-# math: the arithmetic of one of these; state, condition, inputs: vectors, components on the last axis (in casadi,
-# columns); constants: a tuple; networks: a tuple of functions, each called with its arguments one by one and
-# returning a tuple of its outputs.
-
-"""
 
 
 # ---------------------------------------------------------------------- documents
@@ -137,8 +126,8 @@ def _class_document(model: Model) -> str:
 def _unknown_table(model: Model) -> str:
     """Where each unknown is: number of its network, number of its output, the network's method."""
     if not model.unknowns:
-        return "_unknowns = {}"
-    lines = ["_unknowns = {  # name: (number of its network, number of its output there, method)"]
+        return "unknowns = {}"
+    lines = ["unknowns = {  # name: (number of its network, number of its output there, method)"]
     for unknown in model.unknowns:
         method = equations.method_name(model.networks[unknown.network])
         lines.append(

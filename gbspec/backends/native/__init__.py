@@ -1,19 +1,5 @@
 """C for the whole unroll: solution and gradient of a packed batch in one call, compiled where there is a compiler."""
 
-from gbspec.backends.native.compiler import CompilerError, compiled
-from gbspec.backends.native.flat import NUMBER_WORDS, NotCoveredError
-from gbspec.backends.native.library import Library, Struct
-from gbspec.backends.native.source import TILE, Precision, Source, source
+import lazy_loader
 
-__all__ = [
-    "NUMBER_WORDS",
-    "TILE",
-    "CompilerError",
-    "Library",
-    "NotCoveredError",
-    "Precision",
-    "Source",
-    "Struct",
-    "compiled",
-    "source",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

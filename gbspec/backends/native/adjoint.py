@@ -6,9 +6,8 @@ import sympy
 from sympy.logic.boolalg import Boolean
 
 from gbspec.backends.native.flat import Operation
-from gbspec.backends.printing.nodes import Guard, Where
-from gbspec.ir.derivatives import partials
-from gbspec.ir.model import Expr
+from gbspec.backends.printing import Guard, Where
+from gbspec.ir import Expr, partials
 
 Contribution = tuple[sympy.Symbol, Expr]
 

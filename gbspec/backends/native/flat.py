@@ -13,14 +13,9 @@ import sympy
 from sympy.core.function import AppliedUndef
 from sympy.logic.boolalg import Boolean
 
-from gbspec.backends.printing import temporary
-from gbspec.backends.printing.nodes import Guard, Where
-from gbspec.backends.printing.printer import RECIPROCAL
-from gbspec.backends.printing.statements import guarded, rebuild
+from gbspec.backends.printing import RECIPROCAL, Guard, Where, guarded, rebuild, temporary
 from gbspec.diagnostics import Defect
-from gbspec.ir.derivatives import has_rule, ordered
-from gbspec.ir.forms import described
-from gbspec.ir.model import NN, Expr, Model, Unknown
+from gbspec.ir import NN, Expr, Model, Unknown, described, has_rule, ordered
 
 Kind = Literal["state", "condition", "input", "constant", "time", "number"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.backends.native.compiler import compiled
-from gbspec.backends.native.source import Source
+from gbspec.backends.native.kernel_text import Source
 from gbspec.backends.native.structs import FUNCTIONS, SPACE, STRUCTS, Field
 from gbspec.diagnostics import Defect
 

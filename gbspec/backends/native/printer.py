@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sympy
 
-from gbspec.backends.printing.printer import MUL, Printer, Text
+from gbspec.backends.printing import MUL, Printer, Text
 
 LARGEST_PRODUCT = 4
 """Whole powers up to this one are products."""

@@ -10,7 +10,7 @@ static int find_rows(Work *w, int64_t s) {
     return any;
 }
 
-/* A residual and its slope in the prediction: the definition of gbspec/ir/residuals.py, which a test compares with. */
+/* A residual and its slope in the prediction: the definition of gbspec/ir/residual.py, which a test compares with. */
 static double residual(const Data *d, size_t row, int channel, double predicted, double *slope) {
     const double factor = d->factor[row * CHANNELS + channel], measured = d->measured[row * CHANNELS + channel];
     *slope = 0;

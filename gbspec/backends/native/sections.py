@@ -14,7 +14,7 @@ import sympy
 from gbspec.backends.native.adjoint import contributions
 from gbspec.backends.native.flat import Call, Flat, Leaf, Operation
 from gbspec.backends.native.printer import CPrinter
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 
 INDENT = "        "
 

@@ -1,25 +1,5 @@
 """Expressions as text: one printer base, straight lists of statements, safe names."""
 
-from gbspec.backends.printing.names import Names, docstring, identifier
-from gbspec.backends.printing.nodes import STATE, VectorTemporary, is_vector, temporary
-from gbspec.backends.printing.printer import Printer, PythonPrinter, TextPrinter
-from gbspec.backends.printing.statements import Assignment, NetworkCall, Program, Statement
-from gbspec.backends.printing.vectors import Vectors
+import lazy_loader
 
-__all__ = [
-    "STATE",
-    "Assignment",
-    "Names",
-    "NetworkCall",
-    "Printer",
-    "Program",
-    "PythonPrinter",
-    "Statement",
-    "TextPrinter",
-    "VectorTemporary",
-    "Vectors",
-    "docstring",
-    "identifier",
-    "is_vector",
-    "temporary",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,9 +16,7 @@ from sympy.logic.boolalg import BooleanAtom
 
 from gbspec.backends.printing.nodes import Guard, Operation, Where
 from gbspec.diagnostics import Defect
-from gbspec.ir.arrays import Element, Total
-from gbspec.ir.derivatives import ordered
-from gbspec.ir.forms import logistic, softplus
+from gbspec.ir import Element, Total, logistic, ordered, softplus
 
 OR, ADD, MUL, NEGATIVE, POWER, ATOM = range(6)
 """How tightly a text binds, loosest first."""

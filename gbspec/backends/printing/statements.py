@@ -18,7 +18,7 @@ from sympy.logic.boolalg import Boolean
 
 from gbspec.backends.printing.nodes import Guard, Operation, Temporary, Where, temporary_like
 from gbspec.diagnostics import Defect
-from gbspec.ir.model import Model, Network
+from gbspec.ir import Model, Network
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from gbspec.backends.printing.nodes import (
     temporary,
 )
 from gbspec.backends.printing.statements import Assignment, rebuild
-from gbspec.ir.arrays import Array, Element, Family, Total
-from gbspec.ir.model import Expr, Model
+from gbspec.ir import Array, Element, Expr, Family, Model, Total
 
 
 class Vectors:

@@ -14,7 +14,7 @@ from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 if TYPE_CHECKING:
-    from gbspec.operations.models import Subject
+    from gbspec.operations import Subject
 
 Ends = tuple[float, float]
 
@@ -53,7 +53,7 @@ def run(
     """Follow steady states over a parameter: branches, stability, folds, Hopf points, and limit cycles."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import models
-    from gbspec.report.style import form_of
+    from gbspec.report import form_of
 
     _require_plane(second, second_ends, cycles=cycles)
     if to is not None:
@@ -90,7 +90,7 @@ def _branches(
 ) -> _Found:
     """Diagrams over one parameter, one for each member, drawn together with that of the truth."""
     from gbspec.operations import analysing, reporting
-    from gbspec.report.style import save
+    from gbspec.report import save
 
     found = [analysing.bifurcate(subject, over, *ends, cycles=cycles, doublings=doublings) for subject in subjects]
     if to is not None:
@@ -103,7 +103,7 @@ def _branches(
 def _plane(subjects: Sequence[Subject], names: tuple[str, str], boxes: tuple[Ends, Ends], to: str | None) -> _Found:
     """Curves in the plane of two parameters, one set for each member, drawn together with those of the truth."""
     from gbspec.operations import analysing, reporting
-    from gbspec.report.style import save
+    from gbspec.report import save
 
     found = [analysing.bifurcation_plane(subject, names, boxes) for subject in subjects]
     if to is not None:

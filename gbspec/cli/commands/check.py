@@ -9,10 +9,9 @@ import typer
 from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Findings, Severity, UserError
-from gbspec.ir.dump import guarantee
-from gbspec.ir.model import Model
-from gbspec.passes.examine import Examination, examine
-from gbspec.report.text import model_summary, start
+from gbspec.ir import Model, guarantee
+from gbspec.passes import Examination, examine
+from gbspec.report import model_summary, start
 
 
 @command("check", "gbspec check my_model.gb", "gbspec check --strict --json models/*.gb")
@@ -51,7 +50,7 @@ def describe(
     path: str, model: Model | None, findings: Findings, examination: Examination | None = None
 ) -> dict[str, Any]:
     """One entry of `files` of `check --json`; its lists are empty if the model cannot be read."""
-    from gbspec.diagnostics.render import to_json
+    from gbspec.diagnostics import to_json
 
     parts = model or Model("")
     return {

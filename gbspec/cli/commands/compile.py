@@ -8,7 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.operations.models import forms
+from gbspec.operations import forms
 
 FORMS = forms()
 
@@ -53,7 +53,7 @@ def run(
     """Compile a model to a standalone Python module (torch runs it, casadi analyses it, gbspec is not needed)."""
     from gbspec.diagnostics import Findings
     from gbspec.files import write_bytes
-    from gbspec.operations.models import compile_file
+    from gbspec.operations import compile_file
 
     findings = Findings()
     made = compile_file(model, emit, findings, solver)

@@ -12,8 +12,8 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.studies.crossvalidation import SUMMARY, CrossOptions
-from gbspec.training.options import TrainOptions
+from gbspec.studies import SUMMARY, CrossOptions
+from gbspec.training import TrainOptions
 
 
 @command(
@@ -40,8 +40,7 @@ def run(
     from gbspec import frontend
     from gbspec.cli.progress import shown
     from gbspec.operations import models, tables
-    from gbspec.studies.crossvalidation import crossvalidate
-    from gbspec.studies.folds import Fold
+    from gbspec.studies import Fold, crossvalidate
     from gbspec.training import Progress
 
     findings = Findings()

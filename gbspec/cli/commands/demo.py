@@ -12,10 +12,10 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.report.text import number, run_summary, table
+from gbspec.report import number, run_summary, table
 
 if TYPE_CHECKING:
-    from gbspec.analysis.validation.validate import Validation
+    from gbspec.analysis import Validation
 
 MODEL = "urp_gb2"
 ROWS = (
@@ -35,7 +35,7 @@ def run(
 ) -> None:
     """Simulate a reactor, learn its unknown kinetics and constants from the data, and show the results."""
     from gbspec.operations import reporting, tables
-    from gbspec.report.style import save
+    from gbspec.report import save
 
     began = time.monotonic()
     folder = Path(to)
@@ -54,7 +54,7 @@ def run(
             "seconds": seconds,
             "errors": errors,
             "published": dict(published),
-            "constants": made.fit.get("constants", {}),
+            "constants": made.fit.to_json()["constants"],
             "picture": picture,
             "run": directory,
             "data": data,
@@ -85,11 +85,9 @@ def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], 
     """Writes the table; returns the published errors and the training options of the case."""
     from dataclasses import replace
 
-    from gbspec.data.cases import find_cases
-    from gbspec.data.shipped import shipped_model
-    from gbspec.data.table import write
+    from gbspec.data import find_cases, shipped_model, write
     from gbspec.operations import models, tables
-    from gbspec.training.options import TrainOptions
+    from gbspec.training import TrainOptions
 
     path = shipped_model(MODEL)
     case = find_cases(path).of_model(MODEL)

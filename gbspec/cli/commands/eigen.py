@@ -12,9 +12,9 @@ from gbspec.cli.settings import Settings, points, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories
+    from gbspec.data import Trajectories
     from gbspec.diagnostics import Findings
-    from gbspec.operations.models import Subject
+    from gbspec.operations import Subject
 
 
 @command(

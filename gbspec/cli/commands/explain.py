@@ -13,7 +13,7 @@ from gbspec.cli.output import Output
 @command("explain", "gbspec explain GB201")
 def run(output: Output, code: Annotated[str, typer.Argument(help="A code, such as GB201.", metavar="CODE")]) -> None:
     """Explain a diagnostic: its meaning, a minimal example that causes it, and the corrected example."""
-    from gbspec.diagnostics.catalogue import explain
+    from gbspec.diagnostics import explain
 
     entry = explain(code.strip().upper())
     output.document(entry)

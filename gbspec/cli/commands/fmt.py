@@ -26,8 +26,7 @@ def run(
     """Format model files: order of clauses, spacing and line breaks; comments are kept."""
     from gbspec.diagnostics import Diagnostic, UserError
     from gbspec.files import write_text
-    from gbspec.syntax.formatter import format_text
-    from gbspec.syntax.reading import read_source
+    from gbspec.syntax import format_text, read_source
 
     found: list[Diagnostic] = []
     changed: list[str] = []

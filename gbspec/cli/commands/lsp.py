@@ -30,6 +30,6 @@ def run(
             file=sys.stderr,
         )
         raise ExitWith(USAGE) from None
-    from gbspec.lsp.server import serve
+    from gbspec.lsp import serve
 
     serve()

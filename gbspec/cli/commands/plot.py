@@ -9,7 +9,7 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
-from gbspec.report.kinds import KINDS, names
+from gbspec.report import KINDS, names
 
 if TYPE_CHECKING:
     Kind = str
@@ -41,7 +41,7 @@ def run(
     """Draw a figure of a run: its fit, functions, constants, residuals and others, or a summary."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import models, reporting, tables
-    from gbspec.report.style import form_of, save
+    from gbspec.report import form_of, save
 
     form_of(to)
     findings = Findings()

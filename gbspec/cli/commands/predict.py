@@ -42,7 +42,7 @@ def run(
     """Predict trajectories from their first rows: mean, 90 % interval, and how each row was used."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import analysing, models, tables
-    from gbspec.report.predictions import target
+    from gbspec.report import target
 
     rows = window_of(from_start, window)
     path = target(to)

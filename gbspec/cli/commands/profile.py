@@ -30,7 +30,7 @@ def run(
     """Fix a constant at values around its estimate, refit everything else, and give its 90 % interval."""
     from gbspec.diagnostics import Findings
     from gbspec.operations import fitting, models, reporting, tables
-    from gbspec.report.style import form_of, save
+    from gbspec.report import form_of, save
 
     if to is not None:
         form_of(to)

@@ -9,7 +9,7 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
-from gbspec.data.sampling import SimulateOptions
+from gbspec.data import SimulateOptions
 
 
 @command(
@@ -32,7 +32,7 @@ def run(
     ] = None,
 ) -> None:
     """Simulate a table of measurements with an adaptive integrator (relative tolerance 1e-10)."""
-    from gbspec.data.table import write
+    from gbspec.data import write
     from gbspec.diagnostics import Findings
     from gbspec.files import writable
     from gbspec.operations import models, tables

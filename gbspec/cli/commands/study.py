@@ -11,8 +11,8 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.report.text import number
-from gbspec.studies.options import StudyOptions
+from gbspec.report import number
+from gbspec.studies import StudyOptions
 
 
 @command(
@@ -38,8 +38,7 @@ def run(
     The directory contains `table.md`, `results.csv` (one row for each member) and `study.json`, updated after each
     member. The same command continues an interrupted study; finished members are not fitted again.
     """
-    from gbspec.studies.runner import run_study
-    from gbspec.studies.tasks import Task, study_of
+    from gbspec.studies import Task, run_study, study_of
 
     study = study_of(cases, options)
     root = directory(to)

@@ -12,9 +12,8 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Findings
-from gbspec.report.text import number, table
-from gbspec.training.options import TrainOptions
-from gbspec.training.runs.variations import points
+from gbspec.report import number, table
+from gbspec.training import TrainOptions, points
 
 
 @command(

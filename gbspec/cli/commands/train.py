@@ -11,8 +11,8 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
-from gbspec.report.text import run_summary
-from gbspec.training.options import TrainOptions
+from gbspec.report import run_summary
+from gbspec.training import TrainOptions
 
 
 @command(
@@ -45,7 +45,7 @@ def run(
         made = fitting.train(specified, measured, directory, options, progress)
     output.say(f"wrote {to}")
     output.summary(run_summary(made))
-    output.document(made.fit)
+    output.document(made.fit.to_json())
 
 
 def target(to: str, *, resume: bool) -> Path:

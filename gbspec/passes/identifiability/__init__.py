@@ -1,5 +1,5 @@
 """Structural identifiability: learnable constants and unknown functions that no data can separate."""
 
-from gbspec.passes.identifiability.report import Identifiability, Inseparable, identifiability
+import lazy_loader
 
-__all__ = ["Identifiability", "Inseparable", "identifiability"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,7 +11,7 @@ from math import comb
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir.model import Expr
+from gbspec.ir import Expr
 from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, OutOfTime, size
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.series import Algebra, Evaluation

@@ -21,8 +21,7 @@ import numpy as np
 import sympy
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir.derivatives import derivative
-from gbspec.ir.model import Expr
+from gbspec.ir import Expr, derivative
 from gbspec.passes.identifiability.question import Application, Question
 from gbspec.passes.identifiability.series import Algebra, Evaluation
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir.model import NN, Expr, Learnable, Model, Unknown
+from gbspec.ir import NN, Expr, Learnable, Model, Unknown
 
 
 @dataclass(frozen=True)

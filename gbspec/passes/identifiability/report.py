@@ -10,7 +10,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Label, Span
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.passes.identifiability.directions import Directions, absorbers, find
 from gbspec.passes.identifiability.question import Question, pose
 from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries

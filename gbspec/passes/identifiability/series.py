@@ -16,7 +16,7 @@ import numpy as np
 import sympy
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir.model import Expr
+from gbspec.ir import Expr
 
 
 @dataclass(frozen=True)

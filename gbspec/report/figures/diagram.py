@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.diagram import NAMES, Diagram
+from gbspec.analysis import NAMES, Diagram
 from gbspec.arrays import Array
 from gbspec.report.description import (
     Axis,

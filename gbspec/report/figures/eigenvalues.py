@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.eigen import Eigen, eigen
-from gbspec.analysis.prediction.estimate import predictions
-from gbspec.analysis.systems.system import system_of
+from gbspec.analysis import Eigen, eigen, predictions, system_of
 from gbspec.arrays import Array
-from gbspec.data.statistics import evenly_spaced
+from gbspec.data import evenly_spaced
 from gbspec.report.description import Axis, Figure, Mark, Panel, Points, Rule, single
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, TRUTH
@@ -30,7 +28,7 @@ def along(source: Source) -> Eigen:
     fitted, model = source.fitted, source.run.model
     evaluator = fitted.evaluators[0]
     truth = None if fitted.truth is None else system_of(fitted.truth, model)
-    predicted = predictions(evaluator, model, fitted.data, source.run.fit.get("data", {}))
+    predicted = predictions(evaluator, model, fitted.data, source.run.fit.data)
     return eigen(system_of(evaluator, model), truth=truth, along=fitted.data, predicted=predicted)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.analysis.prediction.start_comparison import InitialStates
+from gbspec.analysis import InitialStates
 from gbspec.arrays import Array
-from gbspec.data.statistics import evenly_spaced
+from gbspec.data import evenly_spaced
 from gbspec.report import collect
 from gbspec.report.description import Axis, Block, Figure, Panel, Points, diagonal, wrapped
 from gbspec.report.source import Source

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbspec.analysis.prediction.predict import input_values
+from gbspec.analysis import input_values
 from gbspec.arrays import Array
 from gbspec.report.collect import Fitted
 from gbspec.report.description import Block, Figure, wrapped

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from gbspec.analysis.bifurcation.plane import PlaneCurve
-from gbspec.analysis.bifurcation.plane_diagram import KINDS, PlaneDiagram
+from gbspec.analysis import KINDS, PlaneCurve, PlaneDiagram
 from gbspec.report.description import Axis, Figure, Line, Mark, Marker, Panel, Points, beyond, pieces, single
 from gbspec.report.style import BEHIND, FOLD, LEARNED, MEASURED, MEMBERS
 

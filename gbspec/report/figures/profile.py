@@ -7,7 +7,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.report.description import Axis, Block, Figure, Line, Mark, Panel, Points, Row, Rule, Span
 from gbspec.report.style import LEARNED, MEASURED, TRUTH
-from gbspec.training.profile.likelihood import Profile
+from gbspec.training import Profile
 
 
 def figure(found: Profile, truth: float | None = None) -> Figure:

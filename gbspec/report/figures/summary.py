@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.statistics import channel_scales
-from gbspec.data.trajectories import Trajectories
+from gbspec.data import Trajectories, channel_scales
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction, TrajectoryFit
 from gbspec.report.description import Block, Figure, Panel, Row

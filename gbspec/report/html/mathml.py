@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from gbspec.ir.model import NN, Expr, Model, Unknown
+from gbspec.ir import NN, Expr, Model, Unknown
 
 _ENTITIES = {"&InvisibleTimes;": "&#x2062;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
 """The printer's named entities as numbers, so that the page is well formed as XML too."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gbspec.diagnostics import UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.report import collect
 from gbspec.report.description import Figure, Panel
 from gbspec.report.figures import diagram
@@ -17,13 +17,11 @@ from gbspec.report.html import charts, mathml, tables
 from gbspec.report.kinds import KINDS, Kind
 from gbspec.report.source import MissingError, Source
 from gbspec.report.text import number
-from gbspec.runs.store import Run
+from gbspec.runs import Run
 from gbspec.version import __version__
 
 if TYPE_CHECKING:
-    from gbspec.analysis.bifurcation.diagram import Diagram
-    from gbspec.analysis.bifurcation.eigen import Eigen
-    from gbspec.analysis.validation.validate import Validation
+    from gbspec.analysis import Diagram, Eigen, Validation
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 HARMLESS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
@@ -143,7 +141,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "equations": _equations(model),
         "declared": tables.declared(model),
         "summary": _summary(run, found),
-        "warnings": found.validation.warnings_after(run.fit),
+        "warnings": found.validation.warnings_after(run.fit.warnings),
         "sections": _sections(source, store),
         "total": len(fitted.data) if fitted else 0,
         "constants": tables.constants(run),
@@ -172,11 +170,10 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     """A few numbers that are seen first."""
-    data = run.fit.get("data", {})
     errors = [one.nrmse for one in found.validation.channels.values()]
     cards = [
-        (str(data.get("trajectories", "-")), "trajectories"),
-        (str(data.get("values", "-")), "measured values"),
+        (str(run.fit.data.trajectories), "trajectories"),
+        (str(run.fit.data.values), "measured values"),
         (str(len(run.numbers)), "members" if len(run.numbers) > 1 else "member"),
     ]
     if errors:
@@ -202,21 +199,21 @@ def _diagram(found: Findings, store: _Charts) -> dict[str, Any] | None:
 
 def _reproduce(run: Run) -> dict[str, Any]:
     """Commands, versions and fingerprints."""
-    from gbspec.training.options import TrainOptions
+    from gbspec.training import TrainOptions
 
     standard = TrainOptions().to_json()
-    data, options = run.fit.get("data", {}), run.fit.get("options", {})
+    data = run.fit.data
     flags = []
-    for name, value in options.items():
+    for name, value in run.fit.options.items():
         if name in standard and value != standard[name]:
             flag = name.replace("_", "-")
             flags.append(f"--{'' if value else 'no-'}{flag}" if isinstance(value, bool) else f"--{flag} {value}")
-    command = " ".join(["gbspec train model.gb", str(data.get("path", "DATA")), "-o RUN", *flags])
-    versions = {"gbspec": run.fit.get("gbspec", "-"), **run.fit.get("versions", {})}
+    command = " ".join(["gbspec train model.gb", data.path or "DATA", "-o RUN", *flags])
+    versions = {"gbspec": run.fit.gbspec, **run.fit.versions}
     return {
         "command": command,
-        "sha256": data.get("sha256", "-"),
-        "path": data.get("path", "-"),
+        "sha256": data.sha256 or "-",
+        "path": data.path or "-",
         "versions": versions,
         "made": f"gbspec {__version__}, Python {platform.python_version()}",
         "text": run.model.text,

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.report import collect
 from gbspec.report.text import number
-from gbspec.runs.store import Run
+from gbspec.runs import Run
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def constants(run: Run) -> Table:
 
 def correlations(run: Run) -> Table:
     """Correlations of the learned constants; no rows where they are not known."""
-    known = run.fit.get("correlations", {})
+    known = run.fit.correlations
     rows = [(name, *(f"{value:.3f}" for value in row.values())) for name, row in known.items()]
     return Table(("correlation", *known), tuple(rows))
 

@@ -2,3 +2,7 @@
 
 `gbspec.syntax.ast` lists them, and others import them from there; `base` defines their interface.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,8 +7,7 @@ from typing import Self
 
 from gbspec.syntax.nodes import Name
 from gbspec.syntax.statements.base import Entry, Key, Remark
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

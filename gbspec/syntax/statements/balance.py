@@ -9,8 +9,7 @@ from typing import Self
 from gbspec.syntax import rules
 from gbspec.syntax.nodes import Expression, Text
 from gbspec.syntax.statements.base import About, Entry, Formula, Place
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

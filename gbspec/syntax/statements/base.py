@@ -15,8 +15,7 @@ from typing import ClassVar, Literal, Self
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Distribution, Expression, Index, Interval, Name, Node
 from gbspec.syntax.rules import CONSTANT, Rule
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 Key = tuple[str, str]
 """The key by which a statement replaces one of an extended file: the kind, and the name that it is about."""

@@ -9,8 +9,7 @@ from typing import Self
 from gbspec.syntax import rules
 from gbspec.syntax.nodes import Expression, Index, Name
 from gbspec.syntax.statements.base import Entry, Formula, Key, Place, target_text
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Expression, Name, Text
 from gbspec.syntax.statements.base import Entry, Formula, Named, Place
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children, Names, tokens
+from gbspec.syntax.transformer import Children, ClauseRules, Names, tokens
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from typing import Self
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Bound, Distribution, Expression, Interval, Text, UnitExpression
 from gbspec.syntax.statements.base import Entry, Named, Place, ends, fixed, parameters
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

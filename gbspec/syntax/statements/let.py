@@ -10,8 +10,7 @@ from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Expression, Text, UnitExpression
 from gbspec.syntax.statements.base import Entry, Formula, Named, Place
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

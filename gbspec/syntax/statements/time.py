@@ -9,8 +9,7 @@ from typing import Self
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Expression, Text, UnitExpression
 from gbspec.syntax.statements.base import Entry, Key, Named, Place, fixed
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Expression, Name
 from gbspec.syntax.statements.base import About, Entry, Formula, Place
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children, Names
+from gbspec.syntax.transformer import Children, ClauseRules, Names
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,7 @@ from gbspec.syntax.nodes import (
     ZeroAt,
 )
 from gbspec.syntax.statements.base import Declaration, Entry, Place, ends, fixed
-from gbspec.syntax.transformer.clauses import ClauseRules
-from gbspec.syntax.transformer.parts import Children
+from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)

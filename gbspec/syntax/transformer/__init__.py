@@ -4,6 +4,6 @@ Errors that the grammar cannot express (a repeated clause, a comparison used as 
 here. The nodes of statements are built by their own classes (`gbspec.syntax.statements`).
 """
 
-from gbspec.syntax.transformer.parts import Clause
+import lazy_loader
 
-__all__ = ["Clause"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

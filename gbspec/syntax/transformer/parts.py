@@ -11,7 +11,7 @@ from lark import Token
 from gbspec.diagnostics import Diagnostic, Source, Span
 from gbspec.syntax import nodes as ast
 from gbspec.syntax.names import REFUSED, is_name, normalise
-from gbspec.syntax.walk import ungrouped
+from gbspec.syntax.walking import ungrouped
 
 Children = list[Any]  # tokens and the results of the rules below
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.training.engines.device import device_of
 from gbspec.training.engines.engine import Engine, Lack, Unable
-from gbspec.training.engines.native.engine import NativeEngine
-from gbspec.training.engines.native.kernel import Kernel, kernel_of
-from gbspec.training.engines.torch.engine import TorchEngine
+from gbspec.training.engines.native import Kernel, NativeEngine, kernel_of
+from gbspec.training.engines.torch import TorchEngine
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 LEAST_SUBSTEPS = 1500
 """With fewer sub-steps in the data, `--backend auto` does not wait for the compiler: it takes two seconds or so, and at
@@ -43,7 +42,7 @@ class Choice:
         return TorchEngine(problem, parameters, self.device, batch=self.batch)
 
 
-def choose(model: Model, module: type[Any], options: TrainOptions, substeps: int) -> Choice:
+def choose(model: Model, module: type[GeneratedModule], options: TrainOptions, substeps: int) -> Choice:
     """The choice of `--backend` for data of so many sub-steps; `module` is the model's generated class.
 
     Raises UserError (GB863) where the kernel was asked for and cannot be had.

@@ -18,10 +18,8 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Observed
-from gbspec.training.engines.torch.unroll import observe_rows
-from gbspec.training.problem.bounds import STRETCH
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.engines.torch import observe_rows
+from gbspec.training.problem import STRETCH, Parameters, Problem
 
 Taped = list[tuple[int, int, Tensor, Tensor]]
 """Calls of layers: network, layer, the layer's inputs, its pre-activations."""
@@ -83,7 +81,7 @@ class Columns:
         problem = self.problem
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
-        out = problem.module._initial(problem.ops, x0, self.tensor(problem.packed.condition), tuple(k))
+        out = problem.module.equations.initial(problem.ops, x0, self.tensor(problem.packed.condition), tuple(k))
         rows = [gradients(out[:, i].sum(), [x0, *k]) for i in range(out.shape[1])]
         return [torch.stack([row[j] for row in rows], 1) for j in range(1 + len(k))]
 

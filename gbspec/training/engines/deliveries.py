@@ -10,9 +10,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.path import Path, path_of
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Path, Problem, path_of
 
 Terms = list[tuple[Any, Any]]
 """Fraction and lag of each of the model's doses: tensors [B], or one number for all rows."""
@@ -21,14 +19,14 @@ Terms = list[tuple[Any, Any]]
 def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Terms:
     """Fraction and lag of each of the model's doses for B trajectories, from their conditions [B, n_conditions] and
     constants ([B] or [] each). Where conditions leave a lag undefined no gradient passes, which would not be finite."""
-    terms: Terms = list(problem.module._doses(problem.ops, condition, k))
+    terms: Terms = list(problem.module.equations.doses(problem.ops, condition, k))
     for kind, (fraction, lag) in enumerate(terms):
         if not isinstance(lag, Tensor) or not lag.requires_grad or not lag.ndim:
             continue
         sound = torch.isfinite(lag.detach())
         if not bool(sound.all()):
             some = [column[sound] if column.ndim else column for column in k]
-            of_some = problem.module._doses(problem.ops, condition[sound], some)[kind][1]
+            of_some = problem.module.equations.doses(problem.ops, condition[sound], some)[kind][1]
             terms[kind] = fraction, lag.detach().masked_scatter(sound, of_some)
     return terms
 

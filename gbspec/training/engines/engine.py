@@ -17,10 +17,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Jacobian
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Integers, Parameters, Path, Problem
 
 
 @dataclass(frozen=True)

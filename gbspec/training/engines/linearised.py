@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem import Integers, Parameters
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,7 @@ from gbspec.arrays import Array
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.engine import Engine, Moments
 from gbspec.training.engines.linearised import Linearised
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import measured_only, residual_slopes, residuals_of
+from gbspec.training.problem import Integers, Parameters, Problem, measured_only, residual_slopes, residuals_of
 
 
 def predicted(engine: Engine, theta: Array) -> Moments:

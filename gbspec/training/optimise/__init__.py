@@ -1,1 +1,5 @@
 """Optimisers: Levenberg-Marquardt and its normal equations, Adam, L-BFGS, and priors."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,13 +7,12 @@ from collections.abc import Callable
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import half_squares, residual_vector
+from gbspec.training.engines import Engine, half_squares, residual_vector
 from gbspec.training.optimise.adam_update import Moments, one_cycle
 from gbspec.training.optimise.priors import priors_at
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.problem import mean_loss
 
 
 class Adam:

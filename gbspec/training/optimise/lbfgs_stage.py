@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import loss_and_gradient, residual_vector
+from gbspec.training.engines import Engine, loss_and_gradient, residual_vector
 from gbspec.training.optimise.lbfgs import MEMORY, inverse_times, of_newest_curvature
 from gbspec.training.optimise.priors import Priors, priors_at
 from gbspec.training.optimise.stage import Outcome, State, require_finite
-from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.problem import mean_loss
 
 
 class LimitedMemory:

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.linearised import Linearised
-from gbspec.training.engines.objective import linearise, residual_vector
+from gbspec.training.engines import Engine, Linearised, linearise, residual_vector
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
-from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.problem import mean_loss
 
 DELTA_HIGH, DELTA_LOW = 0.1, 0.003
 """Huber's threshold, in deviations of the data: four times the median residual, within these bounds."""

@@ -16,9 +16,9 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.training.engines.linearised import Linearised
+from gbspec.training.engines import Linearised
 from gbspec.training.optimise.nystrom import LEAST, Blocks, Sketch, TooSlowError
-from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem import Parameters
 
 Found = TypeVar("Found")
 

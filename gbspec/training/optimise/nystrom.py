@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem import Integers
 
 LEAST = 2000
 """With fewer residuals or shared columns, factored matrices are as fast."""

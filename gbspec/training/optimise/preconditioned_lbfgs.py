@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import half_squares, linearise, residual_vector
+from gbspec.training.engines import Engine, half_squares, linearise, residual_vector
 from gbspec.training.optimise.lbfgs import MEMORY, Pair, inverse_times
 from gbspec.training.optimise.normal_equations import NormalEquations
 from gbspec.training.optimise.priors import Priors
-from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem import Parameters
 
 SUFFICIENT = 1e-4
 """The part of the promised decrease that a step must bring (Armijo)."""

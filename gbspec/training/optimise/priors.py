@@ -16,14 +16,9 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir.model import Prior
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.linearised import Linearised
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import typical
+from gbspec.ir import Prior
+from gbspec.training.engines import Engine, Linearised, residual_vector
+from gbspec.training.problem import Integers, Parameters, Problem, typical
 
 LEAST_NOISE = 1e-6
 """Exact data leave nothing to a prior but what they do not tell; this keeps that much of it."""

@@ -13,8 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.torch.failure import explain_failure
+from gbspec.training.engines import Engine, explain_failure
 
 State = dict[str, Array]
 

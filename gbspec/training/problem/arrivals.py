@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.ir.model import Dose, Expr, Model
+from gbspec.data import Trajectories, Trajectory
+from gbspec.ir import Dose, Expr, Model
 
 Integers = NDArray[np.int64]
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir.model import Learnable
+from gbspec.ir import Learnable
 
 STRETCH = 3.0
 MARGIN = 1e-3

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.training.problem.packing import Packed
 
 

@@ -18,10 +18,8 @@ from itertools import pairwise
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.ir.methods import RK4, Method
-from gbspec.ir.model import Model
+from gbspec.data import Trajectories, Trajectory, evaluate
+from gbspec.ir import RK4, Method, Model
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
 
 

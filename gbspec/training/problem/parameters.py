@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.training.problem.arrivals import Integers
 from gbspec.training.problem.bounds import STRETCH, Bijections
 

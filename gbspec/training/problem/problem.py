@@ -1,7 +1,7 @@
 """A training problem: the model, its generated module, packed data, scales and forcing.
 
 The loss is the mean over all measured values of rho(residual), with rho(r) = r^2 / 2, or Huber's function where a stage
-says so; `gbspec.ir.residuals` defines the residual.
+says so; `gbspec.ir.residual` defines the residual.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir.methods import METHODS
-from gbspec.ir.model import Model
+from gbspec.ir import METHODS, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
 from gbspec.training.problem.packing import Packed
 from gbspec.training.problem.scaling import Scaling
@@ -27,7 +27,7 @@ class Problem:
     """What is fitted, whatever engine solves it. `module` is an instance of the generated class."""
 
     model: Model
-    module: Any
+    module: GeneratedModule
     packed: Packed
     forcing: Forcing
     scaling: Scaling
@@ -80,6 +80,6 @@ def matching_rows(whole: Packed, part: Packed, index: NDArray[np.int64]) -> NDAr
     return np.asarray(whole.row_table[index[part.row_trajectory], part.row_index], dtype=np.int64)
 
 
-def torch_arithmetic(module: Any) -> Any:
+def torch_arithmetic(module: GeneratedModule) -> Any:
     """The generated module's torch arithmetic."""
     return module.arithmetic("torch")

@@ -1,6 +1,6 @@
 """The residuals of a problem from what an engine predicts, and the losses that are made of them.
 
-`gbspec.ir.residuals` defines the residual; here stand the numbers of a problem that it needs.
+`gbspec.ir.residual` defines the residual; here stand the numbers of a problem that it needs.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.ir.residuals import residuals, slopes
+from gbspec.ir import residuals, slopes
 from gbspec.training.problem.problem import Problem
 
 

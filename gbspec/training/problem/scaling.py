@@ -18,10 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.statistics import deviations
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
-from gbspec.ir.residuals import logarithmic
+from gbspec.data import Trajectories, deviations
+from gbspec.ir import Model, logarithmic
 from gbspec.training.problem.packing import Packed
 
 

@@ -22,21 +22,25 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories
+from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Model
-from gbspec.runs.store import Run
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.levenberg_marquardt import evidence, noise_variance
-from gbspec.training.optimise.normal_equations import NormalEquations
-from gbspec.training.optimise.preconditioned_lbfgs import Anchor, Penalised, Rest, minimise
-from gbspec.training.optimise.stage import require_finite
+from gbspec.ir import Model
+from gbspec.runs import Run
+from gbspec.training.engines import residual_vector
+from gbspec.training.optimise import (
+    Anchor,
+    NormalEquations,
+    Penalised,
+    Rest,
+    evidence,
+    minimise,
+    noise_variance,
+    require_finite,
+)
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.residuals import typical
+from gbspec.training.problem import Parameters, typical
 from gbspec.training.profile.store import Kept
-from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.plan import FIRST_RIDGE
+from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
@@ -124,7 +128,7 @@ class Profile:
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
 
-def profile(
+def profile_constant(
     run: Run,
     name: str,
     trajectories: Trajectories,
@@ -171,8 +175,7 @@ class _Profiler:
     """Fits with the constant free, then held, all around one linearisation."""
 
     def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
-        fields = {k: v for k, v in run.fit.get("options", {}).items() if k in TrainOptions().to_json()}
-        options = replace(TrainOptions(**fields), random_substeps=False)
+        options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)

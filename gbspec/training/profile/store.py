@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories
-from gbspec.runs import files
-from gbspec.runs.store import Run
-from gbspec.training.optimise.preconditioned_lbfgs import Rest
+from gbspec.data import Trajectories
+from gbspec.runs import Run, files
+from gbspec.training.optimise import Rest
 
 FORMAT = "1"
 """To be changed with what a fit means, so that older ones are not taken for new."""

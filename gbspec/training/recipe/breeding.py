@@ -14,17 +14,13 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories, Trajectory
-from gbspec.training.engines.objective import predicted, residual_vector
-from gbspec.training.optimise.stage import Outcome, State
-from gbspec.training.problem.forcing import teacher_forcing
-from gbspec.training.problem.packing import pack
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import mean_loss
-from gbspec.training.problem.scaling import scaling_of
+from gbspec.data import Trajectories, Trajectory
+from gbspec.training.engines import predicted, residual_vector
+from gbspec.training.optimise import Outcome, State
+from gbspec.training.problem import Parameters, Problem, mean_loss, pack, scaling_of, teacher_forcing
 from gbspec.training.recipe.context import Context
-from gbspec.training.starts.initial_states import refit_starts
+from gbspec.training.stages import StageName
+from gbspec.training.starts import refit_starts
 
 AGE = 9.0
 """How much earlier the fitted state lies, in the trajectory's mean interval between rows."""
@@ -80,7 +76,7 @@ def _begun_earlier(item: Trajectory) -> Trajectory:
 class Breeding:
     """Breeds all learned starts: one step."""
 
-    name = "bred initial states"
+    name = StageName.BREEDING.value
     total = 1
 
     def __init__(self, context: Context, parameters: Parameters, blend: float) -> None:

@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.methods import METHODS, Method
-from gbspec.ir.model import Model
-from gbspec.training.engines.choice import Choice, choose
-from gbspec.training.engines.engine import Engine
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories
+from gbspec.ir import METHODS, Method, Model
+from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.forcing import measured_states, teacher_forcing
-from gbspec.training.problem.packing import Packed, default_max_step, pack
-from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.scaling import scaling_of
-from gbspec.training.starts.slopes import Points, collocate
-from gbspec.training.starts.splines import Curves, fit_curves
+from gbspec.training.problem import (
+    Packed,
+    Parameters,
+    Problem,
+    Weights,
+    default_max_step,
+    measured_states,
+    pack,
+    scaling_of,
+    teacher_forcing,
+)
+from gbspec.training.starts import Curves, Points, collocate, fit_curves
 
 
 @dataclass
@@ -32,7 +35,7 @@ class Context:
     """
 
     model: Model
-    module: Any
+    module: GeneratedModule
     trajectories: Trajectories
     held: Trajectories
     options: TrainOptions
@@ -86,7 +89,12 @@ class Context:
 
 
 def build_context(
-    model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int, smooth: bool = False
+    model: Model,
+    module: type[GeneratedModule],
+    trajectories: Trajectories,
+    options: TrainOptions,
+    seed: int,
+    smooth: bool = False,
 ) -> Context:
     """Splits off what is held out and prepares the rest; `smooth` chooses smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)

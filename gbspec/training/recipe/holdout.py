@@ -7,16 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.problem.forcing import teacher_forcing
-from gbspec.training.problem.packing import pack
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import mean_loss
-from gbspec.training.problem.scaling import scaling_of
+from gbspec.training.engines import residual_vector
+from gbspec.training.problem import Parameters, Problem, mean_loss, pack, scaling_of, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
-from gbspec.training.starts.initial_states import refit_starts
-from gbspec.training.starts.splines import fit_curves
+from gbspec.training.starts import fit_curves, refit_starts
 
 
 def held_out_score(context: Context, parameters: Parameters, theta: Array) -> float:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
-from gbspec.training.engines.objective import residual_vector
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories
+from gbspec.ir import Model
+from gbspec.training.engines import residual_vector
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.bounds import Bijections
-from gbspec.training.problem.parameters import Parameters, Weights
-from gbspec.training.problem.residuals import mean_loss, typical
+from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, typical
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.stages import imputed_forcing
-from gbspec.training.starts.warm_start import eliminate, network_scales, regress_slopes
+from gbspec.training.starts import eliminate, network_scales, regress_slopes
 
 SUSPECT = 0.03
 """Smoothing is tried above this typical residual (in deviations of the data) of a start from interpolating curves."""
@@ -34,7 +32,9 @@ class Prepared:
     loss: float
 
 
-def prepare(model: Model, module: type[Any], trajectories: Trajectories, options: TrainOptions, seed: int) -> Prepared:
+def prepare(
+    model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
+) -> Prepared:
     """Builds the context and the first vector: from interpolating curves, or smoothing ones where these do better."""
     first = _attempt(build_context(model, module, trajectories, options, seed))
     if not options.warm_start or not first.context.points.equations:

@@ -5,17 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.stage import Outcome, State
-from gbspec.training.problem.forcing import Forcing
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.engines import Engine, residual_vector
+from gbspec.training.optimise import Outcome, State
+from gbspec.training.problem import Forcing, Problem, mean_loss
 from gbspec.training.recipe.context import Context
-from gbspec.training.starts.initial_states import refit_starts
-
-STARTS_TOO = "least squares, starts too"
-"""The stage that fits measured first values as measurements, where all functions are known."""
+from gbspec.training.stages import StageName
+from gbspec.training.starts import refit_starts
 
 
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:
@@ -49,7 +44,7 @@ class InitialStates:
         return Outcome({"theta": theta}, mean_loss(residual_vector(self.engine, theta)), True)
 
 
-class Choice:
+class ChoiceOfFit:
     """Chooses between the fit of single intervals (teacher forcing) and that of whole solutions (autoregressive).
 
     Noise of measurement is treated rightly by the whole solution; where the system itself is disturbed, or the model
@@ -58,7 +53,7 @@ class Choice:
     neither error's size matters, only by what factor each fit is better. One step.
     """
 
-    name = "choice"
+    name = StageName.CHOICE.value
     total = 1
 
     def __init__(self, teacher: Engine, free: Engine, earlier: Array, seed: int) -> None:

@@ -1,1 +1,5 @@
 """Whole fits: members, workers, clusters, sweeps, and their summaries."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,10 +20,10 @@ from typing import Any
 
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.runs import files
-from gbspec.training.optimise.normal_equations import use_threads
+from gbspec.training.optimise import use_threads
 from gbspec.training.progress import Update
+from gbspec.training.runs.jobs import Job, Pending, Sender, Workers, fit
 from gbspec.training.runs.member import Interrupted
-from gbspec.training.runs.parallel import Engine, Job, Pending, Sender, fit
 from gbspec.training.runs.summary import MemberResult
 from gbspec.version import __version__
 
@@ -36,7 +36,7 @@ Files = dict[str, bytes]
 
 
 @contextmanager
-def cluster(address: str, threads: int) -> Iterator[Engine]:
+def cluster(address: str, threads: int) -> Iterator[Workers]:
     """The cluster of the scheduler at `address`. Raises UserError (GB860) where there is none, or dask is missing."""
     try:
         distributed = _distributed()

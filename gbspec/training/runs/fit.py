@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import platform
 from collections.abc import Mapping
@@ -10,24 +9,21 @@ from dataclasses import replace
 from importlib.metadata import version
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from gbspec.backends.module import generate, load_module
-from gbspec.data.trajectories import Trajectories
+from gbspec.backends import INTERFACE, generate, load_module
+from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
-from gbspec.ir.methods import METHODS
-from gbspec.ir.model import Model
-from gbspec.runs import files
-from gbspec.runs.store import Run
-from gbspec.training.engines.choice import choose
-from gbspec.training.engines.device import device_of
+from gbspec.files import finite
+from gbspec.ir import METHODS, Model
+from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, StageRecord, files, read_record
+from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe.context import build_context
-from gbspec.training.recipe.plan import plan
-from gbspec.training.runs.parallel import Job, fit_jobs
+from gbspec.training.recipe import build_context, plan
+from gbspec.training.runs.jobs import Job
+from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.version import __version__
 
@@ -83,7 +79,7 @@ class Fitting:
         if options.named_stages:
             anywhere = replace(options, backend="torch", device="cpu")  # what a worker has is not asked for here
             context = build_context(model, module, trajectories, anywhere, options.seed)
-            plan(context, context.parameters({}), {})
+            plan(context, context.parameters({}))
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
         self.record = _record(model, trajectories, options)
@@ -112,7 +108,8 @@ class Fitting:
     def write(self) -> None:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
-            _write_results(self.path, self.model, self.record, self.results, self.options)
+            self.record = completed(self.record, self.model, self.results, self.options)
+            _write_results(self.path, self.model, self.record, self.results)
 
     def run(self) -> Run:
         """The run; raises the first member's ComputationError if none could be fitted."""
@@ -129,32 +126,28 @@ def _check_data(trajectories: Trajectories, findings: Findings) -> None:
         findings.error("GB856", message, None, help="add later rows, or state when trajectories start: `time t from 0`")
 
 
-def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> dict[str, Any]:
-    """The first part of `fit.json`, known before training."""
+def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> FitRecord:
+    """What is known before training."""
     packages = ("torch", "numpy", "scipy", "sympy", "casadi")
-    return {
-        "gbspec": __version__,
-        "model": model.name,
-        "data": {
-            "path": trajectories.path,
-            "sha256": trajectories.sha256,
-            "trajectories": len(trajectories),
-            "rows": trajectories.rows or sum(len(item.times) for item in trajectories.items),
-            "values": trajectories.measurements,
-        },
-        "options": options.to_json(),
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
-        "constants": {},
-        "noise": {},
-        "members": [],
-        "warnings": [],
-        "correlations": {},
-        "solver": options.solver,
-    }
+    rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
+    counts = len(trajectories), rows, trajectories.measurements
+    return FitRecord(
+        gbspec=__version__,
+        model=model.name,
+        data=DataRecord(trajectories.path, trajectories.sha256, *counts),
+        options=options.to_json(),
+        versions={"python": platform.python_version(), **{name: version(name) for name in packages}},
+        constants={},
+        noise={},
+        members=(),
+        warnings=(),
+        solver=options.solver,
+        interface=INTERFACE,
+    )
 
 
 # -------------------------------------------------------------------------------------------------- the directory
-def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOptions) -> None:
+def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions) -> None:
     """Makes the directory, or finds the run to resume in it."""
     if path.exists() and not path.is_dir():
         raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
@@ -177,25 +170,27 @@ def _prepare(path: Path, model: Model, record: dict[str, Any], options: TrainOpt
     files.write_bytes(path / files.MODEL, model.text.encode("utf-8"))
     files.write_bytes(path / files.MODULE, generate(model, METHODS[options.solver]).encode("utf-8"))
     if not (path / files.FIT).is_file():
-        files.write_json(path / files.FIT, record)
+        record.write(path)
 
 
-def _check_resumable(path: Path, model: Model, record: dict[str, Any]) -> None:
+def _check_resumable(path: Path, model: Model, record: FitRecord) -> None:
     """Refuses to continue with another model, other data or other options than the run began with."""
-    try:
-        before = json.loads((path / files.FIT).read_text(encoding="utf-8"))
-        text = (path / files.MODEL).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UserError([Diagnostic("GB852", f"the run `{path}` cannot be resumed: {error}", None)]) from None
     findings = Findings()
+    before = read_record(path, findings)
+    if before is None:
+        raise UserError(findings)
+    try:
+        text = (path / files.MODEL).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError([Diagnostic("GB852", f"the run `{path}` cannot be resumed: {error}", None)]) from None
     if text != model.text:
         findings.error("GB855", f"the run `{path}` was started with another model", None, help=_OTHER)
-    if before.get("data", {}).get("sha256") != record["data"]["sha256"]:
+    if before.data.sha256 != record.data.sha256:
         findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
     may_change = {"members", "workers", "threads", "device", "backend"}
-    began = TrainOptions().to_json() | before.get("options", {})  # a run may be older than an option
-    for name, value in record["options"].items():
-        old = began.get(name)
+    began = TrainOptions.recorded(before.options, path).to_json()
+    for name, value in record.options.items():
+        old = began[name]
         if name not in may_change and old != value:
             flag = name.replace("_", "-")
             findings.error(
@@ -208,25 +203,30 @@ _OTHER = "continue it with the original settings, or name another directory with
 
 
 # -------------------------------------------------------------------------------------------------- results
-def _write_results(
-    path: Path, model: Model, record: dict[str, Any], results: dict[int, MemberResult], options: TrainOptions
-) -> None:
-    """Completes `fit.json` and writes `history.csv`."""
+def completed(record: FitRecord, model: Model, results: dict[int, MemberResult], options: TrainOptions) -> FitRecord:
+    """The record with what became of the members, of which there is at least one."""
     ordered = [results[k] for k in sorted(results)]
     ended = [(member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants)]
     for member, name, _ in ended:  # the curvature says nothing of a constant that a bound stopped
         results[member].sd[name] = float("nan")
-    record["constants"] = {k.name: _constant(k.name, k.start, ordered) for k in model.learnables}
-    record["noise"] = {c.name: float(np.mean([r.noise[c.name] for r in ordered])) for c in model.channels}
-    record["members"] = [
-        {"seed": r.seed, "loss": r.loss, "rmse": r.rmse, "seconds": r.seconds, "stages": r.stages} for r in ordered
-    ]
-    record["correlations"] = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
-    record["warnings"] = [*warnings_of(results, options), *moving_together(record["correlations"])] + [
+    correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
+    bounds = [
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
         for member, name, bound in ended
     ]
-    files.write_json(path / files.FIT, record)
+    return replace(
+        record,
+        constants={k.name: _constant(k.name, k.start, ordered) for k in model.learnables},
+        noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
+        members=tuple(map(_member, ordered)),
+        warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
+        correlations=correlations,
+    )
+
+
+def _write_results(path: Path, model: Model, record: FitRecord, results: dict[int, MemberResult]) -> None:
+    """Writes `fit.json` and `history.csv`."""
+    record.write(path)
     rows = [
         [member, stage, iteration, seconds, loss, *constants]
         for member in sorted(results)
@@ -235,21 +235,24 @@ def _write_results(
     files.write_history(path / files.HISTORY, [k.name for k in model.learnables], rows)
 
 
-def _constant(name: str, start: float, results: list[MemberResult]) -> dict[str, Any]:
+def _member(result: MemberResult) -> MemberRecord:
+    stages = tuple(
+        StageRecord(stage["name"], stage["iterations"], finite(stage["loss"]), stage["seconds"])
+        for stage in result.stages
+    )
+    rmse = {name: finite(value) for name, value in result.rmse.items()}
+    return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages)
+
+
+def _constant(name: str, start: float, results: list[MemberResult]) -> ConstantRecord:
     """Mean over members, standard deviation (within and between members), and a 90 % interval."""
     values = np.array([r.constants[name] for r in results])
     within = np.array([r.sd[name] for r in results])
     between = values.var(ddof=1) if len(values) > 1 else 0.0
     sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
     center = float(values.mean())
-    interval = [center - 1.645 * sd, center + 1.645 * sd] if math.isfinite(sd) else None
-    return {
-        "value": center,
-        "sd": sd if math.isfinite(sd) else None,
-        "interval": interval,
-        "start": start,
-        "per_member": values.tolist(),
-    }
+    interval = (center - 1.645 * sd, center + 1.645 * sd) if math.isfinite(sd) else None
+    return ConstantRecord(center, finite(sd), interval, start, tuple(map(float, values)))
 
 
 def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:

@@ -12,21 +12,18 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.data.fingerprint import fingerprint
-from gbspec.data.trajectories import Trajectories
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.runs import files
-from gbspec.training.optimise.levenberg_marquardt import Certainty, LevenbergMarquardt
-from gbspec.training.optimise.stage import Outcome, Stage, State
+from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.parameters import Parameters
+from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
-from gbspec.training.recipe.context import Context, build_context
-from gbspec.training.recipe.plan import Planned, plan, step_fraction
-from gbspec.training.recipe.preparation import prepare
-from gbspec.training.recipe.recognition import recognition
+from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
 from gbspec.training.runs.summary import MemberResult, summarise
+from gbspec.training.stages import StageName
 
 SAVE_EVERY = 5.0
 """Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
@@ -63,7 +60,7 @@ class Position:
 
 def fit_member(
     model: Model,
-    module: type[Any],
+    module: type[GeneratedModule],
     trajectories: Trajectories,
     options: TrainOptions,
     member: int,
@@ -117,7 +114,7 @@ class _Runner:
         self.context, self.member = context, member
         self.directory, self.progress = directory, progress
         self.position = position
-        self.plan = plan(context, parameters, position.marks)
+        self.plan = plan(context, parameters)
         # Stages that keep measured starts leave their entries at zero, which stands for the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
         self._began = time.monotonic() - self.position.seconds
@@ -160,12 +157,12 @@ class _Runner:
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
         if position.iteration == 0:
-            if not planned.due(position.theta):
+            if not planned.due(Reached(position.theta, position.marks)):
                 if self.context.options.named_stages:
                     position.notes.append(f"the stage `{planned.name}` was requested, but had nothing to do")
                 return
             position.entry = position.theta
-        stage = planned.make(position.entry)
+        stage = planned.make(Reached(position.entry, position.marks))
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
             position.stages.append({"name": stage.name, "iterations": 0, "loss": None, "seconds": 0.0})
@@ -223,7 +220,7 @@ class _Runner:
         if not len(self.context.held):
             position.best, position.best_score = position.theta, position.loss
             return
-        from gbspec.training.recipe.holdout import held_out_score
+        from gbspec.training.recipe import held_out_score
 
         score = held_out_score(self.context, self.parameters, position.theta)
         if score <= position.best_score:
@@ -254,7 +251,7 @@ class _Runner:
         )
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
-            blend = 0.0 if "autoregressive" in position.marks else self.context.options.blend
+            blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             # The largest step that the weights were fitted with last.

@@ -11,9 +11,10 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.training.engines.objective import predicted, residual_table
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.recipe.context import Context
+from gbspec.training.engines import predicted, residual_table
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context
+from gbspec.training.stages import StageName
 
 
 @dataclass
@@ -105,7 +106,7 @@ class _Noise:
     ) -> _Noise:
         """From the residuals at `theta`, with the forcing that was trained with."""
         asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
-        whole = asked and (not parameters.n_weights or "autoregressive" in stages)
+        whole = asked and (not parameters.n_weights or StageName.AUTOREGRESSIVE in stages)
         residuals = residual_table(context.engine(parameters, 0.0 if whole else context.options.blend), theta)
         count = int((context.packed().weights > 0).sum())
         if not whole or not count:

@@ -10,14 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gbspec.data.trajectories import Trajectories
+from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.runs import files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.runs.fit import Fitting
-from gbspec.training.runs.parallel import Job, fit_jobs
+from gbspec.training.runs.jobs import Job
+from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.variations import Point
 

@@ -57,7 +57,7 @@ def _variation(text: str, findings: Findings) -> tuple[str, list[Any]]:
     before, _, after = text.partition("=")
     name = before.strip().replace("-", "_")
     if name not in _types():
-        from gbspec.data.names import similar
+        from gbspec.data import similar
 
         near = similar(name, list(_types()))
         message = f"`--vary {text}`: no option that can be varied is called `{before.strip()}`"

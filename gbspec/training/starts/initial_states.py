@@ -12,16 +12,9 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.training.engines.engine import Engine, taken
-from gbspec.training.engines.objective import linearise, residual_table, residual_vector
-from gbspec.training.optimise.normal_equations import huber_each, huber_weights
-from gbspec.training.optimise.priors import LEAST_NOISE, Priors
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.forcing import Forcing
-from gbspec.training.problem.packing import Packed
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import typical
+from gbspec.training.engines import Engine, linearise, residual_table, residual_vector, taken
+from gbspec.training.optimise import LEAST_NOISE, Priors, huber_each, huber_weights
+from gbspec.training.problem import Forcing, Integers, Packed, Parameters, Problem, typical
 
 POLISH_STEPS = 12
 FLAT = 1e-12

@@ -6,14 +6,10 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.engines.torch.failure import explain_failure
-from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
-from gbspec.training.optimise.normal_equations import huber
-from gbspec.training.optimise.priors import Priors
-from gbspec.training.optimise.stage import Outcome, State
-from gbspec.training.problem.residuals import mean_loss
+from gbspec.training.engines import Engine, explain_failure, residual_vector
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
+from gbspec.training.problem import mean_loss
+from gbspec.training.stages import StageName
 
 CANDIDATES, KEPT, IMPROVEMENTS = 64, 4, 12
 SPREAD = 1.0
@@ -23,7 +19,7 @@ SPREAD = 1.0
 class Search:
     """Chooses among the vector it is given, the declared starts and draws around both: one step."""
 
-    name = "search"
+    name = StageName.SEARCH.value
     total = 1
 
     def __init__(self, engine: Engine, seed: int) -> None:

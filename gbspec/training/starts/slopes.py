@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.data.signals import evaluate
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.problem import torch_arithmetic
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories, evaluate
+from gbspec.ir import Model
+from gbspec.training.problem import Integers, torch_arithmetic
 from gbspec.training.starts.splines import Curves
 
 POINTS = 6000
@@ -133,7 +132,7 @@ class FreeOutputs:
         self._position = 0
 
     def functions(self) -> tuple[Any, ...]:
-        """What `_rhs` takes as its networks."""
+        """What `rhs` of the equations takes as its networks."""
         self._position = 0
         self.arguments = []
         return tuple(self._function(index) for index in range(len(self.model.networks)))
@@ -159,10 +158,10 @@ class FreeOutputs:
         return apply
 
 
-def evaluate_rhs(model: Model, module: Any, points: Points, constants: Tensor, networks: Any) -> Tensor:
+def evaluate_rhs(model: Model, module: GeneratedModule, points: Points, constants: Tensor, networks: Any) -> Tensor:
     """Right-hand sides [M, n_states] at the points, with constants [M, n_constants]."""
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     t, x = torch.from_numpy(points.t), torch.from_numpy(points.x)
     c, u = torch.from_numpy(points.condition), torch.from_numpy(points.inputs)
-    out: Tensor = module._rhs(torch_arithmetic(module), t, x, c, u, k, networks)
+    out: Tensor = module.equations.rhs(torch_arithmetic(module), t, x, c, u, k, networks)
     return out

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_smoothing_spline
 
 from gbspec.arrays import Array
-from gbspec.data.trajectories import Trajectories
-from gbspec.ir.model import Model
+from gbspec.data import Trajectories
+from gbspec.ir import Model
 
 Curve = Callable[[Array], Array]
 

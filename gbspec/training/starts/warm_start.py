@@ -17,11 +17,10 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir.model import NN, Model
-from gbspec.training.optimise.adam_update import Moments, one_cycle
-from gbspec.training.optimise.priors import spread_of
-from gbspec.training.problem.bounds import Bijections
-from gbspec.training.problem.parameters import Parameters, Weights
+from gbspec.backends import GeneratedModule
+from gbspec.ir import NN, Model
+from gbspec.training.optimise import Moments, one_cycle, spread_of
+from gbspec.training.problem import Bijections, Parameters, Weights
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 
 ELIMINATION_STEPS = 30
@@ -59,7 +58,7 @@ class _Mismatch:
     Where no balance can be compared, the rough ones serve, and constants do not count. Of many points some are taken.
     """
 
-    def __init__(self, model: Model, module: Any, points: Points, start: Array) -> None:
+    def __init__(self, model: Model, module: GeneratedModule, points: Points, start: Array) -> None:
         self.model, self.module = model, module
         self.equations, self.fixed = list(points.equations or points.rough), not points.equations
         self.free = _free_outputs(model, module, points, start)
@@ -94,7 +93,7 @@ class _Mismatch:
         return r.detach().numpy(), torch.stack(by_outputs, 1).numpy(), jac_k
 
 
-def eliminate(model: Model, module: Any, points: Points, start: Array) -> Eliminated:
+def eliminate(model: Model, module: GeneratedModule, points: Points, start: Array) -> Eliminated:
     """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights.
 
     Where no balance can be compared, the rough ones serve, and the constants stay at `start`.
@@ -143,7 +142,7 @@ def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
     return centre, deviation
 
 
-def _free_outputs(model: Model, module: Any, points: Points, start: Array) -> FreeOutputs:
+def _free_outputs(model: Model, module: GeneratedModule, points: Points, start: Array) -> FreeOutputs:
     """Free outputs for some points, once evaluated, so that they know how many they are."""
     free = FreeOutputs(model, len(points))
     with torch.no_grad():
@@ -234,7 +233,7 @@ def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Ar
     return center, scale
 
 
-def regress_slopes(parameters: Parameters, module: Any, points: Points, theta: Array, seed: int) -> Array:
+def regress_slopes(parameters: Parameters, module: GeneratedModule, points: Points, theta: Array, seed: int) -> Array:
     """Step 3: weights and shared constants by Adam on minibatches of points; Huber's loss, a one-cycle schedule."""
     model = parameters.model
     if not points.equations or not model.networks:

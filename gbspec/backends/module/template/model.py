@@ -22,10 +22,10 @@ import numpy as np
 # {{interface
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.directions import _weight_slopes
-from gbspec.backends.module.template.networks import _casadi_network, _layers, _numpy_network, _torch_network
+from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 
-_USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace, _layers)
+_USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
 INTERFACE = 0
 # interface}}
 
@@ -55,34 +55,54 @@ class Template:  # {{class}}
     networks: ClassVar[tuple[dict[str, Any], ...]] = ()
     # attributes}}
 
-    # {{equations
-    @classmethod
-    def _rhs(cls, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any) -> Any:
-        return math.pack(state, ())
+    class equations:  # noqa: N801  (a namespace)
+        """The equations, for torch, casadi and numpy, each called without an instance.
 
-    @classmethod
-    def _observe(cls, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any) -> Any:
-        return math.pack(state, ())
+        math: the arithmetic of one of these; state, condition, inputs: vectors, components on the last axis (in casadi,
+        columns); constants: a tuple; networks: a tuple of functions, each called with its arguments one by one and
+        returning a tuple of its outputs.
+        """
 
-    @classmethod
-    def _initial(cls, math: Any, state: Any, condition: Any, constants: Any) -> Any:
-        return state
+        # {{equations
+        @classmethod
+        def rhs(cls, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any) -> Any:
+            """The time derivative of each state."""
+            return math.pack(state, ())
 
-    @staticmethod
-    def _grid(math: Any, t: Any, h: Any) -> Any:
-        return (), ()
+        @classmethod
+        def observe(
+            cls, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any
+        ) -> Any:
+            """The value of each channel."""
+            return math.pack(state, ())
 
-    @staticmethod
-    def _step(math: Any, rhs: Any, grid: Any, state: Any, inputs: Any) -> Any:
-        return state
+        @classmethod
+        def initial(cls, math: Any, state: Any, condition: Any, constants: Any) -> Any:
+            """The start `state` with every start put in that the model expresses."""
+            return state
 
-    _unknowns: ClassVar[dict[str, tuple[int, int, Any]]] = {}
-    # equations}}
+        @classmethod
+        def doses(cls, math: Any, condition: Any, constants: Any) -> Any:
+            """For each dose the fraction of it that arrives, and the lag after which it does."""
+            return ()
 
-    @classmethod
-    def _field(cls, math: Any, condition: Any, constants: Any, networks: Any) -> Any:
-        """`_rhs` as a function of time, state and inputs."""
-        return lambda t, state, inputs: cls._rhs(math, t, state, condition, inputs, constants, networks)
+        @staticmethod
+        def grid(math: Any, t: Any, h: Any) -> Any:
+            """A step of size h from t: the times at which it needs inputs, parts of its size."""
+            return (), ()
+
+        @staticmethod
+        def step(math: Any, rhs: Any, grid: Any, state: Any, inputs: Any) -> Any:
+            """One step of state' = rhs(time, state, inputs)."""
+            return state
+
+        unknowns: ClassVar[dict[str, tuple[int, int, Any]]] = {}
+        # equations}}
+
+        @classmethod
+        def field(cls, math: Any, condition: Any, constants: Any, networks: Any) -> Any:
+            """`rhs` as a function of time, state and inputs."""
+            return lambda t, state, inputs: cls.rhs(math, t, state, condition, inputs, constants, networks)
 
     # ------------------------------------------------------------------ weights
     # `self.weights` maps names to float64 arrays:
@@ -228,27 +248,27 @@ class Template:  # {{class}}
         """dx/dt [..., n_states] at time t (a number or [...]), state x [..., n_states]; see above for the rest."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
-        return self._rhs(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
+        return self.equations.rhs(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
 
     def observe(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """The channels [..., n_channels] at time t, state x [..., n_states]."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
-        return self._observe(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
+        return self.equations.observe(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
 
     def initial(self, x0: Any, condition: Any = None, constants: Any = None) -> Any:
         """The start x0 [..., n_states] with every state in its place whose start the model expresses."""
         x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
         k, _ = self._parameters(x, constants)
-        return self._initial(_torch_arithmetic(), x, condition, k)
+        return self.equations.initial(_torch_arithmetic(), x, condition, k)
 
     def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t; `inputs` hold through it."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
         m = _torch_arithmetic()
-        grid = self._grid(m, self._like(t, x), self._like(h, x))
-        return self._step(m, self._field(m, condition, k, f), grid, x, (inputs,) * len(grid[0]))
+        grid = self.equations.grid(m, self._like(t, x), self._like(h, x))
+        return self.equations.step(m, self.equations.field(m, condition, k, f), grid, x, (inputs,) * len(grid[0]))
 
     def simulate(
         self,
@@ -279,14 +299,14 @@ class Template:  # {{class}}
         batch = np.broadcast_shapes(x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1])
         x = x.expand(*batch, x.shape[-1])
         path, m = [x], _torch_arithmetic()
-        rhs = self._field(m, condition, k, f)
+        rhs = self.equations.field(m, condition, k, f)
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
             count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))
             h = (end - start) / count
             for j in range(count):
-                nodes, sizes = self._grid(m, start + j * h, h)
+                nodes, sizes = self.equations.grid(m, start + j * h, h)
                 u = tuple(signal(i, t) for t in nodes)
-                x = self._step(m, rhs, ([self._like(t, x) for t in nodes], sizes), x, u)
+                x = self.equations.step(m, rhs, ([self._like(t, x) for t in nodes], sizes), x, u)
             path.append(x)
         return torch.stack(path, -2)
 
@@ -296,7 +316,7 @@ class Template:  # {{class}}
         return {name: functools.partial(self._function, name) for name in self.unknowns}
 
     def _function(self, name: str, *arguments: Any, constants: Any = None) -> Any:
-        index, output, method = self._unknowns[name]
+        index, output, method = self.equations.unknowns[name]
         count = len(self.networks[index]["arguments"])
         if len(arguments) == 1 and count != 1:
             arguments = (self._vector(arguments[0], count, f"the arguments of {name}"),)
@@ -384,21 +404,21 @@ class Template:  # {{class}}
 
     def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function rhs(t, x, condition, inputs) -> dx, the networks inside."""
-        return self._casadi("rhs", "dx", self._rhs, symbolic_constants)
+        return self._casadi("rhs", "dx", self.equations.rhs, symbolic_constants)
 
     def casadi_observe(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function observe(t, x, condition, inputs) -> y."""
-        return self._casadi("observe", "y", self._observe, symbolic_constants)
+        return self._casadi("observe", "y", self.equations.observe, symbolic_constants)
 
     def casadi_jacobian(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function jacobian(t, x, condition, inputs) -> J, d(dx)/dx [n_states, n_states]."""
-        return self._casadi("jacobian", "J", self._rhs, symbolic_constants, derivative=True)
+        return self._casadi("jacobian", "J", self.equations.rhs, symbolic_constants, derivative=True)
 
     def casadi_function(self, name: str, symbolic_constants: bool = False) -> Any:
         """casadi.Function of an unknown: the vector of its arguments -> its value."""
         import casadi as ca
 
-        index, output, method = self._unknowns[name]
+        index, output, method = self.equations.unknowns[name]
         arguments = {"arguments": ca.MX.sym("arguments", len(self.networks[index]["arguments"]))}
         k = ca.MX(ca.DM(self.weights["constants"]))
         if symbolic_constants:
@@ -424,11 +444,3 @@ class Template:  # {{class}}
         if derivative:
             vector = ca.jacobian(vector, arguments["x"])
         return ca.Function(name, [*arguments.values()], [ca.densify(vector)], [*arguments], [result])
-
-
-def _casadi_name(name: str) -> str:
-    """A name that casadi accepts for a function: letters, digits and single underscores."""
-    text = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
-    while "__" in text:
-        text = text.replace("__", "_")
-    return text if text[:1].isalpha() and text not in ("null", "jac", "hess") else f"f_{text}".rstrip("_")

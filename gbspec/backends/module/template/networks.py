@@ -225,3 +225,11 @@ def _casadi_network(network: dict[str, Any], weights: Any) -> Any:
         return tuple(row.T for row in ca.vertsplit(out))
 
     return _Raw(call, output_center, output_scale, scale) if network["raw"] else call
+
+
+def _casadi_name(name: str) -> str:
+    """A name that casadi accepts for a function: letters, digits and single underscores."""
+    text = "".join(c if c.isascii() and c.isalnum() else "_" for c in name).strip("_")
+    while "__" in text:
+        text = text.replace("__", "_")
+    return text if text[:1].isalpha() and text not in ("null", "jac", "hess") else f"f_{text}".rstrip("_")

@@ -18,12 +18,8 @@ from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.jacobian import jacobian
 from gbspec.training.engines.native.kernel import Kernel, Swept
 from gbspec.training.engines.native.tables import Tables
-from gbspec.training.engines.torch.unroll import observe_rows
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
-from gbspec.training.problem.residuals import residual_slopes
+from gbspec.training.engines.torch import observe_rows
+from gbspec.training.problem import Integers, Parameters, Path, Problem, residual_slopes
 
 
 class NativeEngine:

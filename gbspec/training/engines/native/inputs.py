@@ -9,11 +9,9 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends.module import NetworkLayers, network_layers
-from gbspec.backends.native import NUMBER_WORDS, Library, Struct
+from gbspec.backends import NUMBER_WORDS, Library, NetworkLayers, Struct, network_layers
 from gbspec.training.engines.deliveries import delivered
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,9 @@ class KernelInputs:
         """The values at a vector, differentiable in it."""
         constants = parameters.constants(vector)
         condition = torch.from_numpy(problem.packed.condition)
-        initial = problem.module._initial(problem.ops, parameters.starts(vector), condition, constants.unbind(1))
+        initial = problem.module.equations.initial(
+            problem.ops, parameters.starts(vector), condition, constants.unbind(1)
+        )
         networks = network_layers(problem.module, parameters.weights(vector), problem.ops)
         layers = _layer_weights(networks, vector)
         return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.backends.module import network_layers
+from gbspec.backends import network_layers
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import terms_of
 from gbspec.training.engines.engine import Moments
@@ -23,9 +23,7 @@ from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.kernel import Kernel
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.native.threads import workspace
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Integers, Parameters, Problem
 
 BLOCK_BYTES = 8 * 2**20
 """Derivatives of about this size are made before they are chained."""

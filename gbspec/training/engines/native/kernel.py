@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
 from gbspec.arrays import Array
-from gbspec.backends.native import TILE, CompilerError, Library, NotCoveredError, Precision, Struct, source
-from gbspec.ir.methods import METHODS, RK4, Method
-from gbspec.ir.model import Model
+from gbspec.backends import TILE, CompilerError, GeneratedModule, Library, NotCoveredError, Precision, Struct, source
+from gbspec.ir import METHODS, RK4, Method, Model
 from gbspec.training.engines.engine import Lack, Unable
 from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.native.threads import shared_out, workspace
-from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem import Integers
 
 SHARES = 8
 """Shares of the work for each thread."""
@@ -111,10 +109,10 @@ class Kernel:
         return out
 
 
-_kernels: dict[tuple[type[Any], Precision], Kernel | Unable] = {}
+_kernels: dict[tuple[type[GeneratedModule], Precision], Kernel | Unable] = {}
 
 
-def kernel_of(model: Model, module: type[Any], precision: Precision = "float64") -> Kernel | Unable:
+def kernel_of(model: Model, module: type[GeneratedModule], precision: Precision = "float64") -> Kernel | Unable:
     """The kernel of a model (`module` is its generated class), or why there is none."""
     key = (module, precision)
     if key not in _kernels:

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.backends.native import Library, Struct
-from gbspec.ir.model import Model
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
+from gbspec.backends import Library, Struct
+from gbspec.ir import Model
+from gbspec.training.problem import Integers, Path, Problem
 
 
 class Tables:

@@ -1,1 +1,5 @@
 """The torch engine: the reference, for every model and every device."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,9 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir.affinity import is_affine
-from gbspec.ir.model import Model
+from gbspec.ir import Model, is_affine
 
 Coefficient = float | Tensor
 Key = tuple[Any, ...]
@@ -38,10 +38,10 @@ def _refuse(*_: Any) -> Any:
     raise NotAffineError("a right-hand side is not affine")
 
 
-_known: dict[type[Any], bool] = {}
+_known: dict[type[GeneratedModule], bool] = {}
 
 
-def affine_by_model(model: Model, module: Any) -> bool:
+def affine_by_model(model: Model, module: GeneratedModule) -> bool:
     """Whether a model's right-hand side is affine; decided once for each generated class, `module` is an instance."""
     key = type(module)
     if key not in _known:
@@ -172,7 +172,9 @@ class _Probe:
         return tuple(Form({("output", number, i): 1.0}) for i in range(outputs))
 
 
-def affine(module: Any, ops: Any, condition: Tensor, constants: Sequence[Tensor], networks: Sequence[Any]) -> Affine:
+def affine(
+    module: GeneratedModule, ops: Any, condition: Tensor, constants: Sequence[Tensor], networks: Sequence[Any]
+) -> Affine:
     """The right-hand side of trajectories of these conditions [P, n_conditions] and constants ([P] or [] each).
 
     Raises NotAffineError where it is not affine, or its matrices would differ between trajectories.
@@ -181,7 +183,7 @@ def affine(module: Any, ops: Any, condition: Tensor, constants: Sequence[Tensor]
     probes = tuple(_Probe(network, calls) for network in networks)
     states = tuple(("state", i) for i in range(len(module.states)))
     inputs = tuple(("input", i) for i in range(len(module.inputs)))
-    rows = module._rhs(
+    rows = module.equations.rhs(
         _arithmetic(ops),
         Form({("time",): 1.0}),
         tuple(Form({key: 1.0}) for key in states),

@@ -16,10 +16,7 @@ from gbspec.training.engines.linearised import Jacobian
 from gbspec.training.engines.torch.jacobian import jacobian
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.unroll import Unrolled, graph_residuals, unroll
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Integers, Parameters, Path, Problem
 
 
 class TorchEngine:

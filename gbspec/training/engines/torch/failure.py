@@ -10,8 +10,7 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 _REMEDY = (
     "try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), "
@@ -48,8 +47,8 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
     networks = module.torch_networks(parameters.weights(vector))
     k = tuple(parameters.constants(vector).unbind(1))
     c = torch.from_numpy(packed.condition)
-    deliveries, rhs = Deliveries.of(problem, c, k), module._field(m, c, k, networks)
-    x = module._initial(m, parameters.starts(vector), c, k)
+    deliveries, rhs = Deliveries.of(problem, c, k), module.equations.field(m, c, k, networks)
+    x = module.equations.initial(m, parameters.starts(vector), c, k)
     bad = ~torch.isfinite(x)
     if bad.any():
         i = int(torch.nonzero(bad)[0, 0])
@@ -64,7 +63,7 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
             bad = ~torch.isfinite(new)
             if bad.any():
                 i = int(torch.nonzero(bad.any(-1))[0, 0])
-                slope = module._rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
+                slope = module.equations.rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
                 return i, float(packed.t[s - 1, i]), _blame(names, slope, bad[i]), x[i].numpy()
             x = new
         here = np.flatnonzero(packed.row_step == s)

@@ -19,8 +19,7 @@ from gbspec.training.engines.columns import Columns, Taped, gradients
 from gbspec.training.engines.engine import Moments
 from gbspec.training.engines.linearised import Batch, Jacobian, Observed
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.path import Path
+from gbspec.training.problem import Integers, Path
 
 CHUNK_BYTES = 256 * 1024 * 1024
 """Derivatives of intervals by weights are formed in chunks of about this size."""
@@ -122,7 +121,9 @@ class _Intervals:
         for j in range(batch.depth):
             live = batch.live(j)
             step = sub_step(problem, self.path, batch.first[:live] + j, batch.owner[:live], x.detach())
-            rhs = problem.module._field(problem.ops, condition[:live], tuple(column[:live] for column in k), networks)
+            rhs = problem.module.equations.field(
+                problem.ops, condition[:live], tuple(column[:live] for column in k), networks
+            )
             state = advance(state, step, deliveries, rhs)
             calls.append(len(tape))
             remaining = batch.live(j + 1)

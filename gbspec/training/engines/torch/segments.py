@@ -20,10 +20,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.training.engines.linearised import Batch
 from gbspec.training.engines.torch.sub_steps import SubStep, sub_step
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.packing import Packed
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Integers, Packed, Path, Problem
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,13 @@ from torch import Tensor
 
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
-from gbspec.training.problem.arrivals import Integers
-from gbspec.training.problem.path import Path
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Integers, Path, Problem
 
 
 @dataclass(frozen=True)
 class SubStep:
     """A sub-step of each of B rows: start `t` and length `h` [B], the inputs at the method's nodes, [B, n_inputs] each,
-    and what the generated `_grid` makes of `t` and `h`. `arrivals`: what happens besides; None where nothing does."""
+    and what the generated `grid` makes of `t` and `h`. `arrivals`: what happens besides; None where nothing does."""
 
     t: Tensor
     h: Tensor
@@ -51,7 +49,7 @@ def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like:
         if (doses >= 0).any() or (end >= 0).any():
             slope = path.slope[steps, who] if path.cuts.any() else np.zeros((len(steps), packed.inputs.shape[3]))
             arrivals = Arrivals(doses, begin, end, like.new_tensor(slope))
-    return SubStep(t, h, inputs.unbind(1), problem.module._grid(problem.ops, t, h), arrivals)
+    return SubStep(t, h, inputs.unbind(1), problem.module.equations.grid(problem.ops, t, h), arrivals)
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ class Deliveries:
         The moves are zero; they carry the derivatives.
         """
         begin, end = (self._move(cutting, step.t) for cutting in (arrivals.begin, arrivals.end))
-        grid = self.problem.module._grid(self.problem.ops, step.t + begin, step.h + (end - begin))
+        grid = self.problem.module.equations.grid(self.problem.ops, step.t + begin, step.h + (end - begin))
         if not step.nodes[0].shape[1]:
             return grid, step.nodes
         shares = [begin + node * (end - begin) for node in self.problem.packed.nodes]
@@ -114,5 +112,5 @@ def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field) -> Ten
         x = deliveries.added(x, step.arrivals)
         if (step.arrivals.begin >= 0).any() or (step.arrivals.end >= 0).any():
             grid, nodes = deliveries.moved(step, step.arrivals)
-    out: Tensor = problem.module._step(problem.ops, rhs, grid, x, nodes)
+    out: Tensor = problem.module.equations.step(problem.ops, rhs, grid, x, nodes)
     return out

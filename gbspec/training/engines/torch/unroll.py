@@ -9,13 +9,12 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gbspec.ir.residuals import residuals
+from gbspec.ir import residuals
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.sub_steps import Deliveries, SubStep, advance
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.problem import Problem
+from gbspec.training.problem import Parameters, Problem
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
     k = tuple(constants.unbind(1))
-    initial = module._initial(problem.ops, parameters.starts(theta), theta.new_tensor(packed.condition), k)
+    initial = module.equations.initial(problem.ops, parameters.starts(theta), theta.new_tensor(packed.condition), k)
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
     motion = Motion(problem, schedule, parameters, constants, networks)
     before = torch.cat(_run(schedule, motion, x))[schedule.row]
@@ -104,14 +103,14 @@ class Motion:
         if self._affine is not None:
             return self._affine.at(rows)
         k = tuple(value[rows] if value.ndim else value for value in self._constants)
-        field: Field = self._problem.module._field(
+        field: Field = self._problem.module.equations.field(
             self._problem.ops, self._condition[rows].unbind(1), k, self._networks
         )
         return field
 
     def grid(self, t: Tensor, h: Tensor) -> Any:
         """What the solver's step needs of times and lengths [B]."""
-        return self._problem.module._grid(self._problem.ops, t, h)
+        return self._problem.module.equations.grid(self._problem.ops, t, h)
 
 
 def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: Any) -> Tensor:
@@ -119,7 +118,9 @@ def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: 
     packed = problem.packed
     c = states.new_tensor(packed.condition[packed.row_trajectory])
     t, u = states.new_tensor(packed.row_time), states.new_tensor(packed.row_inputs)
-    predicted: Tensor = problem.module._observe(problem.ops, t, states, c, u, tuple(constants.unbind(1)), networks)
+    predicted: Tensor = problem.module.equations.observe(
+        problem.ops, t, states, c, u, tuple(constants.unbind(1)), networks
+    )
     return predicted
 
 

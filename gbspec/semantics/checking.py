@@ -26,8 +26,7 @@ from gbspec.semantics.numbers import Numbers, constants, default_start, function
 from gbspec.semantics.scope import Resolver
 from gbspec.semantics.sites import Sites
 from gbspec.semantics.table import Table
-from gbspec.syntax import ast
-from gbspec.syntax.kinds import Kind
+from gbspec.syntax import Kind, ast
 
 Terms = dict[str, tuple[tuple[bool, processes.Term], ...]]
 

@@ -12,9 +12,7 @@ from typing import Literal, assert_never
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
-from gbspec.ir.methods import RK4, Explicit, Method
-from gbspec.ir.model import Model, Network
-from gbspec.ir.residuals import LOG_FLOOR
+from gbspec.ir import LOG_FLOOR, RK4, Explicit, Method, Model, Network
 
 Precision = Literal["float64", "float32"]
 

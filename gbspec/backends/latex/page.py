@@ -10,7 +10,7 @@ import sympy
 
 from gbspec.backends.latex import equations
 from gbspec.backends.latex.equations import expression, name
-from gbspec.ir.model import Contract, Declared, Model, Range, State, Unknown
+from gbspec.ir import Contract, Declared, Model, Range, State, Unknown
 from gbspec.version import __version__
 
 _HEAD = r"""\documentclass[a4paper]{article}

@@ -5,20 +5,21 @@ Nothing here uses the training's step: solutions come from the evaluator's CVODE
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data.fingerprint import fingerprint
-from gbspec.data.signals import evaluate
+from gbspec.data import evaluate, fingerprint
 from gbspec.diagnostics import ComputationError
 
 if TYPE_CHECKING:
-    from gbspec.data.trajectories import Trajectories, Trajectory
-    from gbspec.ir.model import Model
+    from gbspec.backends import Evaluator, GeneratedModule
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.ir import Model
+    from gbspec.runs import DataRecord
 
 Origin = Literal["learned", "known", "estimated", "failed"]
 """Where an initial state comes from: learned in training; known (expressed by the model, or measured at the first row);
@@ -79,7 +80,7 @@ def measured_start(model: Model, item: Trajectory, otherwise: Array) -> Array:
     return state
 
 
-def learned_positions(member: Any, trajectories: Trajectories, data: Mapping[str, Any]) -> list[int | None]:
+def learned_positions(member: GeneratedModule, trajectories: Trajectories, data: DataRecord | None) -> list[int | None]:
     """Where each trajectory stands in the training data of a member, by content; None where it is new.
 
     The member's remarks hold the fingerprints of its trajectories; failing that, a table with the same SHA-256 as the
@@ -90,11 +91,12 @@ def learned_positions(member: Any, trajectories: Trajectories, data: Mapping[str
     if known:
         table = {content: position for position, content in enumerate(known)}
         return [table.get(fingerprint(item)) for item in trajectories.items]
-    same = bool(trajectories.sha256) and trajectories.sha256 == data.get("sha256") and count == len(trajectories)
+    recorded = "" if data is None else data.sha256
+    same = bool(recorded) and trajectories.sha256 == recorded and count == len(trajectories)
     return [i if same else None for i in range(len(trajectories))]
 
 
-def learned_start(evaluator: Any, position: int, item: Trajectory) -> Start:
+def learned_start(evaluator: Evaluator, position: int, item: Trajectory) -> Start:
     """The start that training found for the trajectory at this position of its data."""
     member = evaluator.instance
     constants = own_constants(evaluator, position)
@@ -102,7 +104,7 @@ def learned_start(evaluator: Any, position: int, item: Trajectory) -> Start:
     return Start(evaluator.initial(state, item.condition, constants), constants, "learned")
 
 
-def own_constants(evaluator: Any, position: int) -> Array:
+def own_constants(evaluator: Evaluator, position: int) -> Array:
     """The constants [K] of one training trajectory: the shared ones, and its own where each has one."""
     member = evaluator.instance
     constants = np.array(evaluator.constants, dtype=float)
@@ -114,7 +116,7 @@ def own_constants(evaluator: Any, position: int) -> Array:
 
 
 def predict(
-    evaluator: Any, model: Model, item: Trajectory, start: Start, rtol: float = RTOL, scales: Array | None = None
+    evaluator: Evaluator, model: Model, item: Trajectory, start: Start, rtol: float = RTOL, scales: Array | None = None
 ) -> Prediction:
     """The solution at the trajectory's rows from its start; a failure is reported, not raised."""
     rows = len(item.times)

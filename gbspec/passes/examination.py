@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.diagnostics import Findings
-from gbspec.ir.model import Model
+from gbspec.ir import Model
 from gbspec.passes.conservation import Law, linear_laws
 from gbspec.passes.identifiability import Identifiability, identifiability
 

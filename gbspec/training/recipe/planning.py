@@ -3,65 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.engines.engine import Engine
-from gbspec.training.engines.objective import residual_vector
-from gbspec.training.optimise.adam import Adam
-from gbspec.training.optimise.lbfgs_stage import LimitedMemory
-from gbspec.training.optimise.levenberg_marquardt import LevenbergMarquardt, LevenbergOptions
-from gbspec.training.optimise.stage import Stage
-from gbspec.training.problem.parameters import Parameters
-from gbspec.training.problem.residuals import mean_loss, typical
+from gbspec.training.engines import Engine, residual_vector
+from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions, LimitedMemory, Stage
+from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
-from gbspec.training.recipe.stages import STARTS_TOO, Choice, InitialStates, imputed_forcing
-from gbspec.training.starts.search import Search
+from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
+from gbspec.training.stages import Effort, StageName, most_iterations
+from gbspec.training.starts import Search
 
-ITERATIONS: Mapping[str, Mapping[str, int]] = {
-    "low": {
-        "approach": 15,
-        "imputed": 4,
-        "teacher": 6,
-        "half": 0,
-        "blend": 4,
-        "autoregressive": 8,
-        "autoregressive, few data": 8,
-        "least squares": 100,
-        "adam": 100,
-    },
-    "normal": {
-        "approach": 25,
-        "imputed": 6,
-        "teacher": 60,
-        "half": 30,
-        "blend": 4,
-        "autoregressive": 14,
-        "autoregressive, few data": 60,
-        "least squares": 200,
-        "adam": 300,
-    },
-    "high": {
-        "approach": 60,
-        "imputed": 10,
-        "teacher": 200,
-        "half": 100,
-        "blend": 10,
-        "autoregressive": 60,
-        "autoregressive, few data": 120,
-        "least squares": 500,
-        "adam": 1500,
-    },
-}
-"""Most iterations of each stage by effort."""
-ENOUGH: Mapping[str, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
+ENOUGH: Mapping[Effort, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
 """Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the deviations)."""
-HALF_STEP = "half step"
-"""The stage whose weights are those of half the largest step."""
 STEADY = 1e-2
 """First damping where an earlier stage has come close already."""
 LARGEST = 4 * 1024**3
@@ -72,57 +30,74 @@ NOISE = 0.01
 """Above this typical residual after teacher forcing (in deviations of the data) the data count as noisy."""
 FEW = 600
 """Below this number of measured values the weights have a prior from the first."""
+WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
+"""Most iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
 """The ridge before the data have set it, as a multiple of the squared typical residual (at least 1e-4)."""
 
-Wanted = Callable[[Array], bool]
+ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
+"""Most epochs of Adam and iterations of L-BFGS where they fit the networks alone."""
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where a fit has come to: the vector, and the vectors at the ends of the stages so far, by their names."""
+
+    theta: Array
+    marks: Mapping[str, Array] = field(default_factory=dict)
+
+
+Decision = Callable[[Reached], bool]
 At = Callable[[int], Engine]
+
+
+def always(reached: Reached) -> bool:
+    """For stages that run whatever the data are like."""
+    return True
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A stage that may run: `make` builds it for the vector at its turn.
+    """A stage that may run: `make` builds it when its turn comes.
 
-    Both others look at that vector too: `wanted`, whether the data ask for the stage, `possible`, whether there is
+    Both decisions are made then too: `wanted`, whether the data call for the stage, `possible`, whether there is
     anything for it to do.
     """
 
-    name: str
+    name: StageName
     total: int
-    make: Callable[[Array], Stage]
-    wanted: Wanted
-    possible: Wanted = lambda theta: True
+    make: Callable[[Reached], Stage]
+    wanted: Decision = always
+    possible: Decision = always
 
-    def due(self, theta: Array) -> bool:
+    def due(self, reached: Reached) -> bool:
         """Whether it runs."""
-        return self.possible(theta) and self.wanted(theta)
+        return self.possible(reached) and self.wanted(reached)
 
 
-def plan(context: Context, parameters: Parameters, marks: Mapping[str, Array]) -> list[Planned]:
-    """The stages for these data and options, in order. `marks` will hold the vectors at the ends of earlier stages.
+def plan(context: Context, parameters: Parameters) -> list[Planned]:
+    """The stages for these data and options, in order.
 
     Raises UserError (GB850) where a stage is asked for that such a model, such data or such options do not have.
     """
-    stages = [stage for stage in _Planner(context, parameters, marks).stages() if stage.total > 0]
+    stages = [stage for stage in _Planner(context, parameters).stages() if stage.total > 0]
     named = context.options.named_stages
     missing = [name for name in named if name not in [stage.name for stage in stages]]
     if missing:
         there = ", ".join(f"`{stage.name}`" for stage in stages)
         message = f"`--stages`: with this model, data and options there is no stage `{missing[0]}`, only {there}"
         raise UserError([Diagnostic("GB850", message, None)])
-    return [replace(stage, wanted=lambda theta: True) for stage in stages if stage.name in named] if named else stages
+    return [replace(stage, wanted=always) for stage in stages if stage.name in named] if named else stages
 
 
 def step_fraction(begun: Collection[str]) -> float:
     """The fraction of the largest step at which the last of the stages that were begun fits."""
-    return 0.5 if HALF_STEP in begun and not {"blend", "autoregressive"} & set(begun) else 1.0
+    return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
 
 
 class _Planner:
-    def __init__(self, context: Context, parameters: Parameters, marks: Mapping[str, Array]) -> None:
-        self.marks = marks
+    def __init__(self, context: Context, parameters: Parameters) -> None:
         self.context, self.parameters, self.options = context, parameters, context.options
-        self.limits = ITERATIONS[context.options.effort]
         self.blend = context.options.blend
         self.values = int((context.packed().weights > 0).sum())
         self.enough = ENOUGH[context.options.effort]
@@ -135,29 +110,29 @@ class _Planner:
     def _estimation(self) -> list[Planned]:
         """The stages that estimate everything."""
         if self.options.method == "gradient-matching":
-            return [self._starts("initial states", 1.0)]
+            return [self._starts(StageName.STARTS, 1.0)]
         if self.options.method == "auto":
             return self._constants_alone() if not self.parameters.n_weights else self._automatic()
-        return [self._starts("initial states", self.blend), self._chosen()]
+        return [self._starts(StageName.STARTS, self.blend), self._chosen()]
 
     def _breeding(self) -> Planned:
-        def make(theta: Array) -> Stage:
+        def make(reached: Reached) -> Stage:
             # Starts matter throughout a noisy fit's whole solutions, and for the first rows under teacher forcing.
-            blend = 0.0 if "autoregressive" in self.marks else self.blend
+            blend = 0.0 if StageName.AUTOREGRESSIVE in reached.marks else self.blend
             return Breeding(self.context, self.released, blend)
 
         free = bool(self.parameters.start_free.any())
-        return Planned(Breeding.name, 1, make, lambda theta: True, lambda theta: free)
+        return Planned(StageName.BREEDING, 1, make, possible=lambda reached: free)
 
     def _chosen(self) -> Planned:
         """The one optimiser that was asked for."""
         epochs = self.options.epochs
         if self.options.method == "adam":
-            return self._adam(epochs or self.limits["adam"], lambda theta: True)
+            return self._adam(epochs or ALONE[self.options.effort])
         if self.options.method == "lbfgs":
-            return self._quasi_newton(epochs or self.limits["adam"])
-        total = epochs or self.limits["teacher"]
-        return self._newton("lm", total, self._at(self.blend), lambda theta: True, LevenbergOptions(tolerance=1e-6))
+            return self._quasi_newton(epochs or ALONE[self.options.effort])
+        name = StageName.LEVENBERG_MARQUARDT
+        return self._newton(name, self._at(self.blend), LevenbergOptions(tolerance=1e-6), total=epochs)
 
     def _constants_alone(self) -> list[Planned]:
         """A model whose functions are all known: least squares of the whole solution, from several starts."""
@@ -165,49 +140,50 @@ class _Planner:
         plain = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2)
         context, parameters = self.context, self.parameters
 
-        def make(theta: Array) -> Stage:
+        def make(reached: Reached) -> Stage:
             return Search(context.engine(parameters, blend), context.seed)
 
-        def believed(theta: Array) -> bool:
+        def believed(reached: Reached) -> bool:
             """Whether starts stand at single values of noisy data."""
             measured = not np.array_equal(self.released.start_free, parameters.start_free)
             return (
-                measured and blend == 0.0 and typical(residual_vector(context.engine(parameters, 0.0), theta)) > NOISE
+                measured
+                and blend == 0.0
+                and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
             )
 
-        limit = self.limits["least squares"]
+        released = self._at(0.0, 1.0, self.released)
         return [
-            Planned("search", 1, make, lambda theta: True),
-            self._newton("least squares", limit, self._at(blend), lambda theta: True, plain),
-            self._newton(STARTS_TOO, limit, self._at(0.0, 1.0, self.released), believed, plain),
+            Planned(StageName.SEARCH, 1, make),
+            self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
+            self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
         ]
 
     def _automatic(self) -> list[Planned]:
         """The recipe: see the module's documentation of the stages."""
-        limits = self.limits
         if 8 * self.values * self.parameters.n_shared > LARGEST:
-            return [self._starts("initial states", self.blend), self._adam(limits["adam"], lambda theta: True)]
+            return [self._starts(StageName.STARTS, self.blend), self._adam(ALONE[self.options.effort])]
         if len(self.context.model.states) > PASSES:
-            return [self._starts("initial states", self.blend), self._quasi_newton(limits["adam"])]
+            return [self._starts(StageName.STARTS, self.blend), self._quasi_newton(ALONE[self.options.effort])]
         if self.options.forcing != "teacher":
             first, last = self._at(1.0), self._at(self.blend)
             return [
-                self._starts("initial states", 1.0),
-                self._newton("teacher forcing", limits["teacher"], first, lambda theta: True, self._prior),
-                self._newton("forcing as asked", limits["autoregressive"], last, lambda theta: True, self._regular),
+                self._starts(StageName.STARTS, 1.0),
+                self._newton(StageName.TEACHER, first, self._prior),
+                self._newton(StageName.AS_ASKED, last, self._regular),
             ]
         whole = self._at(0.0, 1.0, self.released)
         return [
-            self._adam(limits["approach"], self._hidden),
-            self._newton("imputed forcing", limits["imputed"], self._imputed, self._needs_imputing, self._prior),
-            self._starts("initial states", 1.0),
-            self._newton("teacher forcing", self._teacher_limit(), self._at(1.0), lambda theta: True, self._prior),
-            self._starts("initial states again", 1.0),
-            self._newton(HALF_STEP, limits["half"], self._at(1.0, 0.5), self._clean, self._close),
-            self._newton("blend", limits["blend"], self._at(0.3), self._noisy, self._regular),
-            self._starts("initial states of whole solutions", 0.0, self._noisy, self.released),
-            self._newton("autoregressive", self._whole_limit(), whole, self._noisy, self._regular),
-            Planned("choice", 1, self._choice, lambda theta: True, self._both_fits),
+            self._adam(self._most(StageName.ADAM), self._hidden),
+            self._newton(StageName.IMPUTED, self._imputed, self._prior, self._needs_imputing),
+            self._starts(StageName.STARTS, 1.0),
+            self._newton(StageName.TEACHER, self._at(1.0), self._prior, total=self._teacher_limit()),
+            self._starts(StageName.STARTS_AGAIN, 1.0),
+            self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
+            self._newton(StageName.BLEND, self._at(0.3), self._regular, self._noisy),
+            self._starts(StageName.WHOLE_STARTS, 0.0, self._noisy, self.released),
+            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._noisy, self._whole_limit()),
+            Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
         ]
 
     # ---------------------------------------------------------------- problems
@@ -221,38 +197,41 @@ class _Planner:
         return self.context.choice.engine(problem, self.parameters)
 
     # ---------------------------------------------------------------- decisions
+    def _most(self, stage: StageName) -> int:
+        return most_iterations(stage, self.options.effort)
+
     def _teacher_limit(self) -> int:
-        """Few iterations where smooth curves already told of noise, under which teacher forcing is inconsistent."""
-        limit = self.limits["teacher"]
+        """Few iterations where smoothing curves have shown noise, under which teacher forcing is inconsistent."""
+        limit = self._most(StageName.TEACHER)
         return min(limit, 4) if self.context.smooth else limit
 
     def _whole_limit(self) -> int:
         """With few data the ridge matters and comes to rest slowly; there an iteration costs little."""
-        return self.limits["autoregressive, few data" if self.values < FEW else "autoregressive"]
+        return WITH_FEW_DATA[self.options.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
 
-    def _both_fits(self, theta: Array) -> bool:
+    def _both_fits(self, reached: Reached) -> bool:
         """Whether intervals and whole solutions were both fitted."""
-        return {"teacher forcing", "autoregressive"} <= set(self.marks)
+        return {StageName.TEACHER, StageName.AUTOREGRESSIVE} <= set(reached.marks)
 
-    def _hidden(self, theta: Array) -> bool:
+    def _hidden(self, reached: Reached) -> bool:
         """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
         return not self.context.points.equations or not self.options.warm_start
 
-    def _needs_imputing(self, theta: Array) -> bool:
+    def _needs_imputing(self, reached: Reached) -> bool:
         """Whether plain teacher forcing starts far worse than with every state imputed."""
         if not self.context.points.equations:
             return False
-        plain = residual_vector(self.context.engine(self.parameters), theta)
-        return typical(plain) > 3 * typical(residual_vector(self._imputed(0), theta)) + 1e-6
+        plain = residual_vector(self.context.engine(self.parameters), reached.theta)
+        return typical(plain) > 3 * typical(residual_vector(self._imputed(0), reached.theta)) + 1e-6
 
     def _noise(self, theta: Array) -> float:
         return typical(residual_vector(self.context.engine(self.parameters), theta))
 
-    def _noisy(self, theta: Array) -> bool:
-        return self._noise(theta) > NOISE
+    def _noisy(self, reached: Reached) -> bool:
+        return self._noise(reached.theta) > NOISE
 
-    def _clean(self, theta: Array) -> bool:
-        return self.options.half_step and not self._noisy(theta)
+    def _clean(self, reached: Reached) -> bool:
+        return self.options.half_step and not self._noisy(reached)
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Regularised where there are few data, else plain."""
@@ -261,7 +240,11 @@ class _Planner:
 
     def _half_step_follows(self) -> bool:
         named = self.options.named_stages
-        return self.options.half_step and self.limits["half"] > 0 and (not named or HALF_STEP in named)
+        return (
+            self.options.half_step
+            and self._most(StageName.HALF_STEP) > 0
+            and (not named or StageName.HALF_STEP in named)
+        )
 
     def _close(self, theta: Array) -> LevenbergOptions:
         """As before, from where an earlier stage came to."""
@@ -285,45 +268,46 @@ class _Planner:
         return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
 
     # ---------------------------------------------------------------- stages
-    def _choice(self, theta: Array) -> Stage:
-        earlier = self.marks.get("initial states again", self.marks["teacher forcing"])
+    def _choice(self, reached: Reached) -> Stage:
+        earlier = reached.marks.get(StageName.STARTS_AGAIN, reached.marks[StageName.TEACHER])
         context = self.context
         teacher, free = (context.engine(self.released, blend) for blend in (1.0, 0.0))
-        return Choice(teacher, free, earlier, context.seed)
+        return ChoiceOfFit(teacher, free, earlier, context.seed)
 
     def _starts(
-        self, name: str, blend: float, wanted: Wanted = lambda theta: True, parameters: Parameters | None = None
+        self, name: StageName, blend: float, wanted: Decision = always, parameters: Parameters | None = None
     ) -> Planned:
         layout = parameters or self.parameters
 
-        def make(theta: Array) -> Stage:
-            return InitialStates(name, self.context.engine(layout, blend), self.context.seed)
+        def make(reached: Reached) -> Stage:
+            return InitialStates(name.value, self.context.engine(layout, blend), self.context.seed)
 
-        return Planned(name, 1, make, wanted, lambda theta: bool(layout.start_free.any()))
+        return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any()))
 
-    def _adam(self, epochs: int, wanted: Wanted) -> Planned:
-        def make(theta: Array) -> Stage:
-            options = self.options
-            return Adam("adam", epochs, self._at(self.blend), options, self.context.seed)
+    def _adam(self, epochs: int, wanted: Decision = always) -> Planned:
+        def make(reached: Reached) -> Stage:
+            return Adam(StageName.ADAM.value, epochs, self._at(self.blend), self.options, self.context.seed)
 
-        return Planned("adam", epochs, make, wanted)
+        return Planned(StageName.ADAM, epochs, make, wanted)
 
     def _quasi_newton(self, epochs: int) -> Planned:
-        def make(theta: Array) -> Stage:
-            return LimitedMemory("lbfgs", epochs, self._at(self.blend))
+        def make(reached: Reached) -> Stage:
+            return LimitedMemory(StageName.LBFGS.value, epochs, self._at(self.blend))
 
-        return Planned("lbfgs", epochs, make, lambda theta: True)
+        return Planned(StageName.LBFGS, epochs, make)
 
     def _newton(
         self,
-        name: str,
-        total: int,
+        name: StageName,
         engine_at: At,
-        wanted: Wanted,
         options: LevenbergOptions | Callable[[Array], LevenbergOptions],
+        wanted: Decision = always,
+        total: int | None = None,
     ) -> Planned:
-        def make(theta: Array) -> Stage:
-            chosen = options if isinstance(options, LevenbergOptions) else options(theta)
-            return LevenbergMarquardt(name, total, engine_at, chosen)
+        most = self._most(name) if total is None else total
 
-        return Planned(name, total, make, wanted)
+        def make(reached: Reached) -> Stage:
+            chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
+            return LevenbergMarquardt(name.value, most, engine_at, chosen)
+
+        return Planned(name, most, make, wanted)

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.window import PREFIX, features
-from gbspec.training.engines.objective import predicted
-from gbspec.training.problem.parameters import Parameters, Weights
+from gbspec.data import PREFIX, features
+from gbspec.training.engines import predicted
+from gbspec.training.problem import Parameters, Weights
 from gbspec.training.recipe.context import Context
 
 ROWS, WIDTH, STEPS, RATE = 6, 16, 600, 1e-2

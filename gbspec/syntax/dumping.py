@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 
 from gbspec.syntax import ast
-from gbspec.syntax.walk import fold
+from gbspec.syntax.walking import fold
 
 _Prefix = tuple[str, list[str]]
 """An operator (empty for a leaf or a group) and its operands as text."""

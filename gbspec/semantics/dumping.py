@@ -7,8 +7,7 @@ from pathlib import Path
 
 from gbspec.semantics.checked import Checked
 from gbspec.semantics.processes import Term
-from gbspec.syntax import ast
-from gbspec.syntax.dump import prefix, statement_lines
+from gbspec.syntax import ast, prefix, statement_lines
 
 
 def dump(checked: Checked) -> str:

@@ -1,0 +1,10 @@
+from .compiled import Compiled as Compiled
+from .family import Family as Family
+from .points import spread_points as spread_points
+from .steady import ordered_eigenvalues as ordered_eigenvalues
+from .steady import ordered_modes as ordered_modes
+from .steady import steady_states as steady_states
+from .system import Box as Box
+from .system import System as System
+from .system import state_at as state_at
+from .system import trained_ranges as trained_ranges

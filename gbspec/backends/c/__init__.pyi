@@ -1,0 +1,2 @@
+from .source import c_code as c_code
+from .source import step as step

@@ -1,0 +1,10 @@
+from .compiler import CompilerError as CompilerError
+from .compiler import compiled as compiled
+from .flat import NUMBER_WORDS as NUMBER_WORDS
+from .flat import NotCoveredError as NotCoveredError
+from .kernel_text import TILE as TILE
+from .kernel_text import Precision as Precision
+from .kernel_text import Source as Source
+from .kernel_text import source as source
+from .library import Library as Library
+from .library import Struct as Struct

@@ -1,0 +1,15 @@
+from .catalogue import entries as entries
+from .catalogue import explain as explain
+from .diagnostic import ComputationError as ComputationError
+from .diagnostic import Defect as Defect
+from .diagnostic import Diagnostic as Diagnostic
+from .diagnostic import Findings as Findings
+from .diagnostic import Label as Label
+from .diagnostic import Severity as Severity
+from .diagnostic import UserError as UserError
+from .render import render_text as render_text
+from .render import to_json as to_json
+from .span import Cell as Cell
+from .span import Place as Place
+from .span import Source as Source
+from .span import Span as Span

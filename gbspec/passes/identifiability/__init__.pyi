@@ -1,0 +1,3 @@
+from .report import Identifiability as Identifiability
+from .report import Inseparable as Inseparable
+from .report import identifiability as identifiability

@@ -1,0 +1,15 @@
+from .record import DAMAGED as DAMAGED
+from .record import ConstantRecord as ConstantRecord
+from .record import DataRecord as DataRecord
+from .record import FitRecord as FitRecord
+from .record import MemberRecord as MemberRecord
+from .record import Option as Option
+from .record import StageRecord as StageRecord
+from .record import StepRecord as StepRecord
+from .record import read_record as read_record
+from .store import Run as Run
+from .store import member_numbers as member_numbers
+from .store import open_run as open_run
+from .typed_json import JsonError as JsonError
+from .typed_json import decode as decode
+from .typed_json import encode as encode

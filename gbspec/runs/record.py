@@ -1,0 +1,167 @@
+"""What `fit.json` says of a run: read and written here alone.
+
+The keys are the fields, in their order. A file of the first edition lacks those that have a default here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gbspec.backends import INTERFACE
+from gbspec.diagnostics import Findings
+from gbspec.ir import METHODS, RK4
+from gbspec.runs import files
+from gbspec.runs.typed_json import JsonError, decode, encode, read_object
+from gbspec.version import __version__
+
+Option = str | int | float | bool | None
+"""The value of an option of training; whole numbers stay whole."""
+OLDEST = 1
+"""The first interface of the generated module whose runs are still read; a run that names none is of it."""
+DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
+
+
+@dataclass(frozen=True)
+class DataRecord:
+    """The table that a run was trained on: its path, fingerprint, and numbers of trajectories, rows and values."""
+
+    path: str
+    sha256: str
+    trajectories: int
+    rows: int
+    values: int
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ConstantRecord:
+    """A learned constant, in its unit: the mean over members, its sd and 90 % interval (None: not known)."""
+
+    value: float
+    sd: float | None
+    interval: tuple[float, float] | None
+    start: float
+    per_member: tuple[float, ...]
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """A stage of a member's training; None for a loss that is not finite, or of a stage that did not begin."""
+
+    name: str
+    iterations: int
+    loss: float | None
+    seconds: float
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class MemberRecord:
+    """A member's fit; `rmse` by channel, None where its solution blew up."""
+
+    seed: int
+    loss: float | None
+    rmse: Mapping[str, float | None]
+    seconds: float
+    stages: tuple[StageRecord, ...]
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """The check of a member's step: largest differences over the states' ranges (None: none, or not finite)."""
+
+    half_step: float | None
+    adaptive: float | None
+    step: float | None
+    trajectories: int
+    unsolved: int = 0
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitRecord:
+    """The content of `fit.json`.
+
+    `gbspec` is the version that wrote it and `interface` that of its generated module; `noise` [standard deviation] by
+    channel; `correlations` of the shared constants by their names, empty where not known; `solver` one of
+    `gbspec.ir.methods`; `step_checks` one a member,
+    empty where none was made. `others` are keys that this version does not know: they are kept.
+    """
+
+    gbspec: str
+    model: str
+    data: DataRecord
+    options: Mapping[str, Option]
+    versions: Mapping[str, str]
+    constants: Mapping[str, ConstantRecord]
+    noise: Mapping[str, float | None]
+    members: tuple[MemberRecord, ...]
+    warnings: tuple[str, ...]
+    correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    solver: str = RK4.name
+    step_checks: tuple[StepRecord, ...] = ()
+    interface: int = OLDEST
+    others: Mapping[str, object] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The document of `fit.json`."""
+        document: dict[str, Any] = encode(self)
+        return document
+
+    def write(self, directory: Path) -> None:
+        """Writes `fit.json` into a run directory, whole or not at all."""
+        files.write_json(directory / files.FIT, self.to_json())
+
+
+def read_record(directory: Path, findings: Findings) -> FitRecord | None:
+    """What the `fit.json` of a run directory says.
+
+    None where it is damaged, with GB852 for each key that is wrong, or of another interface, with GB857.
+    """
+    path = directory / files.FIT
+    if not path.is_file():
+        findings.error("GB852", f"`{path}` is missing", None, help=DAMAGED)
+        return None
+    try:
+        content = read_object(path)
+        if "gbspec" not in content and "model" not in content:
+            raise JsonError(["it does not describe a fit of gbspec"])
+        if _of_another_interface(directory, content, findings):
+            return None
+        record = decode(FitRecord, content)
+    except OSError as error:
+        findings.error("GB852", f"`{path}` cannot be read: {error.strerror}", None, help=DAMAGED)
+    except JsonError as error:
+        for finding in error.findings:
+            findings.error("GB852", f"`{path}` is damaged: {finding}", None, help=DAMAGED)
+    else:
+        if record.solver in METHODS:
+            return record
+        message = f"`{path}` names a solver that this version does not have: `{record.solver}`"
+        help_text = f"use the version that wrote it; here there are {', '.join(METHODS)}"
+        findings.error("GB852", message, None, help=help_text)
+    return None
+
+
+def _of_another_interface(directory: Path, content: Mapping[str, object], findings: Findings) -> bool:
+    """Whether the run's weights are for a generated module that this version does not make, which is then reported.
+
+    It is asked before anything else is read: the keys may be others, too.
+    """
+    interface, wrote = content.get("interface", OLDEST), content.get("gbspec")
+    if type(interface) is not int or OLDEST <= interface <= INTERFACE:
+        return False
+    message = (
+        f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; "
+        f"this is gbspec {__version__}, which reads {OLDEST} to {INTERFACE}"
+    )
+    help_text = (
+        f"use gbspec {wrote} for it, or train again with this one: `gbspec train {directory}/model.gb DATA -o RUN`"
+    )
+    findings.error("GB857", message, None, help=help_text)
+    return True

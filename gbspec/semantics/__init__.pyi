@@ -1,0 +1,13 @@
+from .checked import Checked as Checked
+from .checking import check as check
+from .contracts import outputs_of as outputs_of
+from .dumping import dump as dump
+from .expressions import chain as chain
+from .expressions import fold as fold
+from .expressions import operands as operands
+from .expressions import walk as walk
+from .numbers import default_start as default_start
+from .processes import Term as Term
+from .sites import truth_parameters as truth_parameters
+from .vocabulary import ACTIVATIONS as ACTIVATIONS
+from .vocabulary import suggestion as suggestion

@@ -1,0 +1,14 @@
+from .options import TrainOptions as TrainOptions
+from .problem.packing import pack as pack
+from .problem.scaling import scaling_of as scaling_of
+from .profile.likelihood import Profile as Profile
+from .profile.likelihood import profile_constant as profile_constant
+from .progress import Progress as Progress
+from .progress import Silent as Silent
+from .progress import Update as Update
+from .recipe.context import split as split
+from .runs.fit import train as train
+from .runs.sweep import sweep as sweep
+from .runs.variations import Point as Point
+from .runs.variations import points as points
+from .stages import Effort as Effort

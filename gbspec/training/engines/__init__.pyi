@@ -1,0 +1,13 @@
+from .choice import Choice as Choice
+from .choice import choose as choose
+from .device import device_of as device_of
+from .engine import Engine as Engine
+from .engine import taken as taken
+from .linearised import Linearised as Linearised
+from .objective import half_squares as half_squares
+from .objective import linearise as linearise
+from .objective import loss_and_gradient as loss_and_gradient
+from .objective import predicted as predicted
+from .objective import residual_table as residual_table
+from .objective import residual_vector as residual_vector
+from .torch.failure import explain_failure as explain_failure

@@ -1,0 +1,58 @@
+"""The stages of the estimation: their names, and the most iterations of each by effort.
+
+`gbspec.training.recipe.planning` says when each of them runs; docs/training.md describes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Literal
+
+Effort = Literal["low", "normal", "high"]
+
+
+class StageName(StrEnum):
+    """What a stage is called in options, histories, `fit.json` and checkpoints."""
+
+    ADAM = "adam"
+    IMPUTED = "imputed forcing"
+    STARTS = "initial states"
+    TEACHER = "teacher forcing"
+    STARTS_AGAIN = "initial states again"
+    HALF_STEP = "half step"
+    BLEND = "blend"
+    WHOLE_STARTS = "initial states of whole solutions"
+    AUTOREGRESSIVE = "autoregressive"
+    CHOICE = "choice"
+    AS_ASKED = "forcing as asked"
+    SEARCH = "search"
+    LEAST_SQUARES = "least squares"
+    LEAST_SQUARES_STARTS = "least squares, starts too"
+    LBFGS = "lbfgs"
+    BREEDING = "bred initial states"
+    LEVENBERG_MARQUARDT = "lm"
+
+
+BY_METHOD = frozenset({StageName.LEVENBERG_MARQUARDT})
+"""Stages that only `--method` chooses; `--stages` names the others."""
+
+_MOST: Mapping[StageName, tuple[int, int, int]] = {
+    StageName.ADAM: (15, 25, 60),
+    StageName.IMPUTED: (4, 6, 10),
+    StageName.TEACHER: (6, 60, 200),
+    StageName.HALF_STEP: (0, 30, 100),
+    StageName.BLEND: (4, 4, 10),
+    StageName.AUTOREGRESSIVE: (8, 14, 60),
+    StageName.AS_ASKED: (8, 14, 60),
+    StageName.LEAST_SQUARES: (100, 200, 500),
+    StageName.LEAST_SQUARES_STARTS: (100, 200, 500),
+    StageName.LBFGS: (100, 300, 1500),
+    StageName.LEVENBERG_MARQUARDT: (6, 60, 200),
+}
+_EFFORTS: tuple[Effort, ...] = ("low", "normal", "high")
+
+
+def most_iterations(stage: StageName, effort: Effort) -> int:
+    """The most iterations of a stage; 1 for stages that are one step whatever the effort."""
+    return _MOST[stage][_EFFORTS.index(effort)] if stage in _MOST else 1

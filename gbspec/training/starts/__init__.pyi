@@ -1,0 +1,9 @@
+from .initial_states import refit_starts as refit_starts
+from .search import Search as Search
+from .slopes import Points as Points
+from .slopes import collocate as collocate
+from .splines import Curves as Curves
+from .splines import fit_curves as fit_curves
+from .warm_start import eliminate as eliminate
+from .warm_start import network_scales as network_scales
+from .warm_start import regress_slopes as regress_slopes
