@@ -157,7 +157,7 @@ class Specification:
 
 @dataclass(frozen=True)
 class FittedRun:
-    """A trained run directory. `run` has its model, members and `fit.json`."""
+    """A trained run directory. `run` has its model, members and `run.fit`, a `FitRecord` (`fit.json`)."""
 
     run: Run
 
@@ -171,7 +171,7 @@ class FittedRun:
         return {name: entry.value for name, entry in self.run.fit.constants.items()}
 
     def member(self, number: int | None = None) -> GeneratedModule:
-        """The generated module with a member's weights (the best member's where none is named)."""
+        """The generated module with a member's weights (default: the best member's)."""
         return self.run.member(self.run.best if number is None else number)
 
     def validate(

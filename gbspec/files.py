@@ -82,5 +82,5 @@ def _nearby(path: Path) -> str:
 
 
 def finite(value: float | None) -> float | None:
-    """A number for JSON: None (`null`) if it is not finite, since JSON has no NaN."""
+    """A number for JSON: None (`null`) if it is unknown or not finite, since JSON has no NaN."""
     return float(value) if value is not None and math.isfinite(value) else None

@@ -49,7 +49,7 @@ def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Traject
     data = training_data(run, findings) if path is None else read_data(path, run.model, findings)
     if data is None:
         message = f"the table that the run was trained on, `{run.fit.data.path}`, is no longer at that path"
-        raise UserError([Diagnostic("GB859", message, None, help="say where it is now: `--data TABLE`")])
+        raise UserError([Diagnostic("GB859", message, None, help="give its path: `--data TABLE`")])
     if data.sha256 != run.fit.data.sha256:
         message = f"`{data.path}` is not the table that the run was trained on"
         help = "continuing the fit needs the same table, unchanged"
