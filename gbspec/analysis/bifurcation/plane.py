@@ -23,7 +23,7 @@ from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.bifurcation.hopf import critical_pair, normal_form
 from gbspec.analysis.systems import Box, Compiled, Family, System
 from gbspec.arrays import Array
-from gbspec.backends.protocol import Casadi
+from gbspec.backends import Casadi
 
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]
 

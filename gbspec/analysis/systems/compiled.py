@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gbspec.arrays import Array
-from gbspec.backends.protocol import Casadi
+from gbspec.backends import Casadi
 
 
 class Compiled:

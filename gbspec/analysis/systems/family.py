@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.system import System, require_autonomous, suggestion
-from gbspec.backends.protocol import Casadi
+from gbspec.backends import Casadi
 from gbspec.diagnostics import Findings
 
 

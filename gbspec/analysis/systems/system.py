@@ -17,7 +17,7 @@ import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.arrays import Array
-from gbspec.backends.protocol import Casadi
+from gbspec.backends import Casadi
 from gbspec.data import Interpolation, Signal, evaluate
 from gbspec.diagnostics import Findings
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.backends import GeneratedModule
-from gbspec.backends.protocol import Arithmetic
+from gbspec.backends import Arithmetic, GeneratedModule
 from gbspec.diagnostics import Defect
 from gbspec.ir import METHODS, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends import GeneratedModule
-from gbspec.backends.protocol import Network, Networks
+from gbspec.backends import GeneratedModule, Network, Networks
 from gbspec.data import Signal, Trajectories, evaluate
 from gbspec.ir import Model
 from gbspec.training.problem import Integers, torch_arithmetic

@@ -20,8 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.backends import GeneratedModule
-from gbspec.backends.protocol import Arithmetic, Network, Networks
+from gbspec.backends import Arithmetic, GeneratedModule, Network, Networks
 from gbspec.diagnostics import Defect
 from gbspec.ir import Model, is_affine
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.backends.protocol import Value
+from gbspec.backends import Value
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.problem import Integers, Path, Problem

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from gbspec.backends.protocol import Networks, Value
+from gbspec.backends import Networks, Value
 from gbspec.ir import residuals
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
