@@ -15,15 +15,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, overload
 
 from gbspec import frontend
 from gbspec.diagnostics import Diagnostic, Findings
 from gbspec.ir import Model
+from gbspec.json_values import JsonObject
 from gbspec.operations import analysing, fitting, models, reporting, tables
 from gbspec.report import register
 
 register()
+
+Option: TypeAlias = Any
+"""The value of an option: of the type of the field that it names."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +89,7 @@ class Specification:
         *,
         like: str | Path | Trajectories | None = None,
         values: Mapping[str, float] | None = None,
-        **options: Any,
+        **options: Option,
     ) -> Trajectories:
         """Simulated measurements from the model's truth; `options` are the fields of `SimulateOptions`."""
         return _simulate(models.reference(self.model, values), path, like, options)
@@ -97,7 +101,7 @@ class Specification:
         *,
         values: Mapping[str, float] | None = None,
         progress: Progress | None = None,
-        **options: Any,
+        **options: Option,
     ) -> FittedRun:
         """Fits learnables and unknowns to data, into a run directory; `options` are the fields of `TrainOptions`."""
         from gbspec.training import TrainOptions
@@ -115,7 +119,7 @@ class Specification:
         over: Literal["trajectories", "time"] | None = None,
         window: int | None = None,
         progress: Progress | None = None,
-        **options: Any,
+        **options: Option,
     ) -> CrossValidation:
         """Errors of predictions of held-out data, fold by fold; `options` are the fields of `TrainOptions`."""
         from gbspec.studies import CrossOptions, crossvalidate
@@ -187,7 +191,7 @@ class FittedRun:
         like: str | Path | Trajectories | None = None,
         values: Mapping[str, float] | None = None,
         member: int | None = None,
-        **options: Any,
+        **options: Option,
     ) -> Trajectories:
         """Simulated measurements from the learned model; `options` are the fields of `SimulateOptions`."""
         return _simulate(models.learned(self.run, values, member), path, like, options)
@@ -323,13 +327,13 @@ def open_run(path: str | Path) -> FittedRun:
     return FittedRun(models.open_run(path))
 
 
-def simulate(source: str | Path, path: str | Path | None = None, **options: Any) -> Trajectories:
+def simulate(source: str | Path, path: str | Path | None = None, **options: Option) -> Trajectories:
     """Simulated measurements from a model's truth or from a run, by path; see `Specification.simulate`."""
     subject: Specification | FittedRun = open_run(source) if models.is_run(source) else load(source)
     return subject.simulate(path, **options)
 
 
-def train(model: str | Path, data: str | Path | Trajectories, directory: str | Path, **options: Any) -> FittedRun:
+def train(model: str | Path, data: str | Path | Trajectories, directory: str | Path, **options: Option) -> FittedRun:
     """Trains a model file on data, into a run directory; see `Specification.train`."""
     return load(model).train(data, directory, **options)
 
@@ -339,20 +343,20 @@ def validate(run: str | Path, data: str | Path | Trajectories | None = None) -> 
     return open_run(run).validate(data)
 
 
-def bifurcate(source: str | Path, over: str, low: float, high: float, **options: Any) -> Diagram:
+def bifurcate(source: str | Path, over: str, low: float, high: float, **options: Option) -> Diagram:
     """The bifurcation diagram of a model's truth or of a run, by path; see `Specification.bifurcate`."""
     subject: Specification | FittedRun = open_run(source) if models.is_run(source) else load(source)
     return subject.bifurcate(over, low, high, **options)
 
 
-def figure(result: Any) -> Figure:
+def figure(result: object) -> Figure:
     """The figure of a diagram, of curves in a plane, of eigenvalues, of initial states or of a profile."""
     from gbspec.report import figure as draw
 
     return draw(result)
 
 
-def study(cases: str | Sequence[str], directory: str | Path, **options: Any) -> dict[str, Any]:
+def study(cases: str | Sequence[str], directory: str | Path, **options: Option) -> JsonObject:
     """Fits cases many times into a directory and returns the content of its `study.json`; see `gbspec study`.
 
     `options` are the fields of `StudyOptions`. Workers are separate processes: a script that calls this with data
@@ -373,7 +377,7 @@ def _simulate(
     subject: models.Subject,
     path: str | Path | None,
     like: str | Path | Trajectories | None,
-    options: Mapping[str, Any],
+    options: Mapping[str, Option],
 ) -> Trajectories:
     from gbspec.data import SimulateOptions, write
 

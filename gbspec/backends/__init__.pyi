@@ -15,5 +15,10 @@ from .native.kernel_text import Precision as Precision
 from .native.kernel_text import source as source
 from .native.library import Library as Library
 from .native.library import Struct as Struct
+from .protocol import Arithmetic as Arithmetic
+from .protocol import Casadi as Casadi
 from .protocol import GeneratedModule as GeneratedModule
+from .protocol import Network as Network
+from .protocol import Networks as Networks
+from .protocol import Value as Value
 from .registry import backends as backends

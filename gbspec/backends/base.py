@@ -10,6 +10,7 @@ from gbspec.diagnostics import Defect, Diagnostic, UserError
 from gbspec.ir import RK4, Method
 
 if TYPE_CHECKING:
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.ir import Model
 
 
@@ -39,7 +40,7 @@ class Backend:
     binary: bool = False
     numbers: bool = False
 
-    def emit(self, model: Model, instance: Any = None, method: Method = RK4) -> str | bytes:
+    def emit(self, model: Model, instance: GeneratedModule | None = None, method: Method = RK4) -> str | bytes:
         """What its file holds for a Model, and an instance of its module where it needs one.
 
         Raises `UserError` (GB808) where it cannot express the model.

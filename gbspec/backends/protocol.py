@@ -7,40 +7,69 @@ casadi or numpy), so that they have no type here. `template/model.py` of the mod
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Protocol, Self
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, Protocol, Self, TypeAlias
 
 from gbspec.arrays import Array
+from gbspec.json_values import JsonObject
+
+Value: TypeAlias = Any
+"""A number, an array, a torch tensor or a casadi expression, or a tuple of them: what an arithmetic works on."""
+Arithmetic: TypeAlias = Any
+"""The namespace in which equations run, made of another library for each of `GeneratedModule.arithmetic`."""
+Casadi: TypeAlias = Any
+"""A function, an expression or a matrix of casadi: its annotations lack much, and MX, SX and DM share no type."""
+Network: TypeAlias = Any
+"""A network as the equations call it; of torch it may have `layers` too."""
+Networks: TypeAlias = Sequence[Network]
 
 
 class Equations(Protocol):
     """The equations for any arithmetic: functions of a class. Time is named by the model, so all are by position."""
 
     @property
-    def unknowns(self) -> Mapping[str, tuple[int, int, Any]]:
+    def unknowns(self) -> Mapping[str, tuple[int, int, Value]]:
         """Of each unknown the number of its network, that of its output there, and its function."""
 
-    def rhs(self, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any, /) -> Any:
+    def rhs(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
         """The time derivative of each state."""
 
     def observe(
-        self, math: Any, t: Any, state: Any, condition: Any, inputs: Any, constants: Any, networks: Any, /
-    ) -> Any:
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
         """The value of each channel."""
 
-    def initial(self, math: Any, state: Any, condition: Any, constants: Any, /) -> Any:
+    def initial(self, math: Arithmetic, state: Value, condition: Value, constants: Value, /) -> Value:
         """The start `state` with every start put in that the model expresses."""
 
-    def doses(self, math: Any, condition: Any, constants: Any, /) -> Any:
+    def doses(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
         """For each dose the fraction of it that arrives, and the lag after which it does."""
 
-    def grid(self, math: Any, t: Any, h: Any, /) -> Any:
+    def grid(self, math: Arithmetic, t: Value, h: Value, /) -> Value:
         """The times at which a step of size h from t needs inputs, and the parts of its size."""
 
-    def step(self, math: Any, rhs: Any, grid: Any, state: Any, inputs: Any, /) -> Any:
+    def step(self, math: Arithmetic, rhs: Value, grid: Value, state: Value, inputs: Value, /) -> Value:
         """One step of state' = rhs(time, state, inputs), with the inputs at the grid's times."""
 
-    def field(self, math: Any, condition: Any, constants: Any, networks: Any, /) -> Any:
+    def field(self, math: Arithmetic, condition: Value, constants: Value, networks: Networks, /) -> Value:
         """`rhs` as a function of time, state and inputs."""
 
 
@@ -65,12 +94,14 @@ class GeneratedModule(Protocol):
     ranges: ClassVar[dict[str, tuple[float, float]]]
     units: ClassVar[dict[str, str]]
     descriptions: ClassVar[dict[str, str]]
-    networks: ClassVar[tuple[dict[str, Any], ...]]
+    networks: ClassVar[tuple[JsonObject, ...]]
 
     weights: dict[str, Array]
-    info: dict[str, Any]
+    info: JsonObject
 
-    def __init__(self, weights: Mapping[str, Any] | None = None, info: Mapping[str, Any] | None = None) -> None: ...
+    def __init__(
+        self, weights: Mapping[str, Value] | None = None, info: Mapping[str, object] | None = None
+    ) -> None: ...
 
     @property
     def equations(self) -> Equations:
@@ -92,56 +123,60 @@ class GeneratedModule(Protocol):
         """The names and shapes of the weights that a model cannot do without."""
 
     @staticmethod
-    def arithmetic(library: str) -> Any:
+    def arithmetic(library: str) -> Arithmetic:
         """The namespace in which the equations run: of "torch", "casadi" or "numpy"."""
 
-    def torch_networks(self, weights: Mapping[str, Any], tape: list[Any] | None = None) -> tuple[Any, ...]:
+    def torch_networks(self, weights: Mapping[str, Value], tape: list[Value] | None = None) -> Networks:
         """The networks over torch tensors named like `weights`."""
 
-    def casadi_networks(self) -> tuple[Any, ...]:
+    def casadi_networks(self) -> Networks:
         """The networks over casadi's symbols."""
 
-    def numpy_networks(self) -> tuple[Any, ...]:
+    def numpy_networks(self) -> Networks:
         """The networks over arrays."""
 
-    def weight_slopes(self, weights: Mapping[str, Any]) -> dict[str, Any]:
+    def weight_slopes(self, weights: Mapping[str, Value]) -> dict[str, Value]:
         """Derivatives of the weights that layers use by those that are trained."""
 
-    def rhs(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
+    def rhs(self, t: Value, x: Value, condition: Value = None, inputs: Value = None, constants: Value = None) -> Value:
         """dx/dt [..., n_states], torch."""
 
-    def observe(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
+    def observe(
+        self, t: Value, x: Value, condition: Value = None, inputs: Value = None, constants: Value = None
+    ) -> Value:
         """The channels [..., n_channels], torch."""
 
-    def initial(self, x0: Any, condition: Any = None, constants: Any = None) -> Any:
+    def initial(self, x0: Value, condition: Value = None, constants: Value = None) -> Value:
         """The start with every state in its place whose start the model expresses, torch."""
 
-    def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
+    def step(
+        self, t: Value, x: Value, h: Value, condition: Value = None, inputs: Value = None, constants: Value = None
+    ) -> Value:
         """One step of size h, torch."""
 
     def simulate(
         self,
-        x0: Any,
-        times: Any,
-        condition: Any = None,
-        inputs: Any = None,
+        x0: Value,
+        times: Value,
+        condition: Value = None,
+        inputs: Value = None,
         max_step: float | None = None,
-        constants: Any = None,
-    ) -> Any:
+        constants: Value = None,
+    ) -> Value:
         """States [..., n_times, n_states] at the times, torch."""
 
     @property
-    def functions(self) -> dict[str, Callable[..., Any]]:
+    def functions(self) -> dict[str, Callable[..., Value]]:
         """The unknown functions by name, torch."""
 
-    def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
+    def casadi_rhs(self, symbolic_constants: bool = False) -> Casadi:
         """casadi.Function rhs(t, x, condition, inputs[, constants]) -> dx."""
 
-    def casadi_observe(self, symbolic_constants: bool = False) -> Any:
+    def casadi_observe(self, symbolic_constants: bool = False) -> Casadi:
         """casadi.Function observe(t, x, condition, inputs[, constants]) -> y."""
 
-    def casadi_jacobian(self, symbolic_constants: bool = False) -> Any:
+    def casadi_jacobian(self, symbolic_constants: bool = False) -> Casadi:
         """casadi.Function jacobian(t, x, condition, inputs[, constants]) -> d(dx)/dx."""
 
-    def casadi_function(self, name: str, symbolic_constants: bool = False) -> Any:
+    def casadi_function(self, name: str, symbolic_constants: bool = False) -> Casadi:
         """casadi.Function of an unknown: (arguments[, constants]) -> its value."""

@@ -7,7 +7,7 @@ import gc
 import importlib
 import sys
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -84,7 +84,7 @@ def needed(arguments: Sequence[str]) -> tuple[str, ...]:
     return (first,) if first in COMMANDS else tuple(COMMANDS)
 
 
-def main(arguments: Sequence[str] | None = None) -> Any:
+def main(arguments: Sequence[str] | None = None) -> None:
     """The entry point of the `gbspec` command; exits by `SystemExit` with a status of `gbspec.cli.frame`."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     # Imports create hundreds of thousands of permanent objects. Collecting garbage less often, and not at all when the

@@ -16,13 +16,14 @@ from typing import Annotated, Any, Literal, Union
 
 import typer
 
-Collect = Callable[[dict[str, Any]], dict[str, Any]]
+# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
+Collect = Callable[[dict[str, object]], dict[str, object]]
 
 
 def expand(parameters: Sequence[inspect.Parameter]) -> tuple[list[inspect.Parameter], Collect]:
     """The parameters with option dataclasses replaced by their flags, and a function that reassembles the values."""
     shown: list[inspect.Parameter] = []
-    groups: dict[str, type[Any]] = {}
+    groups: dict[str, type] = {}
     for parameter in parameters:
         if dataclasses.is_dataclass(parameter.annotation) and isinstance(parameter.annotation, type):
             groups[parameter.name] = parameter.annotation
@@ -30,7 +31,7 @@ def expand(parameters: Sequence[inspect.Parameter]) -> tuple[list[inspect.Parame
         else:
             shown.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
-    def collect(given: dict[str, Any]) -> dict[str, Any]:
+    def collect(given: dict[str, object]) -> dict[str, object]:
         rest = dict(given)
         for name, options in groups.items():
             values = {field.name: read(field, rest.pop(field.name)) for field in flagged(options)}
@@ -40,17 +41,17 @@ def expand(parameters: Sequence[inspect.Parameter]) -> tuple[list[inspect.Parame
     return shown, collect
 
 
-def hints(options: type[Any]) -> dict[str, Any]:
+def hints(options: type) -> dict[str, Any]:
     """The field types of a dataclass, resolved."""
     return typing.get_type_hints(options)
 
 
-def flagged(options: type[Any]) -> list[dataclasses.Field[Any]]:
+def flagged(options: type) -> list[dataclasses.Field[object]]:
     """The fields that have a flag."""
     return [field for field in dataclasses.fields(options) if field.metadata.get("cli", True)]
 
 
-def default(field: dataclasses.Field[Any]) -> Any:
+def default(field: dataclasses.Field[object]) -> object:
     """A field's default value."""
     if field.default is not dataclasses.MISSING:
         return field.default
@@ -59,7 +60,7 @@ def default(field: dataclasses.Field[Any]) -> Any:
     raise TypeError(f"the option {field.name} has no default")
 
 
-def flag(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
+def flag(field: dataclasses.Field[object], hint: Any) -> inspect.Parameter:
     """The command-line parameter for one field."""
     meta = field.metadata
     spelling = meta.get("flag", "--" + field.name.replace("_", "-"))
@@ -75,7 +76,7 @@ def flag(field: dataclasses.Field[Any], hint: Any) -> inspect.Parameter:
     )
 
 
-def read(field: dataclasses.Field[Any], given: Any) -> Any:
+def read(field: dataclasses.Field[object], given: object) -> object:
     """The field's value from typer's value."""
     if "parse" in field.metadata:
         return field.metadata["parse"](given) if given else default(field)

@@ -10,15 +10,16 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import Diagnostic
+from gbspec.json_values import Json
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-def jsonable(value: Any) -> Any:
+def jsonable(value: object) -> Json:
     """The value in JSON types; arrays become lists, and non-finite numbers become null (JSON has no NaN)."""
     if value is None or isinstance(value, bool | str | int):
         return value
@@ -67,7 +68,7 @@ class Output:
         if not self.quiet:
             self.result(text)
 
-    def document(self, value: Any) -> None:
+    def document(self, value: object) -> None:
         """The result as a single JSON document on standard output; nothing without `--json`."""
         if self.json and not self.answered:
             self.answered = True

@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.cli.output import Output
 from gbspec.report import number
 from gbspec.training import Progress, Silent, Update
 
 if TYPE_CHECKING:
+    from types import TracebackType
+
     from rich.console import Console
+    from rich.table import Table
 
 INTERVAL = 5.0
 """Seconds between lines if standard error is not a terminal."""
@@ -82,10 +85,12 @@ class _Live:
         self.live.__enter__()
         return self
 
-    def __exit__(self, *details: Any) -> None:
-        self.live.__exit__(*details)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.live.__exit__(kind, error, trace)
 
-    def render(self) -> Any:
+    def render(self) -> Table:
         from rich.progress_bar import ProgressBar
         from rich.table import Table
 

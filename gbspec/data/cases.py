@@ -12,12 +12,12 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from gbspec.data.names import similar
 from gbspec.data.overlays import Report, overlay
 from gbspec.data.sampling import Box, SimulateOptions
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
+from gbspec.json_values import JsonObject
 
 FILE = "cases.toml"
 KEYS = ("title", "model", "data", "sampling", "metrics", "training", "published", "tables")
@@ -159,7 +159,7 @@ class _Reader:
     def __init__(self, path: Path, findings: Findings, prefix: str) -> None:
         self.path, self.findings, self.prefix = path, findings, prefix
 
-    def case(self, entry: Mapping[str, Any], base: Case) -> Case:
+    def case(self, entry: JsonObject, base: Case) -> Case:
         """A case: the values of `entry`, with those of `base` as defaults."""
         for key in entry:
             if key not in KEYS:
@@ -176,7 +176,7 @@ class _Reader:
             tables=self.tables(entry.get("tables", list(base.tables))),
         )
 
-    def sampling(self, entry: dict[str, Any], base: SimulateOptions) -> SimulateOptions:
+    def sampling(self, entry: JsonObject, base: SimulateOptions) -> SimulateOptions:
         """The options of `[sampling]`; `channels` may be a number."""
         if isinstance(entry.get("channels"), float):
             entry["channels"] = str(entry["channels"])
@@ -187,7 +187,7 @@ class _Reader:
             self.report("GB742", f"sampling.{diagnostic.subject}", diagnostic.message)
         return options
 
-    def training(self, entry: dict[str, Any], base: TrainingDefaults) -> TrainingDefaults:
+    def training(self, entry: JsonObject, base: TrainingDefaults) -> TrainingDefaults:
         """The options of `[training]`; keys that are not fields are kept, to be checked by the training."""
         own = {field.name for field in dataclasses.fields(TrainingDefaults)} - {"more"}
         known = {key: value for key, value in entry.items() if key.replace("-", "_") in own}
@@ -222,7 +222,7 @@ class _Reader:
         self.report("GB742", "data", f"names no file: there is no `{name}` in the folder of the cases")
         return None
 
-    def table(self, entry: Mapping[str, Any], key: str) -> dict[str, Any]:
+    def table(self, entry: JsonObject, key: str) -> JsonObject:
         """A table within `entry`; empty if there is none."""
         value = entry.get(key, {})
         if isinstance(value, dict):
@@ -230,7 +230,7 @@ class _Reader:
         self.report("GB742", key, f"must be a table, not {value!r}")
         return {}
 
-    def text(self, entry: Mapping[str, Any], key: str, default: str) -> str:
+    def text(self, entry: JsonObject, key: str, default: str) -> str:
         """A text within `entry`."""
         value = entry.get(key, default)
         if isinstance(value, str):

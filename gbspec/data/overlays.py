@@ -6,20 +6,23 @@ import dataclasses
 import types
 import typing
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, TypeVar, Union
+from typing import Any, Literal, TypeAlias, TypeVar, Union
 
 T = TypeVar("T")
+# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
+Fitting: TypeAlias = Any
+"""A value of the type that a hint says, which is known only as it runs."""
 Report = Callable[[str, str, str], None]
 """A callback with a code, the key and a description of the error."""
 
 
-def overlay(base: T, entry: Mapping[str, Any], report: Report) -> T:
+def overlay(base: T, entry: Mapping[str, object], report: Report) -> T:
     """`base` with the fields that `entry` names (dashes for underscores) replaced; tables add to those of `base`.
 
     Unknown keys (GB741) and values of another type (GB742) go to `report`.
     """
     hints = typing.get_type_hints(type(base))
-    changed: dict[str, Any] = {}
+    changed: dict[str, object] = {}
     for key, value in entry.items():
         name = key.replace("-", "_")
         if name not in hints:
@@ -37,7 +40,7 @@ def overlay(base: T, entry: Mapping[str, Any], report: Report) -> T:
     return dataclasses.replace(base, **changed)  # type: ignore[type-var]  # T is one of the option dataclasses
 
 
-def convert(hint: Any, value: object) -> Any:
+def convert(hint: Any, value: object) -> Fitting:
     """`value` converted to the type `hint`; raises ValueError with the expected type."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin in (Union, types.UnionType):
@@ -55,7 +58,7 @@ def convert(hint: Any, value: object) -> Any:
     return _scalar(hint, value)
 
 
-def _first(hints: list[Any], value: object) -> Any:
+def _first(hints: list[Any], value: object) -> Fitting:
     """The value converted to the first of several types that fits."""
     expected = []
     for hint in hints:
@@ -66,7 +69,7 @@ def _first(hints: list[Any], value: object) -> Any:
     raise ValueError(" or ".join(dict.fromkeys(expected)))
 
 
-def _tuple(arguments: tuple[Any, ...], value: object) -> tuple[Any, ...]:
+def _tuple(arguments: tuple[Any, ...], value: object) -> tuple[Fitting, ...]:
     """A list as a tuple of one type (`tuple[str, ...]`), or as a pair of numbers, low and high."""
     if len(arguments) == 2 and arguments[1] is Ellipsis:
         if not isinstance(value, list):
@@ -84,7 +87,7 @@ def _tuple(arguments: tuple[Any, ...], value: object) -> tuple[Any, ...]:
     return pair
 
 
-def _scalar(hint: Any, value: object) -> Any:
+def _scalar(hint: Any, value: object) -> Fitting:
     """A text, number or truth value; a whole number is accepted as a number, a truth value is not."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if hint is float and number:

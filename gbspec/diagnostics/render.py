@@ -5,7 +5,6 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 from gbspec.diagnostics.diagnostic import Diagnostic, Severity
 from gbspec.diagnostics.span import Cell, Source, Span
@@ -32,12 +31,12 @@ def render_text(diagnostics: Iterable[Diagnostic], color: bool = False) -> str:
     return "\n".join(_Renderer(diagnostic, color).render() for diagnostic in diagnostics)
 
 
-def to_json(diagnostic: Diagnostic) -> dict[str, Any]:
+def to_json(diagnostic: Diagnostic) -> dict[str, object]:
     """The diagnostic as plain data; lines and columns count from 1, the end is exclusive.
 
     A place in a table has its row as `line` and no column number; `cell` holds its row and the name of its column.
     """
-    data: dict[str, Any] = {
+    data: dict[str, object] = {
         "code": diagnostic.code,
         "severity": diagnostic.severity.value,
         "message": diagnostic.message,
@@ -58,7 +57,7 @@ def summary(diagnostics: Iterable[Diagnostic]) -> str:
     return ", ".join(f"{count} {word}{'s' if count > 1 else ''}" for count, word in counts if count)
 
 
-def _position(place: Span | Cell | None) -> dict[str, Any]:
+def _position(place: Span | Cell | None) -> dict[str, object]:
     names = ("line", "column", "end_line", "end_column")
     match place:
         case Span():

@@ -7,7 +7,7 @@ which arguments, and in which direction. Both are decided by `gbspec.passes.cont
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import sympy
 
@@ -117,6 +117,6 @@ class Layout:
     outputs: tuple[str, ...]
     gates: int = 0
 
-    def plain(self) -> tuple[Any, ...]:
+    def plain(self) -> tuple[tuple[tuple[tuple[str, Shape, int], ...], ...], tuple[str, ...]]:
         """The layout as nested tuples of strings and numbers, for the generated module's text."""
         return tuple(tuple((b.kind, b.shape, b.count) for b in layer) for layer in self.hidden), self.outputs

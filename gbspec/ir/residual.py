@@ -16,13 +16,17 @@ units of r) is the negative log likelihood up to terms that do not depend on p.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.ir.model import Model
 
+Value: TypeAlias = Any
+"""An array, or a tensor: the same text serves numpy and torch, which share no type."""
+Arithmetic: TypeAlias = Any
+"""The module `numpy`, or `torch`."""
 LOG_FLOOR = 1e-3
 """Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
 _LEAST = 1e-300
@@ -34,7 +38,9 @@ def logarithmic(model: Model) -> NDArray[np.bool_]:
     return np.array([c.noise is not None and c.noise.kind == "lognormal" for c in model.channels], dtype=np.bool_)
 
 
-def residuals(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.bool_], xp: Any = np) -> Any:
+def residuals(
+    predicted: Value, measured: Value, factor: Value, logarithmic: NDArray[np.bool_], xp: Arithmetic = np
+) -> Value:
     """Residuals [..., C] of `predicted` and `measured` [..., C] (any number where nothing was
     measured; NaN there gives NaN where the factor is positive).
 
@@ -49,7 +55,9 @@ def residuals(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[n
     return xp.where(factor > 0, difference * factor, xp.zeros_like(difference))
 
 
-def slopes(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.bool_], xp: Any = np) -> Any:
+def slopes(
+    predicted: Value, measured: Value, factor: Value, logarithmic: NDArray[np.bool_], xp: Arithmetic = np
+) -> Value:
     """Derivatives of the residuals with respect to the predictions [..., C]; arguments as in `residuals`."""
     out = factor + xp.zeros_like(predicted)
     if logarithmic.any():
@@ -59,6 +67,6 @@ def slopes(predicted: Any, measured: Any, factor: Any, logarithmic: NDArray[np.b
     return out
 
 
-def _like(predicted: Any, mask: NDArray[np.bool_], xp: Any) -> Any:
+def _like(predicted: Value, mask: NDArray[np.bool_], xp: Arithmetic) -> Value:
     """A mask of the type of `predicted`: an array, or a tensor on its device."""
     return mask if xp is np else predicted.new_tensor(mask, dtype=xp.bool)

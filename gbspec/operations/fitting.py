@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gbspec.json_values import JsonObject
 
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
@@ -50,7 +52,7 @@ def sweep(
     directory: Path,
     options: TrainOptions,
     progress: Progress | None = None,
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """Trains with each point's options into a separate run directory; returns a row of results for each.
 
     A row's columns are those of `sweep.csv`; each varied option has a column with its name.

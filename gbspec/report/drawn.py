@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any, assert_never
+from typing import TYPE_CHECKING, Any, TypeAlias, assert_never
 
 import numpy as np
 
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-DASHES: dict[str, Any] = {"solid": "solid", "dashed": (0, (3.4, 2.2)), "dotted": "dotted"}
+Look: TypeAlias = Any
+"""What matplotlib takes for a property: each has a type of its own."""
+DASHES: dict[str, Look] = {"solid": "solid", "dashed": (0, (3.4, 2.2)), "dotted": "dotted"}
 MARKERS = {"circle": "o", "square": "s", "diamond": "D", "up": "^", "down": "v", "plus": "P", "cross": "x", "bar": "|"}
 LEGEND = 0.4
 """Inches that a legend below or above a block takes."""
@@ -153,7 +155,7 @@ def _draw(axes: Axes, mark: Mark, where: Figure | SubFigure) -> None:
             rule = axes.axvline if mark.axis == "x" else axes.axhline
             rule(mark.value, color=mark.color, linewidth=mark.width, linestyle=DASHES[mark.dash], zorder=2, label=label)
         case Rug():
-            look: Any = {"color": mark.color, "markersize": 7, "alpha": 0.35, "markeredgewidth": 0.7}
+            look: dict[str, Look] = {"color": mark.color, "markersize": 7, "alpha": 0.35, "markeredgewidth": 0.7}
             at = axes.get_xaxis_transform()
             axes.plot(mark.x, np.zeros(len(mark.x)), "|", transform=at, clip_on=False, zorder=5, **look)
         case Heat():
@@ -165,14 +167,14 @@ def _draw(axes: Axes, mark: Mark, where: Figure | SubFigure) -> None:
         case Bars():
             axes.barh(mark.edges[:-1], mark.counts, np.diff(mark.edges), align="edge", color=mark.color, alpha=0.8)
         case Text():
-            place: Any = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "bottom"}
+            place: dict[str, Look] = {"transform": axes.get_xaxis_transform(), "ha": "center", "va": "bottom"}
             axes.text(mark.x, 1.01, mark.text, fontsize=7.5, color="#555555", **place)
         case _:
             assert_never(mark)
 
 
 def _points(axes: Axes, mark: Points, label: str) -> None:
-    look: dict[str, Any] = {"color": mark.color, "alpha": mark.alpha, "markersize": mark.size}
+    look: dict[str, Look] = {"color": mark.color, "alpha": mark.alpha, "markersize": mark.size}
     if mark.hollow:
         look |= {"markerfacecolor": "white"}
     elif mark.outlined:

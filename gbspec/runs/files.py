@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
@@ -15,6 +14,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as dump_tensors
 
 from gbspec.arrays import Array
+from gbspec.json_values import JsonObject
 
 FIT, MODEL, MODULE, HISTORY, MEMBERS = "fit.json", "model.gb", "model.py", "history.csv", "members"
 WEIGHTS, CHECKPOINT, CHECKPOINT_BEST = "weights.safetensors", "checkpoint.safetensors", "checkpoint.best.safetensors"
@@ -39,12 +39,12 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: Mapping[str, object]) -> None:
     """Writes JSON with keys in the order given; numbers in full, those that are not finite as null."""
     write_bytes(path, (json.dumps(_finite(content), indent=2, ensure_ascii=False) + "\n").encode("utf-8"))
 
 
-def _finite(value: Any) -> Any:
+def _finite(value: object) -> object:
     """The value with numbers of numpy as Python's, and NaN and infinities as None (JSON has neither)."""
     match value:
         case Mapping():
@@ -61,13 +61,13 @@ def _finite(value: Any) -> Any:
             return value
 
 
-def write_tensors(path: Path, arrays: Mapping[str, Array], remarks: Mapping[str, Any]) -> None:
+def write_tensors(path: Path, arrays: Mapping[str, Array], remarks: Mapping[str, object]) -> None:
     """Writes arrays as safetensors, with remarks (expressible as JSON) in its header."""
     whole = {name: np.asarray(value, order="C") for name, value in arrays.items()}
     write_bytes(path, dump_tensors(whole, {"remarks": json.dumps(_finite(remarks))}))
 
 
-def read_tensors(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+def read_tensors(path: Path) -> tuple[dict[str, Array], JsonObject]:
     """Arrays and remarks of a file written by `write_tensors`. Raises ValueError where it is damaged."""
     content = path.read_bytes()
     try:
@@ -85,7 +85,7 @@ def history_header(constants: Sequence[str]) -> list[str]:
     return ["member", "stage", "iteration", "seconds", "loss", *constants]
 
 
-def write_history(path: Path, constants: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+def write_history(path: Path, constants: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Writes the history of all members: one row an iteration."""
     import io
 
@@ -96,5 +96,5 @@ def write_history(path: Path, constants: Sequence[str], rows: Sequence[Sequence[
     write_bytes(path, text.getvalue().encode("utf-8"))
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     return repr(float(value)) if isinstance(value, float | np.floating) else str(value)

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from gbspec.backends import INTERFACE
 from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.runs.typed_json import JsonError, decode, encode, read_object
 from gbspec.version import __version__
@@ -108,9 +108,9 @@ class FitRecord:
     interface: int = OLDEST
     others: Mapping[str, object] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """The document of `fit.json`."""
-        document: dict[str, Any] = encode(self)
+        document: JsonObject = encode(self)
         return document
 
     def write(self, directory: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any, assert_never
+from typing import assert_never
 
 from gbspec.diagnostics import Defect, Findings, Span
 from gbspec.semantics.constants import Evaluator
@@ -267,7 +267,7 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
         )
 
 
-def _first_place(units: Units) -> Any:
+def _first_place(units: Units) -> Span | None:
     """The place at which a time without a statement is reported: the first state."""
     return next((d.span for d in units.table.values() if d.kind is Kind.STATE), None)
 

@@ -14,11 +14,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import finite, write_text
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.studies.folds import Fold, Over, folds, way
 from gbspec.studies.heldout import Errors, Point, errors, held_out
@@ -143,7 +144,7 @@ def _begin(directory: Path, model: Model, data: Trajectories, training: TrainOpt
         raise UserError([Diagnostic("GB820", message, None, help="name another directory with `-o`")])
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read(path: Path) -> JsonObject | None:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError):
@@ -159,13 +160,13 @@ def _fitted(
     options: CrossOptions,
     progress: Progress,
     path: Path,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Fits without a fold, predicts it, and writes its record."""
     from gbspec.operations import fitting
 
     place = directory / "folds" / str(fold.number)
     resumed = replace(training, resume=(place / files.FIT).is_file())
-    record: dict[str, Any] = {"fold": fold.number, "points": []}
+    record: JsonObject = {"fold": fold.number, "points": []}
     try:
         run = fitting.fit(model, fold.kept, place, resumed, progress)
         points = held_out(run, fold, options.window)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -96,7 +96,14 @@ def _stretches(run: Run, fold: Fold) -> list[Point]:
 
 
 def _points(
-    label: str, times: Array, channels: Sequence[str], measured: Array, mean: Array, sd: Array, rows: Any, log: Mask
+    label: str,
+    times: Array,
+    channels: Sequence[str],
+    measured: Array,
+    mean: Array,
+    sd: Array,
+    rows: Mask,
+    log: Mask,
 ) -> list[Point]:
     """The held measurements of one trajectory; values [R, C] (`mean` and `sd` may have further columns)."""
     return [

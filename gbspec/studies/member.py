@@ -12,9 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import ComputationError, Findings, UserError
+from gbspec.json_values import JsonObject
 from gbspec.runs import encode, files
 from gbspec.studies.tasks import Task
 
@@ -46,7 +47,7 @@ class Place:
         return self.root / "runs" / task.case.name / f"{task.member}.csv"
 
 
-def read_record(path: Path) -> dict[str, Any] | None:
+def read_record(path: Path) -> JsonObject | None:
     """A finished member, None where it is not. A damaged record counts as none."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -55,14 +56,14 @@ def read_record(path: Path) -> dict[str, Any] | None:
     return found if isinstance(found, dict) and "settings" in found else None
 
 
-def fit_member(task: Task, place: Place, threads: int = 1, keep: bool = False) -> dict[str, Any]:
+def fit_member(task: Task, place: Place, threads: int = 1, keep: bool = False) -> JsonObject:
     """Simulates, trains, validates, and writes the member's record; an interrupted fit is continued.
 
     A fit that fails is a result too: its record has a `failure`. Raises KeyboardInterrupt after saving what was
     reached.
     """
     resumed = (place.run(task) / files.FIT).is_file()
-    record: dict[str, Any] = {
+    record: JsonObject = {
         "case": task.case.name,
         "member": task.member,
         "seed": task.seed,
@@ -94,7 +95,7 @@ def discard(task: Task, place: Place) -> None:
             folder.rmdir()
 
 
-def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple[float, float]) -> dict[str, Any]:
+def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple[float, float]) -> JsonObject:
     from gbspec import frontend
     from gbspec.operations import fitting
 
@@ -137,7 +138,7 @@ def measured(task: Task, model: Model, place: Place) -> Trajectories:
     return tables.read_data(path, model, Findings())
 
 
-def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
+def check(run: Run, data: Trajectories, task: Task) -> JsonObject:
     """The errors of a fitted member on its data and against the truth, and what was warned of."""
     from gbspec.analysis import validate
 
@@ -152,7 +153,7 @@ def check(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
     }
 
 
-def starts(run: Run, data: Trajectories, task: Task) -> dict[str, Any]:
+def starts(run: Run, data: Trajectories, task: Task) -> JsonObject:
     """The tables on starts that the case asks for, by what is known of simulated data."""
     if not task.case.tables or task.case.data is not None:
         return {}

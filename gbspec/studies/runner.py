@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.studies.member import Place, fit_member, read_record
 from gbspec.studies.options import StudyOptions
@@ -28,11 +28,11 @@ POLL = 0.2
 """Seconds between looks at the workers."""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
-Told = Callable[[Task, dict[str, Any], int, int], None]
+Told = Callable[[Task, JsonObject, int, int], None]
 """Called with a finished task, its record, and how many of how many are done."""
 
 
-def run_study(study: Study, root: Path, options: StudyOptions, command: str, told: Told) -> dict[str, Any]:
+def run_study(study: Study, root: Path, options: StudyOptions, command: str, told: Told) -> JsonObject:
     """Fits what is not fitted yet (nothing with `--table-only`) and writes the tables; gives `study.json`'s content.
 
     Raises UserError (GB820) where the directory holds a study with other settings, ComputationError where the process

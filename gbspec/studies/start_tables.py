@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from typing import Any
+
+from gbspec.json_values import JsonObject
 
 SPECTRA = ("true", "learned_at_true", "learned")
 
 
-def joined(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def joined(records: Sequence[JsonObject]) -> JsonObject:
     """What the members of a case say of starts together; empty where the case asks for none.
 
     Spectra are the first member's; distances and differences the median over members of their medians, and the worst
     of their worst.
     """
-    found: dict[str, Any] = {}
+    found: JsonObject = {}
     spectra = [record["eigenvalues"] for record in records if "eigenvalues" in record]
     if spectra:
         first = {name: spectra[0][name] for name in ("trajectory", *SPECTRA)}
@@ -32,7 +33,7 @@ def joined(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _together(several: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _together(several: Sequence[JsonObject]) -> JsonObject:
     learned = [one for one in several if one["n"]]
     if not learned:
         return {"n": 0, "median": None, "worst": None}
@@ -43,7 +44,7 @@ def _together(several: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def sections(cases: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def sections(cases: Mapping[str, JsonObject]) -> list[str]:
     """The lines of `table.md` on starts, for the cases that have them."""
     lines: list[str] = []
     for name, case in cases.items():
@@ -54,7 +55,7 @@ def sections(cases: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-def _eigenvalues(case: str, found: Mapping[str, Any]) -> list[str]:
+def _eigenvalues(case: str, found: JsonObject) -> list[str]:
     lines = [
         "",
         f"## {case}: eigenvalues at the start",
@@ -79,7 +80,7 @@ def _complex(real: float, imaginary: float) -> str:
     return f"{real:.5f}" + (f" {sign} {abs(imaginary):.5f}i" if imaginary else "")
 
 
-def _initial_states(case: str, found: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _initial_states(case: str, found: Mapping[str, JsonObject]) -> list[str]:
     lines = [
         "",
         f"## {case}: learned initial states",

@@ -10,7 +10,7 @@ construction and are not counted.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Starts:
     data: Trajectories
     interval: float
     truth: Evaluator
-    learned: Any
+    learned: Evaluator
     true: Array
     found: Array
 
@@ -55,7 +55,7 @@ class Starts:
         found = np.array([learned_start(learned, i, item).state for i, item in enumerate(data.items)])
         return cls(run, data, sampling.dt, truth, learned, true, found)
 
-    def eigenvalues(self) -> dict[str, Any]:
+    def eigenvalues(self) -> dict[str, object]:
         """Spectra of the first trajectory's start, and the median distances to the truth over all trajectories.
 
         `true` are the truth's at the true start, by falling real part, `learned_at_true` and `learned` what was learned
@@ -81,7 +81,7 @@ class Starts:
         inputs = input_values(self.run.model, item, np.array([item.start]))[0]
         return np.asarray(evaluator.jacobian_at(item.start, state, item.condition, inputs), dtype=np.float64)
 
-    def initial_states(self) -> dict[str, Any]:
+    def initial_states(self) -> dict[str, object]:
         """How far learned starts are off, in deviations of the true ones: medians, and the worst.
 
         `states` by state, over the trajectories in which it was not measured at the start (`n` of them); `fast` and
@@ -119,7 +119,7 @@ def matched(spectra: Spectra, reference: Spectra) -> Spectra:
     return np.array(rows)
 
 
-def _middle(values: Array) -> dict[str, Any]:
+def _middle(values: Array) -> dict[str, object]:
     """Number, median and largest of some values; null without any."""
     if not len(values):
         return {"n": 0, "median": None, "worst": None}

@@ -8,10 +8,10 @@ import math
 import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from gbspec.data import Case
 from gbspec.files import write_text
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.studies.member import NORMS, Place, read_record
 from gbspec.studies.start_tables import joined, sections
@@ -54,9 +54,9 @@ class Spread:
         return {"mean": self.mean, "sd": self.sd, "median": self.median, "worst": self.worst}
 
 
-def write_tables(study: Study, place: Place, command: str) -> dict[str, Any]:
+def write_tables(study: Study, place: Place, command: str) -> JsonObject:
     """Writes the three files from the records that are there; gives the content of `study.json`."""
-    records: dict[str, list[dict[str, Any]]] = {case.name: [] for case in study.cases}
+    records: dict[str, list[JsonObject]] = {case.name: [] for case in study.cases}
     for task in study.tasks():
         record = read_record(place.record(task))
         if record is not None:
@@ -69,7 +69,7 @@ def write_tables(study: Study, place: Place, command: str) -> dict[str, Any]:
     return summary
 
 
-def summarise(study: Study, records: Mapping[str, Sequence[Mapping[str, Any]]], command: str) -> dict[str, Any]:
+def summarise(study: Study, records: Mapping[str, Sequence[JsonObject]], command: str) -> JsonObject:
     """The content of `study.json`: spreads over the members that are finished, case by case."""
     everything = [record for several in records.values() for record in several]
     return {
@@ -85,7 +85,7 @@ def summarise(study: Study, records: Mapping[str, Sequence[Mapping[str, Any]]], 
     }
 
 
-def _versions(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
+def _versions(records: Sequence[JsonObject]) -> dict[str, list[str]]:
     """Which versions of gbspec and its libraries the members were fitted with."""
     found: dict[str, set[str]] = {}
     for record in records:
@@ -94,8 +94,8 @@ def _versions(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     return {name: sorted(versions) for name, versions in found.items()}
 
 
-def _case(case: Case, planned: int, effort: str, records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    metrics: dict[str, Any] = {}
+def _case(case: Case, planned: int, effort: str, records: Sequence[JsonObject]) -> JsonObject:
+    metrics: JsonObject = {}
     for metric in METRICS:
         values = {norm: [_value(record, metric, norm) for record in records] for norm in NORMS}
         if not any(math.isfinite(value) for value in values["L2"]):
@@ -121,7 +121,7 @@ def _case(case: Case, planned: int, effort: str, records: Sequence[Mapping[str, 
     }
 
 
-def _value(record: Mapping[str, Any], metric: str, norm: str) -> float:
+def _value(record: JsonObject, metric: str, norm: str) -> float:
     """A member's number; infinite where the fit failed, or some of the points could not be computed."""
     entry = record.get("errors", {}).get(metric, {})
     value = entry.get(norm)
@@ -129,7 +129,7 @@ def _value(record: Mapping[str, Any], metric: str, norm: str) -> float:
 
 
 # ------------------------------------------------------------------------------------------------------- results.csv
-def results(records: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+def results(records: Mapping[str, Sequence[JsonObject]]) -> str:
     """One row a member; cells are empty where there is no number."""
     columns = [f"{metric}_{norm}" for metric, norm in _COLUMNS]
     names = sorted({name for several in records.values() for record in several for name in record.get("constants", {})})
@@ -154,7 +154,7 @@ _COLUMNS = [(metric, norm) for metric in METRICS for norm in NORMS if metric not
 
 
 # ---------------------------------------------------------------------------------------------------------- table.md
-def markdown(summary: Mapping[str, Any]) -> str:
+def markdown(summary: JsonObject) -> str:
     """The table in Markdown: errors and published errors, then the costs and warnings of the fits."""
     versions = ", ".join(f"{name} {'/'.join(several)}" for name, several in summary["versions"].items())
     lines = [
@@ -190,7 +190,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _row(case: str, metric: str, entry: Mapping[str, Any]) -> str:
+def _row(case: str, metric: str, entry: JsonObject) -> str:
     published, ours = entry["published"], entry.get("L2")
     cells = [case, METRICS[metric], number(published)]
     if ours is None:

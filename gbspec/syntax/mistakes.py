@@ -14,13 +14,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cache, cached_property
-from typing import Any
 from weakref import WeakKeyDictionary
 
 from lark import Lark, Token
 from lark.exceptions import UnexpectedInput, UnexpectedToken
 
 from gbspec.diagnostics import Diagnostic, Label, Span
+from gbspec.json_values import JsonObject
 from gbspec.syntax.ast import WORDS
 from gbspec.syntax.chunks import Chunk
 from gbspec.syntax.grammar import grammar_file
@@ -211,11 +211,11 @@ def table(lark: Lark) -> Table:
 
 
 @cache
-def _data() -> dict[str, Any]:
+def _data() -> JsonObject:
     return tomllib.loads(grammar_file("mistakes.toml").read_text(encoding="utf-8"))
 
 
-def _tuples(entry: dict[str, Any]) -> dict[str, Any]:
+def _tuples(entry: JsonObject) -> JsonObject:
     return {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
 
 

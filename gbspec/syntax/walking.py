@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from gbspec.syntax import nodes as ast
 
@@ -65,7 +65,7 @@ def fold(node: ast.Node, rule: Callable[[ast.Node, tuple[Result, ...]], Result])
 
 def same(first: ast.Node | None, second: ast.Node | None) -> bool:
     """Whether two trees are equal apart from places in the text."""
-    stack: list[tuple[Any, Any]] = [(first, second)]
+    stack: list[tuple[object, object]] = [(first, second)]
     while stack:
         a, b = stack.pop()
         if isinstance(a, ast.Node):

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4, listed, unknown_method
@@ -202,12 +202,12 @@ class TrainOptions:
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
                 report(name, getattr(self, name), "one of " + ", ".join(allowed.__args__))  # type: ignore[attr-defined]  # as above
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, str | int | float | bool | None]:
         """All options by name, as stored in `fit.json`, except those that belong to a call and not to a run."""
         named = {"stages": "; ".join(self.named_stages) or None}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")} | named
 
-    def settings(self, left_out: Collection[str]) -> dict[str, Any]:
+    def settings(self, left_out: Collection[str]) -> dict[str, str | int | float | bool | None]:
         """The options for a fingerprint of what a result depends on, without those left out.
 
         The default solver is not in it: fingerprints from before there was a choice are still met.

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced
 from gbspec.analysis.bifurcation.hopf import critical_pair, normal_form
 from gbspec.analysis.systems import Box, Compiled, Family, System
 from gbspec.arrays import Array
+from gbspec.backends import Casadi
 
 Kind = Literal["bautin", "bogdanov_takens", "cusp"]
 
@@ -88,7 +89,7 @@ class PlaneFamily:
         """The family in the first parameter at a value of the second."""
         return Family(self.system.with_values({self.names[1]: second}), self.names[0])
 
-    def _field(self) -> tuple[Any, Any, Any]:
+    def _field(self) -> tuple[Casadi, Casadi, Casadi]:
         """MX symbols x, (a, b) and f."""
         import casadi
 
@@ -163,7 +164,7 @@ class PlaneFamily:
         ).l1
 
 
-def _with_jacobian(name: str, equations: Any, *symbols: Any) -> Compiled:
+def _with_jacobian(name: str, equations: Casadi, *symbols: Casadi) -> Compiled:
     """The equations and their Jacobian with respect to all symbols, concatenated."""
     import casadi
 

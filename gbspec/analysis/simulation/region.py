@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import sympy
+from numpy.typing import ArrayLike
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Source
@@ -22,7 +22,7 @@ class Region:
     """The region in which a user's condition holds; `text` is its source."""
 
     text: str
-    holds: Callable[..., Any]
+    holds: Callable[..., ArrayLike]
 
     def entered(self, times: Array, states: Array, condition: Array, inputs: Array, constants: Array) -> bool:
         """Whether it holds at any of the points: times [T], states [T, n], inputs [T, m]; a NaN is not inside."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gbspec.arrays import Array
+from gbspec.backends import Casadi
 
 
 class Compiled:
@@ -18,21 +19,21 @@ class Compiled:
     between threads, since its buffers are reused.
     """
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: Casadi) -> None:
         import casadi
 
         arguments = [casadi.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
         results = function.call(arguments)
         self.function = casadi.Function(function.name(), arguments, [casadi.densify(result) for result in results])
-        self._maps: dict[int, Any] = {}
+        self._maps: dict[int, Casadi] = {}
         self._shapes = [self.function.size_out(i) for i in range(self.function.n_out())]
         self._arguments = [np.zeros(self.function.numel_in(i)) for i in range(self.function.n_in())]
         self._results = [np.zeros(rows * columns) for rows, columns in self._shapes]
-        self._buffer, self._trigger = cast(Any, self.function).buffer()
+        self._buffer, self._trigger = cast(Casadi, self.function).buffer()
         for i, argument in enumerate(self._arguments):
-            self._buffer.set_arg(i, memoryview(cast(Any, argument)))
+            self._buffer.set_arg(i, memoryview(cast(Casadi, argument)))
         for i, result in enumerate(self._results):
-            self._buffer.set_res(i, memoryview(cast(Any, result)))
+            self._buffer.set_res(i, memoryview(cast(Casadi, result)))
 
     def __call__(self, *arguments: ArrayLike) -> tuple[Array, ...]:
         """The results at one point."""
@@ -56,7 +57,7 @@ class Compiled:
         return tuple(self._unmapped(result, shape, count) for result, shape in zip(results, self._shapes, strict=True))
 
     @staticmethod
-    def _unmapped(result: Any, shape: tuple[int, int], count: int) -> Array:
+    def _unmapped(result: Casadi, shape: tuple[int, int], count: int) -> Array:
         rows, columns = shape
         flat = np.asarray(result.full(), dtype=float)
         if columns == 1:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.system import System, require_autonomous, suggestion
+from gbspec.backends import Casadi
 from gbspec.diagnostics import Findings
 
 
@@ -42,7 +42,7 @@ class Family:
         return self.system.with_values({self.name: value})
 
     @cached_property
-    def _symbolic(self) -> tuple[Any, Any, Any]:
+    def _symbolic(self) -> tuple[Casadi, Casadi, Casadi]:
         """MX symbols x and p, and f(x, p)."""
         import casadi
 
@@ -59,7 +59,7 @@ class Family:
         return Compiled(casadi.Function("f", [x, p], [f]))
 
     @cached_property
-    def function(self) -> Any:
+    def function(self) -> Casadi:
         """The casadi.Function (x, p) -> f, for integrators."""
         return self.rhs.function
 

@@ -11,12 +11,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.arrays import Array
+from gbspec.backends import Casadi
 from gbspec.data import Interpolation, Signal, evaluate
 from gbspec.diagnostics import Findings
 
@@ -40,7 +41,7 @@ class System:
 
     name: str
     states: tuple[str, ...]
-    rhs: Any = field(repr=False)
+    rhs: Casadi = field(repr=False)
     conditions: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     interpolation: tuple[Interpolation, ...] = ()
@@ -111,13 +112,13 @@ class System:
         low, high = self.start_box
         return np.where(high > low, high - low, 1.0)
 
-    def symbolic_rhs(self, varied: Mapping[str, Any]) -> tuple[Any, Any]:
+    def symbolic_rhs(self, varied: Mapping[str, Casadi]) -> tuple[Casadi, Casadi]:
         """MX symbols x and f(x), with `varied` substituted for some parameters and numbers for all others."""
         import casadi
 
         x = casadi.MX.sym("x", self.size)
 
-        def column(names: tuple[str, ...]) -> Any:
+        def column(names: tuple[str, ...]) -> Casadi:
             values = [varied[name] if name in varied else casadi.MX(self.values[name]) for name in names]
             return casadi.vertcat(*values) if values else casadi.MX(0, 1)
 

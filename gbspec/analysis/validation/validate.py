@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 
 if TYPE_CHECKING:
+    from gbspec.backends import Evaluator
     from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
     from gbspec.ir import Model
     from gbspec.runs import Run
@@ -179,7 +180,7 @@ def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
 
 def _against_truth(
     model: Model,
-    evaluators: Sequence[Any],
+    evaluators: Sequence[Evaluator],
     sampling: SimulateOptions | None,
     metrics: MetricsOptions | None,
     warnings: list[str],

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.ir import METHODS
 from gbspec.version import __version__
 
@@ -50,9 +48,9 @@ def c_code(instance: GeneratedModule) -> str:
     return "\n".join(lines) + generator.dump()
 
 
-def step(instance: GeneratedModule) -> Any:
+def step(instance: GeneratedModule) -> Casadi:
     """casadi.Function step(t, x, h, condition, u0, u1, ...) -> x one step later; inputs at the nodes of the method."""
-    kind: Any = ca.MX if instance.networks else ca.SX
+    kind: Casadi = ca.MX if instance.networks else ca.SX
     sizes = {"t": 1, "x": len(instance.states), "h": 1, "condition": len(instance.conditions)}
     sizes |= dict.fromkeys(METHODS[instance.solver].input_names, len(instance.inputs))
     arguments = {name: kind.sym(name, size) for name, size in sizes.items()}
@@ -64,7 +62,7 @@ def step(instance: GeneratedModule) -> Any:
     return ca.Function("step", [*arguments.values()], [ca.densify(after)], [*arguments], ["x_after"])
 
 
-def _signature(function: Any) -> str:
+def _signature(function: Casadi) -> str:
     """`rhs(t [1], x [2]) -> dx [2]`."""
 
     def sized(name: str, shape: tuple[int, int]) -> str:

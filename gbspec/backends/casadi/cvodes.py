@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
+from gbspec.backends.protocol import Casadi
 from gbspec.diagnostics import ComputationError
 
 LOCAL = 1e-2
@@ -50,10 +50,10 @@ class Integrator:
     segments with the same relative output times, and one absolute tolerance serves all states.
     """
 
-    def __init__(self, rhs: Any, names: Sequence[str]) -> None:
+    def __init__(self, rhs: Casadi, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self._system = _scaled(rhs)
-        self._kept: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+        self._kept: OrderedDict[tuple[tuple[float, ...], float, float, bool], Casadi] = OrderedDict()
         self._stiff = False
 
     def run(
@@ -109,13 +109,13 @@ class Integrator:
             raise _Stopped
         return found
 
-    def _solver(self, grid: tuple[float, ...], problem: InitialValueProblem, stiff: bool) -> Any:
+    def _solver(self, grid: tuple[float, ...], problem: InitialValueProblem, stiff: bool) -> Casadi:
         key = (grid, problem.rtol, problem.atol, stiff)
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
         method = "bdf" if stiff else "adams"
-        options: dict[str, Any] = {
+        options: dict[str, float | str | bool] = {
             "reltol": max(problem.rtol * LOCAL, FINEST),
             "abstol": max(problem.atol * LOCAL, FINEST),
             "linear_multistep_method": method,
@@ -160,7 +160,7 @@ def _inputs_at(piece: Segment, time: float) -> Array:
     return np.asarray(piece.inputs + piece.slopes * (time - piece.begin), dtype=np.float64)
 
 
-def _scaled(rhs: Any) -> Any:
+def _scaled(rhs: Casadi) -> Casadi:
     """The system in scaled time and states; parameters: begin, length, condition, inputs, slopes, constants, scales."""
     n_states, n_condition, n_inputs, n_constants = (rhs.size1_in(i) for i in (1, 2, 3, 4))
     sizes = [1, 1, n_condition, n_inputs, n_inputs, n_constants, n_states]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +13,33 @@ from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.ir import METHODS
+
+
+class Course(Protocol):
+    """An input over time: values [n] at times [n]."""
+
+    @property
+    def times(self) -> ArrayLike:
+        """When."""
+
+    @property
+    def values(self) -> ArrayLike:
+        """Its values."""
+
+
+class Events(Protocol):
+    """The doses of one kind: amounts [n] at times [n]."""
+
+    @property
+    def times(self) -> Array:
+        """When."""
+
+    @property
+    def amounts(self) -> Array:
+        """How much."""
+
 
 MAPS = 64
 """Most mapped functions that an evaluator caches, each for a given number of points."""
@@ -32,26 +57,26 @@ class Evaluator:
         self.n_states, self.n_channels = len(instance.states), len(instance.channels)
         self.n_conditions, self.n_inputs = len(instance.conditions), len(instance.inputs)
         self.constants: Array = np.array(instance.weights["constants"], dtype=np.float64)
-        self._maps: dict[tuple[str, int], Any] = {}
-        self._unknowns: dict[str, Any] = {}
+        self._maps: dict[tuple[str, int], Casadi] = {}
+        self._unknowns: dict[str, Casadi] = {}
 
     # -------------------------------------------------------------- casadi functions
     @cached_property
-    def rhs(self) -> Any:
+    def rhs(self) -> Casadi:
         """casadi.Function (t, x, condition, inputs, constants) -> dx [n_states]."""
         return self.instance.casadi_rhs(symbolic_constants=True)
 
     @cached_property
-    def jacobian(self) -> Any:
+    def jacobian(self) -> Casadi:
         """casadi.Function (t, x, condition, inputs, constants) -> d(dx)/dx [n_states, n_states]."""
         return self.instance.casadi_jacobian(symbolic_constants=True)
 
     @cached_property
-    def observe(self) -> Any:
+    def observe(self) -> Casadi:
         """casadi.Function (t, x, condition, inputs, constants) -> y [n_channels]."""
         return self.instance.casadi_observe(symbolic_constants=True)
 
-    def function(self, name: str) -> Any:
+    def function(self, name: str) -> Casadi:
         """casadi.Function (arguments, constants) -> value of one unknown. Raises KeyError for another name."""
         if name not in self._unknowns:
             self._unknowns[name] = self.instance.casadi_function(name, symbolic_constants=True)
@@ -59,29 +84,44 @@ class Evaluator:
 
     # -------------------------------------------------------------- over many points
     def rhs_many(
-        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: ArrayLike = (),
+        constants: ArrayLike | None = None,
     ) -> Array:
         """dx/dt [N, n_states] at times t ([N] or a number), states x [N, n_states]; the rest [N, n], or [n] for all."""
         return self._many("rhs", self.rhs, self._points(t, x, condition, inputs, constants))
 
     def observe_many(
-        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+        self,
+        t: ArrayLike,
+        x: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: ArrayLike = (),
+        constants: ArrayLike | None = None,
     ) -> Array:
         """Channels [N, n_channels]; arguments as for `rhs_many`."""
         return self._many("observe", self.observe, self._points(t, x, condition, inputs, constants))
 
-    def functions_many(self, name: str, arguments: ArrayLike, constants: Any = None) -> Array:
+    def functions_many(self, name: str, arguments: ArrayLike, constants: ArrayLike | None = None) -> Array:
         """Values [N] of an unknown at arguments [N, n_arguments]."""
         table = np.atleast_2d(np.asarray(arguments, dtype=np.float64))
         return self._many(f"function {name}", self.function(name), [table, self._constants(constants)])[:, 0]
 
     def jacobian_at(
-        self, t: float, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = (), constants: Any = None
+        self,
+        t: float,
+        x: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: ArrayLike = (),
+        constants: ArrayLike | None = None,
     ) -> Array:
         """d(dx/dt)/dx [n_states, n_states] at one point."""
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
 
-    def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: Any = None) -> Array:
+    def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: ArrayLike | None = None) -> Array:
         """The initial state [n_states]: x0, with the initial values that the model gives by expressions replaced."""
         m = self.instance.arithmetic("numpy")
         with np.errstate(all="ignore"):
@@ -91,7 +131,7 @@ class Evaluator:
         return np.array(start, dtype=np.float64)
 
     def _points(
-        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike, inputs: ArrayLike, constants: Any
+        self, t: ArrayLike, x: ArrayLike, condition: ArrayLike, inputs: ArrayLike, constants: ArrayLike | None
     ) -> list[Array]:
         state = np.asarray(x, dtype=np.float64).reshape(-1, self.n_states)
         time = np.asarray(t, dtype=np.float64).reshape(-1, 1)
@@ -105,7 +145,7 @@ class Evaluator:
             self._constants(constants),
         ]
 
-    def _many(self, key: str, function: Any, columns: Sequence[Array]) -> Array:
+    def _many(self, key: str, function: Casadi, columns: Sequence[Array]) -> Array:
         """A function at N points, in one call; a single row is used for all points."""
         tables = [np.atleast_2d(column) for column in columns]
         count = max(len(table) for table in tables)
@@ -116,10 +156,10 @@ class Evaluator:
         blocks = [np.ascontiguousarray(np.broadcast_to(table, (count, table.shape[1])).T) for table in tables]
         return np.ascontiguousarray(np.array(self._maps[key, count](*blocks)).T)
 
-    def _constants(self, constants: Any) -> Array:
+    def _constants(self, constants: ArrayLike | None) -> Array:
         return self.constants if constants is None else np.asarray(constants, dtype=np.float64)
 
-    def _tuple(self, constants: Any) -> tuple[Any, ...]:
+    def _tuple(self, constants: ArrayLike | None) -> tuple[np.float64, ...]:
         return tuple(np.float64(value) for value in self._constants(constants))
 
     # -------------------------------------------------------------- over time
@@ -128,11 +168,11 @@ class Evaluator:
         x0: ArrayLike,
         times: ArrayLike,
         condition: ArrayLike = (),
-        inputs: Sequence[Any] = (),
+        inputs: Sequence[Course] = (),
         start: float | None = None,
         *,
-        doses: Sequence[Any] = (),
-        constants: Any = None,
+        doses: Sequence[Events] = (),
+        constants: ArrayLike | None = None,
         rtol: float = 1e-10,
         atol: float = 1e-10,
         scales: ArrayLike | None = None,
@@ -161,12 +201,12 @@ class Evaluator:
         x0: ArrayLike,
         times: ArrayLike,
         condition: ArrayLike = (),
-        inputs: Sequence[Any] = (),
+        inputs: Sequence[Course] = (),
         start: float | None = None,
         *,
         max_step: float,
-        doses: Sequence[Any] = (),
-        constants: Any = None,
+        doses: Sequence[Events] = (),
+        constants: ArrayLike | None = None,
     ) -> Array:
         """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
         and kinks.
@@ -202,9 +242,9 @@ class Evaluator:
         begin: float,
         end: float,
         condition: ArrayLike,
-        inputs: Sequence[Any],
-        doses: Sequence[Any],
-        constants: Any,
+        inputs: Sequence[Course],
+        doses: Sequence[Events],
+        constants: ArrayLike | None,
     ) -> list[Segment]:
         if len(inputs) != self.n_inputs:
             raise ValueError(f"the model has {self.n_inputs} inputs, {len(inputs)} were given")
@@ -215,7 +255,7 @@ class Evaluator:
         jumps = self._jumps(condition, doses, constants)
         return segments(begin, end, self.n_states, signals, self.instance.interpolation, jumps)
 
-    def _jumps(self, condition: ArrayLike, doses: Sequence[Any], constants: Any) -> list[Jump]:
+    def _jumps(self, condition: ArrayLike, doses: Sequence[Events], constants: ArrayLike | None) -> list[Jump]:
         if not doses:
             return []
         names = self.instance.doses

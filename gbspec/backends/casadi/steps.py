@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import ceil
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.backends.casadi.timeline import Segment
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.ir import METHODS, RK4, Method
 
 
@@ -78,7 +77,7 @@ class Stepper:
 
     def __init__(self, instance: GeneratedModule) -> None:
         self._step = _step_function(instance)
-        self._accumulated: dict[int, Any] = {}
+        self._accumulated: dict[int, Casadi] = {}
 
     def run(self, x0: Array, plan: Plan, condition: Array, constants: Array) -> Array:
         """States [n_times, n_states] at the plan's outputs."""
@@ -97,9 +96,9 @@ class Stepper:
         return path[plan.after]
 
 
-def _step_function(instance: GeneratedModule) -> Any:
+def _step_function(instance: GeneratedModule) -> Casadi:
     """casadi.Function (x, t, h, u0, u1, ..., jump, condition, constants) -> x one step later; inputs at the nodes."""
-    kind: Any = ca.MX if instance.networks else ca.SX
+    kind: Casadi = ca.MX if instance.networks else ca.SX
     n_states = len(instance.states)
     sizes = {
         "x": n_states,

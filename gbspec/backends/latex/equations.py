@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from typing import Any
 
 import sympy
 from sympy.printing.latex import LatexPrinter
@@ -56,17 +55,17 @@ class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
 
     _print_Dummy = _print_Symbol
 
-    def _print_Element(self, expr: Any) -> str:
+    def _print_Element(self, expr: sympy.Basic) -> str:
         return f"{name(expr.args[0].name)}_{{{self._print(expr.args[1])}}}"
 
-    def _print_Total(self, expr: Any) -> str:
+    def _print_Total(self, expr: sympy.Basic) -> str:
         return f"\\sum_{{i}} {name(expr.args[0].name)}_{{i}}"
 
     def _print_Float(self, expr: sympy.Float) -> str:
         digits, _, exponent = repr(float(expr)).partition("e")
         return f"{digits.removesuffix('.0')} \\cdot 10^{{{int(exponent)}}}" if exponent else digits.removesuffix(".0")
 
-    def _print_Function(self, expr: Any, exp: str | None = None) -> str:
+    def _print_Function(self, expr: sympy.Basic, exp: str | None = None) -> str:
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             return str(super()._print_Function(expr, exp))
         arguments = ", ".join(map(self._print, expr.args))

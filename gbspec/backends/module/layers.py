@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.backends.module.template.networks import _folded, _layers, _torch_like
-from gbspec.backends.protocol import GeneratedModule
+from gbspec.backends.protocol import Arithmetic, GeneratedModule
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -33,7 +33,7 @@ class NetworkLayers:
         return _folded({"raw": self.raw}, self.layers, scales)
 
 
-def network_layers(module: GeneratedModule, weights: Mapping[str, Tensor], ops: Any) -> list[NetworkLayers]:
+def network_layers(module: GeneratedModule, weights: Mapping[str, Tensor], ops: Arithmetic) -> list[NetworkLayers]:
     """The networks of a generated module (a class or an instance) at weights by name; `ops` is its torch arithmetic."""
     found = []
     for network in module.networks:

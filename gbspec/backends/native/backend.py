@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.backends import Backend, Refusal
 
 if TYPE_CHECKING:
+    from gbspec.backends.protocol import GeneratedModule
     from gbspec.ir import Method, Model
 
 
-def make(model: Model, instance: Any, method: Method) -> str | Refusal:
+def make(model: Model, instance: GeneratedModule | None, method: Method) -> str | Refusal:
     """The kernel in double precision, or a refusal that names the form of the model that it does not cover."""
     from gbspec.backends.native import NotCoveredError, source
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ _STRUCTURES: dict[str, type[ctypes.Structure]] = {
 
 _NAMES = {name: {field.name for field in fields} for name, fields in STRUCTS.items()}
 
-Array = NDArray[Any]
+Array = NDArray[np.generic]
 
 
 class Struct:
@@ -102,7 +101,7 @@ class Library:
         self._library.chain(links.pointer)
 
 
-def _argument(parameter: str) -> Any:
+def _argument(parameter: str) -> type:
     """The ctypes type of a parameter."""
     if parameter in _STRUCTURES:
         return ctypes.POINTER(_STRUCTURES[parameter])

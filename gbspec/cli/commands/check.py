@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -48,7 +48,7 @@ def run(
 
 def describe(
     path: str, model: Model | None, findings: Findings, examination: Examination | None = None
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """One entry of `files` of `check --json`; its lists are empty if the model cannot be read."""
     from gbspec.diagnostics import to_json
 
@@ -78,7 +78,7 @@ def describe(
     }
 
 
-def identifiability(examination: Examination) -> dict[str, Any]:
+def identifiability(examination: Examination) -> dict[str, object]:
     """Structurally non-identifiable groups of constants and functions, for JSON."""
     answer = examination.identifiability
     sets = [

@@ -5,17 +5,21 @@ from __future__ import annotations
 import shutil
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.json_values import JsonObject
 from gbspec.report import number, run_summary, table
 
 if TYPE_CHECKING:
     from gbspec.analysis import Validation
+    from gbspec.diagnostics import Findings
+    from gbspec.runs import Run
+    from gbspec.training import TrainOptions
 
 MODEL = "urp_gb2"
 ROWS = (
@@ -62,7 +66,7 @@ def run(
     )
 
 
-def _findings() -> Any:
+def _findings() -> Findings:
     from gbspec.diagnostics import Findings
 
     return Findings()
@@ -81,7 +85,7 @@ def _prepare(folder: Path, directory: Path) -> None:
         shutil.rmtree(directory)
 
 
-def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], Any]:
+def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], TrainOptions]:
     """Writes the table; returns the published errors and the training options of the case."""
     from dataclasses import replace
 
@@ -100,7 +104,7 @@ def _simulate(output: Output, data: Path, seed: int) -> tuple[dict[str, float], 
     return dict(case.published), TrainOptions(max_step=case.training.max_step, seed=seed)
 
 
-def _learn(output: Output, data: Path, directory: Path, options: Any) -> tuple[Any, Validation]:
+def _learn(output: Output, data: Path, directory: Path, options: TrainOptions) -> tuple[Run, Validation]:
     """Trains and validates."""
     from gbspec import frontend
     from gbspec.cli.progress import shown
@@ -118,9 +122,9 @@ def _learn(output: Output, data: Path, directory: Path, options: Any) -> tuple[A
 
 def _errors(found: Validation) -> dict[str, float | None]:
     """The L2 error of each metric; for constants the mean relative error."""
-    truth: dict[str, Any] = found.to_json().get("truth", {})  # type: ignore[assignment]  # its keys are the contract's
+    truth: JsonObject = found.to_json().get("truth", {})  # type: ignore[assignment]  # its keys are the contract's
     functions = truth.get("functions", {})
-    over_all: dict[str, Any] = functions.get("all") or next(iter(functions.values()), {})
+    over_all: JsonObject = functions.get("all") or next(iter(functions.values()), {})
     return {
         "solution": truth.get("solution", {}).get("L2"),
         "rhs": truth.get("rhs", {}).get("L2"),

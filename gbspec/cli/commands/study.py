@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.json_values import JsonObject
 from gbspec.report import number
 from gbspec.studies import StudyOptions
 
@@ -43,7 +44,7 @@ def run(
     study = study_of(cases, options)
     root = directory(to)
 
-    def told(task: Task, record: dict[str, Any], done: int, total: int) -> None:
+    def told(task: Task, record: JsonObject, done: int, total: int) -> None:
         output.say(f"[{done}/{total}] {task.name}: {line(record)}")
 
     made_by = shlex.join(["gbspec", "study", *cases, "-o", to, *options.flags()])
@@ -65,7 +66,7 @@ def directory(to: str) -> Path:
     return root
 
 
-def line(record: dict[str, Any]) -> str:
+def line(record: JsonObject) -> str:
     """The result of a member in one line."""
     if record.get("failure"):
         return f"failed: {record['failure']}"

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import sympy
@@ -88,7 +87,7 @@ class Algebra:
 
     # ------------------------------------------------------------------------------------------ elementary functions
 
-    def _taylor(self, values: Array, coefficients: Callable[[float], list[Any]]) -> Array:
+    def _taylor(self, values: Array, coefficients: Callable[[float], list[float]]) -> Array:
         flat = [[float(c) for c in coefficients(float(v))] for v in np.ravel(values)]
         return np.reshape(np.array(flat), (*np.shape(values), self.order + 1))
 
@@ -200,7 +199,7 @@ class Evaluation:
             result = np.where(self._condition(condition)[..., None], self(value), result)
         return result
 
-    def _condition(self, condition: Any) -> Mask:
+    def _condition(self, condition: sympy.Basic) -> Mask:
         if condition in (sympy.true, sympy.false):
             return np.full(self.lines, condition == sympy.true)
         if isinstance(condition, sympy.Not):

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias, assert_never
+from typing import TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gbspec.json_values import JsonObject
 from gbspec.report.description import Axis, Band, Bars, Heat, Line, Mark, Panel, Points, Rug, Rule, Span, Text
 
-Chart: TypeAlias = dict[str, Any]
+Chart: TypeAlias = JsonObject
 DIGITS = 7
 """Significant digits of numbers in a chart: more than a screen can show."""
 PIXELS = 1.25

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from xml.dom.minidom import Element
 from xml.sax.saxutils import escape
 
 import sympy
@@ -19,7 +19,7 @@ _ENTITIES = {"&InvisibleTimes;": "&#x2062;", "&ExponentialE;": "e", "&ApplyFunct
 class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is untyped
     """sympy's printer with unknown functions by their names, floats in full, and pieces under a brace."""
 
-    def _print_Float(self, expr: sympy.Float) -> Any:
+    def _print_Float(self, expr: sympy.Float) -> Element:
         digits, _, exponent = repr(float(expr)).partition("e")
         number = self._leaf("mn", digits.removesuffix(".0"))
         if not exponent:
@@ -29,7 +29,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
         power.appendChild(self._leaf("mn", str(int(exponent))))
         return self._row(number, self._leaf("mo", "·"), power)
 
-    def _print_Piecewise(self, expr: sympy.Piecewise) -> Any:
+    def _print_Piecewise(self, expr: sympy.Piecewise) -> Element:
         table = self.dom.createElement("mtable")
         for value, condition in expr.args:
             line = self.dom.createElement("mtr")
@@ -41,31 +41,32 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
             table.appendChild(line)
         return self._row(self._leaf("mo", "{"), table)
 
-    def _print_Function(self, expr: Any) -> Any:
+    def _print_Function(self, expr: sympy.Basic) -> Element:
         if not isinstance(expr, sympy.core.function.AppliedUndef):
-            return super()._print_Function(expr)
-        inside: list[Any] = []
+            printed: Element = super()._print_Function(expr)
+            return printed
+        inside: list[Element] = []
         for argument in expr.args:
             inside += ([self._leaf("mo", ",")] if inside else []) + [self._print(argument)]
         name = self._print(sympy.Symbol(expr.func.__name__))
         return self._row(name, self._leaf("mo", "("), *inside, self._leaf("mo", ")"))
 
-    def _print_Element(self, expr: Any) -> Any:
-        element = self.dom.createElement("msub")
+    def _print_Element(self, expr: sympy.Basic) -> Element:
+        element: Element = self.dom.createElement("msub")
         element.appendChild(self._print(expr.args[0]))
         element.appendChild(self._print(expr.args[1]))
         return element
 
-    def _print_Total(self, expr: Any) -> Any:
+    def _print_Total(self, expr: sympy.Basic) -> Element:
         return self._row(self._leaf("mo", "∑"), self._print(expr.args[0]))
 
-    def _leaf(self, tag: str, text: str) -> Any:
-        leaf = self.dom.createElement(tag)
+    def _leaf(self, tag: str, text: str) -> Element:
+        leaf: Element = self.dom.createElement(tag)
         leaf.appendChild(self.dom.createTextNode(text))
         return leaf
 
-    def _row(self, *parts: Any) -> Any:
-        row = self.dom.createElement("mrow")
+    def _row(self, *parts: Element) -> Element:
+        row: Element = self.dom.createElement("mrow")
         for part in parts:
             row.appendChild(part)
         return row

@@ -6,7 +6,7 @@ import json
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import UserError
 from gbspec.ir import Model
@@ -132,7 +132,7 @@ def _section(kind: Kind, source: Source, store: _Charts) -> Section:
     return Section(kind.id, kind.heading, kind.note, groups)
 
 
-def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _Charts) -> dict[str, Any]:
+def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _Charts) -> dict[str, object]:
     """The template's variables."""
     model = run.model
     source = Source(run, fitted.data if fitted else None, page=True, over=fitted, spectra=found.eigen)
@@ -184,7 +184,7 @@ def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     return cards
 
 
-def _diagram(found: Findings, store: _Charts) -> dict[str, Any] | None:
+def _diagram(found: Findings, store: _Charts) -> dict[str, object] | None:
     """Charts and special points of the bifurcation diagram."""
     if found.diagrams is None:
         return None
@@ -197,7 +197,7 @@ def _diagram(found: Findings, store: _Charts) -> dict[str, Any] | None:
     }
 
 
-def _reproduce(run: Run) -> dict[str, Any]:
+def _reproduce(run: Run) -> dict[str, object]:
     """Commands, versions and fingerprints."""
     from gbspec.training import TrainOptions
 

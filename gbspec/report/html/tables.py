@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from gbspec.ir import Model
+from gbspec.json_values import JsonObject
 from gbspec.report import collect
 from gbspec.report.text import number
 from gbspec.runs import Run
@@ -51,7 +50,7 @@ def declared(model: Model) -> Table:
     )
 
 
-def metrics(validation: Mapping[str, Any]) -> dict[str, Table]:
+def metrics(validation: JsonObject) -> dict[str, Table]:
     """The numbers of `gbspec validate`: errors on the data, and against the truth."""
     found = {}
     channels = validation["channels"]

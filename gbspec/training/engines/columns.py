@@ -9,7 +9,6 @@ the derivatives of what is observed, and the columns to which derivatives by con
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import torch
@@ -43,7 +42,7 @@ class Columns:
         self.shared = 0 if only_local else parameters.n_shared
         self.offsets = _layer_offsets(parameters)
 
-    def tensor(self, table: NDArray[Any]) -> Tensor:
+    def tensor(self, table: NDArray[np.generic]) -> Tensor:
         """A table on the device."""
         return torch.from_numpy(table).to(self.device)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -12,7 +11,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.training.problem import Parameters, Path, Problem, path_of
 
-Terms = list[tuple[Any, Any]]
+Terms = list[tuple[Tensor | float, Tensor | float]]
 """Fraction and lag of each of the model's doses: tensors [B], or one number for all rows."""
 
 

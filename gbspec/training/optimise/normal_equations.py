@@ -10,7 +10,7 @@ large (`sketch.LEAST`), neither matrix is formed if a sketch of it does.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -88,6 +88,10 @@ class Cholesky:
         return np.asarray(torch.cholesky_solve(columns, self.factor).numpy().reshape(right.shape), dtype=np.float64)
 
 
+_Primal = tuple[Cholesky, list[Array], list[Array]]
+"""Factor of the shared part, inverses of the trajectories' blocks, and the blocks that join them."""
+
+
 class NormalEquations:
     """The linearised problem at one vector, solved for any damping; it takes the system over and scales it in place.
 
@@ -114,7 +118,8 @@ class NormalEquations:
         blocks = Blocks.of(self.local, self.owner, parameters.trajectories)
         self.sketch = Sketch(self.shared, blocks) if large else None
         self._grams: tuple[Array, Array] | None = None
-        self._factor: tuple[Any, tuple[float, float]] | None = None
+        self._dual_kept: tuple[Cholesky, tuple[float, float]] | None = None
+        self._primal_kept: tuple[_Primal, tuple[float, float]] | None = None
 
     # ---------------------------------------------------------------- products
     def times(self, step: Array) -> Array:
@@ -198,9 +203,9 @@ class NormalEquations:
     def _diagonal(self, damping: float) -> Array:
         return np.asarray(damping + self.ridge * self.penalised, dtype=np.float64)
 
-    def _dual_factor(self, damping: float) -> Any:
+    def _dual_factor(self, damping: float) -> Cholesky:
         """Cholesky factor of I + J D^-1 J^T [m, m]; the two Gram matrices are formed once."""
-        if self._factor is None or self._factor[1] != (damping, self.ridge):
+        if self._dual_kept is None or self._dual_kept[1] != (damping, self.ridge):
             if self._grams is None:
                 self._grams = self._form_grams()
             of_weights, of_rest = self._grams
@@ -210,8 +215,8 @@ class NormalEquations:
             else:
                 matrix = of_weights / damping
             matrix[np.diag_indices_from(matrix)] += 1.0
-            self._factor = Cholesky(matrix), (damping, self.ridge)
-        return self._factor[0]
+            self._dual_kept = Cholesky(matrix), (damping, self.ridge)
+        return self._dual_kept[0]
 
     def _form_grams(self) -> tuple[Array, Array]:
         """Gram matrices of the weights' columns and of all others; their sum and nothing where there is no ridge."""
@@ -238,9 +243,9 @@ class NormalEquations:
         blocks = [v @ (g - c.T @ x) for v, g, c in zip(inverses, g_local, crosses, strict=True)]
         return np.concatenate([x, *blocks])
 
-    def _primal_factor(self, damping: float) -> Any:
-        if self._factor is not None and self._factor[1] == (damping, self.ridge):
-            return self._factor[0]
+    def _primal_factor(self, damping: float) -> _Primal:
+        if self._primal_kept is not None and self._primal_kept[1] == (damping, self.ridge):
+            return self._primal_kept[0]
         ns, nl = self.parameters.n_shared, self.parameters.n_local
         if self._grams is None:
             self._grams = self.shared.T @ self.shared, np.zeros((0, 0))
@@ -257,5 +262,5 @@ class NormalEquations:
             wide = [c @ np.linalg.cholesky(0.5 * (v + v.T)) for c, v in zip(crosses, inverses, strict=True)]
             joined = np.concatenate(wide, axis=1)
             matrix -= joined @ joined.T
-        self._factor = (Cholesky(matrix), inverses, crosses), (damping, self.ridge)
-        return self._factor[0]
+        self._primal_kept = (Cholesky(matrix), inverses, crosses), (damping, self.ridge)
+        return self._primal_kept[0]

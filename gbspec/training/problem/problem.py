@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.backends import GeneratedModule
+from gbspec.backends import Arithmetic, GeneratedModule
 from gbspec.diagnostics import Defect
 from gbspec.ir import METHODS, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
@@ -37,7 +36,7 @@ class Problem:
             raise Defect(f"data were packed for another method than `{self.module.solver}`")
 
     @property
-    def ops(self) -> Any:
+    def ops(self) -> Arithmetic:
         """The arithmetic that the module's expressions are evaluated in (torch)."""
         return torch_arithmetic(self.module)
 
@@ -60,7 +59,7 @@ class Problem:
         """The same problem with teacher forcing of strength `blend`: 1 teacher forcing, 0 autoregressive."""
         return replace(self, forcing=teacher_forcing(self.model, self.packed, blend))
 
-    def take(self, indices: Any) -> Problem:
+    def take(self, indices: ArrayLike) -> Problem:
         """The same problem with some of its trajectories; with all of them in their order it is the problem itself."""
         index = np.asarray(indices, dtype=np.int64)
         if np.array_equal(index, np.arange(self.packed.trajectories)):
@@ -80,6 +79,6 @@ def matching_rows(whole: Packed, part: Packed, index: NDArray[np.int64]) -> NDAr
     return np.asarray(whole.row_table[index[part.row_trajectory], part.row_index], dtype=np.int64)
 
 
-def torch_arithmetic(module: GeneratedModule) -> Any:
+def torch_arithmetic(module: GeneratedModule) -> Arithmetic:
     """The generated module's torch arithmetic."""
     return module.arithmetic("torch")

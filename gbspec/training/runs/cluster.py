@@ -16,9 +16,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from queue import Queue
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeAlias
 
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.training.optimise import use_threads
 from gbspec.training.progress import Update
@@ -57,7 +58,11 @@ def cluster(address: str, threads: int) -> Iterator[Workers]:
             engine.forget()
 
 
-def _distributed() -> Any:
+Distributed: TypeAlias = Any
+"""The library `distributed`, which may be absent, and objects of it."""
+
+
+def _distributed() -> Distributed:
     """The library, which is no requirement of gbspec."""
     return importlib.import_module("distributed")
 
@@ -65,15 +70,15 @@ def _distributed() -> Any:
 class _Cluster:
     """The engine; a name of its own keeps several runs on one scheduler apart."""
 
-    def __init__(self, client: Any, threads: int) -> None:
+    def __init__(self, client: Distributed, threads: int) -> None:
         self.client, self.threads = client, threads
         self.name = f"gbspec-{uuid.uuid4().hex}"
-        self.messages: Queue[Any] = Queue()
+        self.messages: Queue[Update | str] = Queue()
         self.stopped = _distributed().Event(self.name, client=client)
         self.tokens: set[Path] = set()
         client.subscribe_topic(self.name, self._hear)
 
-    def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
+    def _hear(self, event: tuple[float, JsonObject]) -> None:
         content = event[1]
         self.messages.put(Update(**content["update"]) if "update" in content else content["message"])
 
@@ -97,7 +102,7 @@ class _Cluster:
         )
         return pending
 
-    def outcome(self, pending: Any, job: Job) -> MemberResult | None:
+    def outcome(self, pending: Distributed, job: Job) -> MemberResult | None:
         try:
             result, written = pending.result()
         except (ComputationError, UserError):
@@ -132,7 +137,7 @@ def _work(job: Job, kept: Files, name: str, threads: int, version: str) -> tuple
         return None, {}
     use_threads(threads)
 
-    def send(item: Any) -> None:
+    def send(item: Update | str) -> None:
         worker.log_event(name, {"update": asdict(item)} if isinstance(item, Update) else {"message": item})
 
     with _workplace(job, kept, name) as (place, shared):

@@ -77,7 +77,7 @@ class Pending(Protocol):
 class Workers(Protocol):
     """What fits jobs side by side: processes, or a cluster. `messages` brings updates and remarks while it does."""
 
-    messages: Queue[Any]
+    messages: Queue[Update | str]
 
     def submit(self, job: Job) -> Pending:
         """Hands over a job."""
@@ -92,7 +92,7 @@ class Workers(Protocol):
 class Sender:
     """Progress that goes elsewhere, item by item: an Update or a text."""
 
-    def __init__(self, send: Callable[[Any], None]) -> None:
+    def __init__(self, send: Callable[[Update | str], None]) -> None:
         self.send = send
 
     def update(self, update: Update) -> None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +15,7 @@ from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
 from gbspec.training.options import TrainOptions
@@ -54,7 +54,7 @@ class Position:
     seconds: float = 0.0
     loss: float = float("inf")
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
-    stages: list[dict[str, Any]] = field(default_factory=list)
+    stages: list[JsonObject] = field(default_factory=list)
     finished: bool = False
 
 
@@ -307,7 +307,7 @@ class _Runner:
         self._saved = time.monotonic()
 
 
-def _checkpoint(directory: Path) -> tuple[dict[str, Array], dict[str, Any]] | None:
+def _checkpoint(directory: Path) -> tuple[dict[str, Array], JsonObject] | None:
     """The last checkpoint, if there is one. Raises `UserError` (GB852) where it is damaged."""
     path = directory / files.CHECKPOINT
     if not path.is_file():
@@ -319,7 +319,7 @@ def _checkpoint(directory: Path) -> tuple[dict[str, Array], dict[str, Any]] | No
         raise UserError([Diagnostic("GB852", str(error), None, help=help_text)]) from None
 
 
-def restored(arrays: dict[str, Array], remarks: dict[str, Any]) -> Position:
+def restored(arrays: dict[str, Array], remarks: JsonObject) -> Position:
     """The position that a checkpoint keeps."""
     return Position(
         stage=remarks["stage"],

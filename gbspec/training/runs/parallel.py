@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from queue import Empty, Queue
-from typing import Any
 
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.training.optimise import use_threads
@@ -93,7 +92,7 @@ def _take(workers: Workers, pending: Pending, job: Job, take: Take) -> None:
             take(job, result)
 
 
-def _drain(queue: Queue[Any], progress: Progress) -> None:
+def _drain(queue: Queue[Update | str], progress: Progress) -> None:
     """Passes on what workers told, waiting a moment for the first."""
     try:
         item = queue.get(timeout=0.2)

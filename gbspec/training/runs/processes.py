@@ -15,6 +15,7 @@ from typing import Any
 
 from gbspec.diagnostics import ComputationError
 from gbspec.training.optimise import use_threads
+from gbspec.training.progress import Update
 from gbspec.training.runs.jobs import Job, Pending, Sender, Workers, fit
 from gbspec.training.runs.member import Interrupted
 from gbspec.training.runs.summary import MemberResult
@@ -47,7 +48,7 @@ def processes(workers: int, threads: int) -> Iterator[Workers]:
 def _without_main() -> Iterator[None]:
     """Within it spawned processes do not run the main script again: a script that trains would train there too."""
     main = sys.modules["__main__"]
-    hidden: dict[str, Any] = {name: vars(main).pop(name) for name in ["__file__", "__spec__"] if name in vars(main)}
+    hidden: dict[str, object] = {name: vars(main).pop(name) for name in ["__file__", "__spec__"] if name in vars(main)}
     vars(main)["__spec__"] = None
     try:
         yield
@@ -56,7 +57,7 @@ def _without_main() -> Iterator[None]:
 
 
 class _Processes:
-    def __init__(self, pool: ProcessPoolExecutor, messages: Queue[Any], stopped: Event, threads: int) -> None:
+    def __init__(self, pool: ProcessPoolExecutor, messages: Queue[Update | str], stopped: Event, threads: int) -> None:
         self.pool, self.messages, self.stopped, self.threads = pool, messages, stopped, threads
 
     def submit(self, job: Job) -> Pending:
@@ -74,7 +75,7 @@ class _Processes:
         self.stopped.set()
 
 
-def _work(job: Job, threads: int, messages: Queue[Any], stopped: Event) -> MemberResult | None:
+def _work(job: Job, threads: int, messages: Queue[Update | str], stopped: Event) -> MemberResult | None:
     """One member, in a worker. An interruption comes back as an unfinished result: the weights are written."""
     use_threads(threads)
     if stopped.is_set():

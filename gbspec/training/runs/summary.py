@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
+from gbspec.json_values import JsonObject
 from gbspec.training.engines import predicted, residual_table
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context
@@ -34,7 +34,7 @@ class MemberResult:
     constants: dict[str, float]
     sd: dict[str, float]
     seconds: float
-    stages: list[dict[str, Any]]
+    stages: list[JsonObject]
     initial: Array
     labels: list[str]
     failed: list[str] = field(default_factory=list)
@@ -51,7 +51,7 @@ def summarise(
     freedom: float,
     loss: float,
     seconds: float,
-    stages: list[dict[str, Any]],
+    stages: list[JsonObject],
 ) -> MemberResult:
     """Evaluates a member at `theta`; `freedom` is how many degrees of freedom its last stage used (NaN: not known)."""
     model = context.model

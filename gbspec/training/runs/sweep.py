@@ -8,11 +8,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
+from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
@@ -32,7 +32,7 @@ def sweep(
     options: TrainOptions,
     directory: Path,
     progress: Progress | None = None,
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """Fits every point into a run directory of its own under `directory`; gives (and writes) a row for each.
 
     `options` say how the call goes: workers, threads, scheduler. A row has the run's name, what was varied, the
@@ -80,8 +80,8 @@ def _least(run: Fitting) -> float:
     return min((result.loss for result in run.results.values()), default=math.nan)
 
 
-def _row(point: Point, run: Fitting) -> dict[str, Any]:
-    row: dict[str, Any] = {"run": point.name, **point.varied, "members": len(run.results)}
+def _row(point: Point, run: Fitting) -> JsonObject:
+    row: JsonObject = {"run": point.name, **point.varied, "members": len(run.results)}
     best = min(run.results.values(), key=lambda result: result.loss, default=None)
     if best is not None:
         row |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
@@ -89,9 +89,9 @@ def _row(point: Point, run: Fitting) -> dict[str, Any]:
     return row
 
 
-def _write(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _write(path: Path, rows: Sequence[JsonObject]) -> None:
     """Writes the table; its columns are those of the fullest row."""
-    fullest: dict[str, Any] = max(rows, key=len)
+    fullest: JsonObject = max(rows, key=len)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(fullest), lineterminator="\n")
     writer.writeheader()

@@ -7,11 +7,14 @@ import typing
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import product
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, TypeAlias, get_args, get_origin
 
 from gbspec.diagnostics import Findings
 from gbspec.training.options import TrainOptions
 
+Setting: TypeAlias = Any
+"""The value of an option: of the type of the field that it names."""
+# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
 FIXED = frozenset({"resume", "workers", "threads", "scheduler"})
 """Options of a call, which a sweep has but does not vary."""
 
@@ -21,7 +24,7 @@ class Point:
     """One run of a sweep: its name, which is that of its directory too, what is varied in it, and all options."""
 
     name: str
-    varied: dict[str, Any]
+    varied: dict[str, Setting]
     options: TrainOptions
 
 
@@ -30,7 +33,7 @@ def points(texts: Sequence[str], base: TrainOptions, findings: Findings) -> list
 
     What is wrong is recorded in `findings`: GB862 where a variation makes no sense, GB850 where a value does not.
     """
-    varied: dict[str, list[Any]] = {}
+    varied: dict[str, list[Setting]] = {}
     for text in texts:
         name, values = _variation(text, findings)
         if name in varied:
@@ -52,7 +55,7 @@ def points(texts: Sequence[str], base: TrainOptions, findings: Findings) -> list
     return out
 
 
-def _variation(text: str, findings: Findings) -> tuple[str, list[Any]]:
+def _variation(text: str, findings: Findings) -> tuple[str, list[Setting]]:
     """The option and its values; what is wrong is recorded, and left out."""
     before, _, after = text.partition("=")
     name = before.strip().replace("-", "_")
@@ -63,7 +66,7 @@ def _variation(text: str, findings: Findings) -> tuple[str, list[Any]]:
         message = f"`--vary {text}`: no option that can be varied is called `{before.strip()}`"
         findings.error("GB862", message, None, help=f"did you mean `{near}`?" if near else "see `gbspec train --help`")
         return name, []
-    values: list[Any] = []
+    values: list[Setting] = []
     for part in (each.strip() for each in after.split(",")):
         try:
             value = _read(part, _types()[name])
@@ -83,7 +86,7 @@ def _types() -> dict[str, Any]:
     return {field.name: hints[field.name] for field in fields(TrainOptions) if field.name not in FIXED}
 
 
-def _read(text: str, kind: Any) -> Any:
+def _read(text: str, kind: Any) -> Setting:
     """A value of a type from its text; raises ValueError. What else it must satisfy, the options check."""
     if get_origin(kind) is types.UnionType:
         kind = next(part for part in get_args(kind) if part is not types.NoneType)
@@ -96,6 +99,6 @@ def _read(text: str, kind: Any) -> Any:
     return kind(text)
 
 
-def _text(value: Any) -> str:
+def _text(value: Setting) -> str:
     """A value as a directory's name has it."""
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.backends import GeneratedModule
-from gbspec.data import Trajectories, evaluate
+from gbspec.backends import GeneratedModule, Network, Networks
+from gbspec.data import Signal, Trajectories, evaluate
 from gbspec.ir import Model
 from gbspec.training.problem import Integers, torch_arithmetic
 from gbspec.training.starts.splines import Curves
@@ -109,7 +108,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
     )
 
 
-def _inputs_at(model: Model, signals: Sequence[Any], t: Array) -> Array:
+def _inputs_at(model: Model, signals: Sequence[Signal], t: Array) -> Array:
     out = np.zeros((len(t), len(model.inputs)))
     for j, (spec, signal) in enumerate(zip(model.inputs, signals, strict=True)):
         out[:, j] = evaluate(signal, spec.interpolation, t)
@@ -131,13 +130,13 @@ class FreeOutputs:
         self.arguments: list[tuple[int, Array]] = []
         self._position = 0
 
-    def functions(self) -> tuple[Any, ...]:
+    def functions(self) -> Networks:
         """What `rhs` of the equations takes as its networks."""
         self._position = 0
         self.arguments = []
         return tuple(self._function(index) for index in range(len(self.model.networks)))
 
-    def _function(self, index: int) -> Any:
+    def _function(self, index: int) -> Network:
         outputs = self.model.networks[index].outputs
         neutral = {u.output: u.neutral for u in self.model.unknowns if u.network == index}
 
@@ -158,7 +157,9 @@ class FreeOutputs:
         return apply
 
 
-def evaluate_rhs(model: Model, module: GeneratedModule, points: Points, constants: Tensor, networks: Any) -> Tensor:
+def evaluate_rhs(
+    model: Model, module: GeneratedModule, points: Points, constants: Tensor, networks: Networks
+) -> Tensor:
     """Right-hand sides [M, n_states] at the points, with constants [M, n_constants]."""
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     t, x = torch.from_numpy(points.t), torch.from_numpy(points.x)

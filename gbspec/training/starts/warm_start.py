@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -83,7 +82,7 @@ class _Mismatch:
         r, o, k = self._of(u, outputs, True)
         by_outputs, by_constants = [], []
         for i in range(len(self.equations)):
-            found: Any = (None, None)
+            found: tuple[Tensor | None, ...] = (None, None)
             if r.requires_grad:
                 found = torch.autograd.grad(r[:, i].sum(), [o, k], retain_graph=True, allow_unused=True)
             by_outputs.append(torch.zeros_like(o) if found[0] is None else found[0])

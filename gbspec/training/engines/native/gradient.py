@@ -8,7 +8,7 @@ differentiation takes the kernel as one node (`HalfSquares`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -16,13 +16,16 @@ from torch import Tensor
 
 from gbspec.training.engines.native.kernel import Swept
 
+Context: TypeAlias = Any
+"""What torch hands to both methods: its class does not declare `saved_tensors`."""
+
 
 class HalfSquares(torch.autograd.Function):
     """Half the sum of squared residuals; its gradient is found in the same call of the kernel as its value."""
 
     @staticmethod
     def forward(
-        ctx: Any,
+        ctx: Context,
         call: Callable[[], Swept],
         weights: Tensor,
         constants: Tensor,
@@ -39,6 +42,6 @@ class HalfSquares(torch.autograd.Function):
         return weights.new_tensor(0.5 * float(np.vdot(swept.residuals, swept.residuals)))
 
     @staticmethod
-    def backward(ctx: Any, scale: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Context, scale: Tensor) -> tuple[Tensor | None, ...]:
         """The gradient found with the value."""
         return (None, *(scale * saved for saved in ctx.saved_tensors))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -207,12 +206,12 @@ class _Doses:
             column.requires_grad_()
         terms = terms_of(problem, torch.from_numpy(packed.condition), k)
 
-        def slopes(values: Sequence[Any]) -> Array:
+        def slopes(values: Sequence[torch.Tensor | float]) -> Array:
             """Derivatives [E, n_learnables] of fractions or lags."""
             slope: Array = np.zeros((len(terms), packed.trajectories, len(problem.model.learnables)))
             for kind, value in enumerate(values):
                 if isinstance(value, torch.Tensor) and value.requires_grad:
-                    found: Any = torch.autograd.grad(value.sum(), k[known:], allow_unused=True, retain_graph=True)
+                    found = torch.autograd.grad(value.sum(), k[known:], allow_unused=True, retain_graph=True)
                     for i, gradient in enumerate(found):
                         slope[kind, :, i] = 0.0 if gradient is None else gradient.numpy()
             return np.asarray(slope[events.kind, events.owner])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +65,7 @@ class Tables:
         return np.where(lies, found, -1)
 
 
-def _arrivals(model: Model, places: Path) -> dict[str, NDArray[Any] | None]:
+def _arrivals(model: Model, places: Path) -> dict[str, NDArray[np.generic] | None]:
     """Doses at the starts of sub-steps."""
     packed, step = places.packed, places.step
     if not len(step):

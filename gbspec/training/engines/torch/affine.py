@@ -14,19 +14,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import NoReturn
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.backends import GeneratedModule
+from gbspec.backends import Arithmetic, GeneratedModule, Network, Networks
 from gbspec.diagnostics import Defect
 from gbspec.ir import Model, is_affine
 
 Coefficient = float | Tensor
-Key = tuple[Any, ...]
-Field = Callable[[Any, Tensor, Tensor], Tensor]
+Key = tuple[str | int, ...]
+Field = Callable[[Tensor, Tensor, Tensor], Tensor]
 """A right-hand side: of times [B], states [B, n_states] and inputs [B, n_inputs]."""
 
 
@@ -34,7 +34,7 @@ class NotAffineError(Defect):
     """The equations hold something that is no sum of multiples, though the Model said that they do not."""
 
 
-def _refuse(*_: Any) -> Any:
+def _refuse(*_: object) -> NoReturn:
     raise NotAffineError("a right-hand side is not affine")
 
 
@@ -56,14 +56,14 @@ class Form:
     terms: dict[Key, Coefficient]
     constant: Coefficient = 0.0
 
-    def __add__(self, other: Any) -> Form:
+    def __add__(self, other: Form | Coefficient) -> Form:
         other = form_of(other)
         terms = dict(self.terms)
         for key, value in other.terms.items():
             terms[key] = terms[key] + value if key in terms else value
         return Form(terms, self.constant + other.constant)
 
-    def __mul__(self, factor: Any) -> Form:
+    def __mul__(self, factor: Form | Coefficient) -> Form:
         if isinstance(factor, Form):
             raise NotAffineError("a right-hand side is not affine")
         return Form({key: value * factor for key, value in self.terms.items()}, self.constant * factor)
@@ -71,13 +71,13 @@ class Form:
     def __neg__(self) -> Form:
         return self.__mul__(-1.0)
 
-    def __sub__(self, other: Any) -> Form:
+    def __sub__(self, other: Form | Coefficient) -> Form:
         return self.__add__(form_of(other).__mul__(-1.0))
 
-    def __rsub__(self, other: Any) -> Form:
+    def __rsub__(self, other: Form | Coefficient) -> Form:
         return self.__mul__(-1.0).__add__(other)
 
-    def __truediv__(self, divisor: Any) -> Form:
+    def __truediv__(self, divisor: Coefficient) -> Form:
         return self.__mul__(1.0 / divisor)
 
     __radd__ = __add__
@@ -86,16 +86,16 @@ class Form:
     __lt__ = __le__ = __gt__ = __ge__ = __eq__ = __ne__ = __bool__ = __float__ = _refuse
 
 
-def form_of(value: Any) -> Form:
+def form_of(value: Form | Coefficient) -> Form:
     """A value as a form; numbers and tensors are constants."""
     return value if isinstance(value, Form) else Form({}, value)
 
 
-def _arithmetic(ops: Any) -> Any:
+def _arithmetic(ops: Arithmetic) -> Arithmetic:
     """The torch arithmetic, in which no function but a sum takes a form."""
 
-    def only_numbers(function: Any) -> Any:
-        def call(*arguments: Any) -> Any:
+    def only_numbers(function: Callable[..., object]) -> Callable[..., object]:
+        def call(*arguments: object) -> object:
             flat = [x for a in arguments for x in (a if isinstance(a, tuple) else (a,))]
             return _refuse() if any(isinstance(x, Form) for x in flat) else function(*arguments)
 
@@ -106,7 +106,7 @@ def _arithmetic(ops: Any) -> Any:
     return SimpleNamespace(**table)
 
 
-_Calls = list[tuple[Any, list[Form]]]
+_Calls = list[tuple[Network, list[Form]]]
 """The networks that were called, with their arguments."""
 
 
@@ -114,7 +114,7 @@ _Calls = list[tuple[Any, list[Form]]]
 class _Call:
     """A call of a network: its first layer over states (with a bias) and over inputs, and the layers after it."""
 
-    network: Any
+    network: Network
     states: Tensor
     inputs: Tensor | None
     bias: Tensor
@@ -137,12 +137,12 @@ class Affine:
     inputs: Tensor | None
     calls: Sequence[_Call]
 
-    def at(self, rows: Any) -> Field:
+    def at(self, rows: Tensor | slice) -> Field:
         """The right-hand side of some of the trajectories."""
         shift = _rows(self.shift, rows)
         calls = [_Call(**vars(call) | {"bias": _rows(call.bias, rows)}) for call in self.calls]
 
-        def field(t: Any, x: Tensor, u: Tensor) -> Tensor:
+        def field(t: Tensor, x: Tensor, u: Tensor) -> Tensor:
             out = shift if self.states is None else torch.addmm(shift, x, self.states)
             out = out if self.inputs is None else torch.addmm(out, u, self.inputs)
             for call in calls:
@@ -152,28 +152,29 @@ class Affine:
         return field
 
 
-def _rows(table: Tensor, rows: Any) -> Tensor:
+def _rows(table: Tensor, rows: Tensor | slice) -> Tensor:
     return table[rows] if table.ndim > 1 else table
 
 
 class _Probe:
     """A network that writes down its calls and gives forms; it has the numbers that forms of contracts use."""
 
-    def __init__(self, network: Any, calls: _Calls) -> None:
+    def __init__(self, network: Network, calls: _Calls) -> None:
         if hasattr(network, "scale"):
             self.center, self.scale, self.spread = network.center, network.scale, network.spread
-        self._network, self._calls = getattr(network, "call", network), calls
+        self._calls = calls
+        self._network = network.call if hasattr(network, "call") else network
         if not hasattr(self._network, "through") or len(self._network.layers) < 2:
             raise NotAffineError("a right-hand side is not affine")
 
-    def __call__(self, *arguments: Any) -> tuple[Form, ...]:
+    def __call__(self, *arguments: Form | Coefficient) -> tuple[Form, ...]:
         number, outputs = len(self._calls), self._network.layers[-1][0].shape[1]
         self._calls.append((self._network, [form_of(argument) for argument in arguments]))
         return tuple(Form({("output", number, i): 1.0}) for i in range(outputs))
 
 
 def affine(
-    module: GeneratedModule, ops: Any, condition: Tensor, constants: Sequence[Tensor], networks: Sequence[Any]
+    module: GeneratedModule, ops: Arithmetic, condition: Tensor, constants: Sequence[Tensor], networks: Networks
 ) -> Affine:
     """The right-hand side of trajectories of these conditions [P, n_conditions] and constants ([P] or [] each).
 

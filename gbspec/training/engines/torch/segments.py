@@ -10,7 +10,6 @@ batch, and no work is done for those that have ended. Values and gradients are t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -73,7 +72,7 @@ class Schedule:
         segments = cut(packed, forcing.weight)
         self.segments = segments
 
-        def tensor(table: NDArray[Any]) -> Tensor:
+        def tensor(table: NDArray[np.generic]) -> Tensor:
             made = torch.from_numpy(table).to(device)
             return made.to(dtype) if made.is_floating_point() else made
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.backends import Value
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.problem import Integers, Path, Problem
@@ -23,7 +23,7 @@ class SubStep:
     t: Tensor
     h: Tensor
     nodes: tuple[Tensor, ...]
-    grid: Any
+    grid: Value
     arrivals: Arrivals | None = None
 
 
@@ -76,7 +76,7 @@ class Deliveries:
                     x = x + amount[:, None] * places[model.state_index[model.doses[kind].state]]
         return x
 
-    def moved(self, step: SubStep, arrivals: Arrivals) -> tuple[Any, tuple[Tensor, ...]]:
+    def moved(self, step: SubStep, arrivals: Arrivals) -> tuple[Value, tuple[Tensor, ...]]:
         """The grid and the inputs at the nodes of a sub-step whose ends move with learned lags.
 
         The moves are zero; they carry the derivatives.
@@ -100,7 +100,7 @@ class Deliveries:
         return out
 
 
-def _rows(value: Any, count: int) -> Any:
+def _rows(value: Tensor | float, count: int) -> Tensor | float:
     """The first rows of a term; numbers stand for all rows."""
     return value[:count] if isinstance(value, Tensor) and value.ndim else value
 

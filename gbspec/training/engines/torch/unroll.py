@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from gbspec.backends import Networks, Value
 from gbspec.ir import residuals
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
@@ -84,7 +84,7 @@ class Motion:
     once. `constants` [N, n_constants]."""
 
     def __init__(
-        self, problem: Problem, schedule: Schedule, parameters: Parameters, constants: Tensor, networks: Any
+        self, problem: Problem, schedule: Schedule, parameters: Parameters, constants: Tensor, networks: Networks
     ) -> None:
         self._problem, self._networks, self._condition = problem, networks, schedule.condition
         own = {len(problem.model.constants) + i for i in parameters.own}
@@ -108,12 +108,12 @@ class Motion:
         )
         return field
 
-    def grid(self, t: Tensor, h: Tensor) -> Any:
+    def grid(self, t: Tensor, h: Tensor) -> Value:
         """What the solver's step needs of times and lengths [B]."""
         return self._problem.module.equations.grid(self._problem.ops, t, h)
 
 
-def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: Any) -> Tensor:
+def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: Networks) -> Tensor:
     """Predicted channels at the key rows [R, C], from states [R, n_states] and constants [R, n_constants]."""
     packed = problem.packed
     c = states.new_tensor(packed.condition[packed.row_trajectory])
