@@ -1,9 +1,10 @@
 """True and learned initial states of trajectories, and the eigenvalues there (paper, discussion).
 
 An error along directions that decay before the next measurement is harmless, and no data can reveal it; the error
-is split into a fast and a slow part. Its unit D is the standard deviation of the true initial states. With J the true Jacobian at the true initial state, the modes of D^-1 J D that decay below 1/e within the mean
-interval between measurements span the fast part, the others the slow part. States measured at the initial time are
-exact by construction and not counted.
+is split into a fast and a slow part. Its unit D is the standard deviation of the true initial states. With J the true
+Jacobian at the true initial state, the modes of D^-1 J D that decay below 1/e within the mean interval between
+measurements span the fast part, the others the slow part. States measured at the initial time are exact by construction
+and not counted.
 """
 
 from __future__ import annotations
