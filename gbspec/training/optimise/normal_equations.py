@@ -66,7 +66,7 @@ def huber_weights(residuals: Array, delta: float) -> Array:
 class Cholesky:
     """A factored symmetric positive definite matrix [n, n] (torch's LAPACK is several times faster than scipy's).
 
-    Raises LinAlgError where the matrix is not positive definite to rounding.
+    Raises LinAlgError if the matrix is not numerically positive definite.
     """
 
     def __init__(self, matrix: Array) -> None:

@@ -265,7 +265,7 @@ def _step_inputs(item: Trajectory, model: Model, t: Array, h: Array, nodes: Sequ
         middle = evaluate(signal, spec.interpolation, t + h / 2)
         for k, node in enumerate(nodes):
             if spec.interpolation == "held":
-                # Breakpoints are step boundaries, so that a piecewise constant input equals its value at the middle of the step.
+                # Breakpoints are step boundaries: a piecewise constant input equals its value at the middle.
                 out[:, k, j] = middle
             else:
                 out[:, k, j] = evaluate(signal, "linear", t + node * h)

@@ -26,7 +26,7 @@ class Search:
         self.engine, self.parameters, self.seed = engine, engine.parameters, seed
 
     def begin(self, theta: Array) -> State:
-        """Nothing but the vector."""
+        """The initial state: only the vector."""
         return {"theta": theta}
 
     def step(self, state: State, iteration: int) -> Outcome:
