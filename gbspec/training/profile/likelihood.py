@@ -387,7 +387,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     if np.any(profiler.free.start_free == 0) and any(s.initial.kind == "measured" for s in profiler.model.states):
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:
-        notes.append("the data are followed to rounding, so the deviance is measured by the least noise allowed")
+        notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
     return Profile(name, member, least.value, points, low, high, math.sqrt(profiler.variance), tuple(notes))
 
 
