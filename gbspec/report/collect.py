@@ -1,4 +1,4 @@
-"""From a run and its data to what the figures show: solutions of every member, the truth's, values of the unknowns."""
+"""The content of figures from a run and its data: solutions of all members and of the truth, values of the unknowns."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from gbspec.runs import Run
 from gbspec.training import pack, scaling_of
 
 DENSE = 240
-"""Points of a curve over one trajectory."""
+"""Number of points of a curve over one trajectory."""
 FINE = 8
-"""How many times finer a trajectory is solved where points are then chosen along its length."""
+"""Factor on the number of solution points if evenly spaced points along the path are then selected."""
 
 
 class Fitted:
-    """A run over a data set: every member's evaluator and where each trajectory starts under it."""
+    """A run applied to a data set: the evaluator of each member, and each trajectory's initial state under it."""
 
     def __init__(self, run: Run, data: Trajectories) -> None:
         self.run, self.data, self.model = run, data, run.model
@@ -62,7 +62,7 @@ class Fitted:
         return Evaluator(load_module(with_truth(model))())
 
     def start(self, member: int, index: int) -> Start:
-        """Where trajectory `index` starts under a member: as learned, as known, or estimated from its own data."""
+        """The initial state of trajectory `index` under a member: learned, known, or estimated from its own data."""
         if (member, index) not in self._starts:
             evaluator, item = self.evaluators[member], self.data.items[index]
             position = learned_positions(evaluator.instance, self.data, self.run.fit.data)[index]
@@ -80,7 +80,7 @@ class Fitted:
         return np.stack([one.states for one in found]), np.stack([one.channels for one in found])
 
     def true_solution(self, index: int, times: Array) -> tuple[Array, Array] | None:
-        """States and channels of the truth from the same (mean) start; None where there is no truth."""
+        """States and channels of the truth from the same (mean) initial state; None if there is no truth."""
         if self.truth is None:
             return None
         starts = [self.start(m, index).state for m in range(len(self.evaluators))]
@@ -90,7 +90,7 @@ class Fitted:
 
 
 def initial_states(fitted: Fitted, indices: Sequence[int]) -> InitialStates:
-    """The first member's initial states of these trajectories beside bred and true ones. Raises `UserError` (GB876)."""
+    """The first member's initial states of these trajectories, with bred and true ones. Raises `UserError` (GB876)."""
     evaluator, model = fitted.evaluators[0], fitted.model
     system = system_of(evaluator, model)
     return compare_starts(evaluator, model, fitted.data, fitted.run.fit.data, system, fitted.truth, indices)
@@ -109,7 +109,7 @@ def dense_times(item: Trajectory) -> Array:
 
 
 def trajectory_fits(fitted: Fitted, indices: Sequence[int], *, hidden: bool = False) -> tuple[TrajectoryFit, ...]:
-    """Measurements and curves of these trajectories; `hidden`: also of the states that are no channel."""
+    """Measurements and curves of these trajectories; `hidden`: also of the states that no channel measures."""
     return tuple(_trajectory_fit(fitted, index, hidden) for index in indices)
 
 
@@ -137,9 +137,9 @@ def condition_text(model: Model, item: Trajectory) -> str:
 
 
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
-    """The residuals that training made small, of the mean of the members, at every measurement."""
+    """The residuals of the training objective for the mean of the members, at every measurement."""
     model, data = fitted.model, fitted.data
-    # One step for the whole of a trajectory: of the steps nothing is used here
+    # One step per trajectory suffices, since the sub-steps are not used here
     packed = pack(data, model, math.inf)
     scaling = scaling_of(model, packed, data)
     predicted = np.full(packed.values.shape, np.nan)
@@ -157,12 +157,12 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
 
 
 def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tuple[Orbit, ...]:
-    """Trajectories in the plane of two states; measured are the rows in which both are channels of their own."""
+    """Trajectories in the plane of two states; measured points are the rows in which channels measure both."""
     columns = [_channel_of(fitted.model, state) for state in plane]
     found = []
     for index in indices:
         item = fitted.data.items[index]
-        # Nothing of time is seen here, so a fast turn needs as many points as a slow one of the same length.
+        # Time is not shown, so that a fast turn needs as many points as a slow one of the same length.
         grid = np.linspace(item.start, item.end, FINE * DENSE) if item.end > item.start else dense_times(item)
         states, _ = fitted.solutions(index, grid)
         true = fitted.true_solution(index, grid)
@@ -176,7 +176,7 @@ def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tu
 
 
 def _even(path: Array) -> Array:
-    """At most `DENSE` points of a path [P, 2], evenly along its length in parts of its extent."""
+    """At most `DENSE` points of a path [P, 2], evenly spaced along its length relative to its extent."""
     extent = np.ptp(path, axis=0)
     steps = np.linalg.norm(np.diff(path, axis=0) / np.where(extent > 0, extent, 1.0), axis=1)
     if len(path) <= DENSE or not np.isfinite(steps).all():
@@ -190,7 +190,7 @@ def _channel_of(model: Model, state: int) -> int | None:
 
 
 def constants(run: Run) -> tuple[LearnedConstant, ...]:
-    """The learned constants of `fit.json` beside their truths."""
+    """The learned constants of `fit.json` and their true values."""
     truths = {t.name: t.value for t in run.model.truth_constants}
     return tuple(
         LearnedConstant(name, entry.value, entry.interval, entry.per_member, entry.start, truths.get(name))
@@ -199,7 +199,7 @@ def constants(run: Run) -> tuple[LearnedConstant, ...]:
 
 
 def history(run: Run) -> tuple[History, ...]:
-    """The history of every member, stages in their order, time counted on."""
+    """The history of every member, in the order of stages, with cumulative time."""
     names = [k.name for k in run.model.learnables if not k.per_trajectory]
     by_member: dict[int, list[dict[str, str]]] = {}
     for row in run.history():
@@ -217,19 +217,20 @@ def history(run: Run) -> tuple[History, ...]:
 
 
 def _positive(text: str) -> float:
-    """A loss on a logarithmic axis: NaN (a gap) where it is not above zero."""
+    """A loss on a logarithmic axis: NaN (a gap) if it is not positive."""
     value = float(text) if text else math.nan
     return value if value > 0 else math.nan
 
 
 class _Network(Protocol):
-    """A network of the generated module over arrays; with raw outputs it has more, which the module reads."""
+    """A network of the generated module over arrays; one with raw outputs has further attributes that the module
+    reads."""
 
     def __call__(self, *arguments: Array | float) -> tuple[Array, ...]: ...
 
 
 class _Recorded:
-    """A network that keeps the arguments of its calls; everything else is the network's own."""
+    """A network that records the arguments of its calls; all other attributes are those of the network."""
 
     def __init__(self, network: _Network) -> None:
         self.network = network

@@ -1,4 +1,4 @@
-"""What the figures show: plain arrays, whatever they were computed by. All float64."""
+"""The content of figures as plain float64 arrays."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gbspec.arrays import Array
 class ChannelFit:
     """One channel of one trajectory.
 
-    Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one a member of the
-    ensemble (their mean is drawn, their range shaded), and the `truth` [G] where there is one.
+    Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one per member of
+    the ensemble (their mean is drawn, their range shaded), and the `truth` [G] if there is one.
     """
 
     name: str
@@ -36,10 +36,10 @@ class TrajectoryFit:
 
 @dataclass(frozen=True)
 class LearnedFunction:
-    """One unknown over the states that the data visit.
+    """One unknown over the region of its arguments that the data cover.
 
     `points` [P, A] are its arguments along the fitted trajectories, `members` [M, P] its values there, `truth` [P] the
-    reference. Each of `slices` varies one argument over the range of the points while the others stand still.
+    reference. Each of `slices` varies one argument over the range of the points while the others are constant.
     """
 
     name: str
@@ -55,8 +55,8 @@ class LearnedFunction:
 class Slice:
     """A function of one argument: `x` [G], `members` [M, G], `truth` [G] or None; `label` says what is held fixed.
 
-    `postulate` [G] is what the user supposed, None where nothing was; `visited` [V] are values of the argument in the
-    data, within the range of `x`; `trained` is the range in which the network was trained, where it is known.
+    `postulate` [G] is the function postulated in the model, None if there is none; `visited` [V] are values of the
+    argument in the data, within the range of `x`; `trained` is the range of the network's training, if it is known.
     """
 
     argument: str
@@ -84,7 +84,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class LearnedConstant:
-    """A learned constant: its value, an interval, one value a member, where it started, and the truth."""
+    """A learned constant: its value, an interval, one value per member, its starting value, and the truth."""
 
     name: str
     value: float
@@ -96,7 +96,8 @@ class LearnedConstant:
 
 @dataclass(frozen=True)
 class History:
-    """How one member's loss fell: `seconds` [N] (cumulative), `loss` [N], `stage` one name each, constants over it."""
+    """One member's training: `seconds` [N] (cumulative), `loss` [N], the name of the `stage` of each, and the
+    constants."""
 
     member: int
     stage: tuple[str, ...]

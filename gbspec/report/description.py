@@ -1,4 +1,4 @@
-"""What a figure shows, drawn by matplotlib into files (`drawn`) and by plotly on the page (`html.charts`).
+"""The description of a figure, drawn by matplotlib into files (`drawn`) and by plotly on the page (`html.charts`).
 
 A figure is rows of blocks, a block rows of panels, a panel axes and marks. Panels are measured in inches, widths of
 lines and sizes of marks in points; arrays are float64, and NaN leaves a gap. Marks with the same label share an entry
@@ -53,7 +53,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Band:
-    """The ground between `low` and `high` [P] over `x` [P]."""
+    """The shaded area between `low` and `high` [P] over `x` [P]."""
 
     x: Array
     low: Array
@@ -65,7 +65,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Span:
-    """The ground of the whole panel between two values of one axis."""
+    """The shaded background of the panel between two values of one axis."""
 
     axis: Literal["x", "y"]
     low: float
@@ -89,7 +89,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class Rug:
-    """Short ticks at the lower edge: where data are."""
+    """Short ticks at the lower edge that show the positions of data."""
 
     x: Array
     color: str = MEASURED
@@ -108,7 +108,7 @@ class Heat:
 
 @dataclass(frozen=True)
 class Bars:
-    """A histogram that lies on its side: `counts` [B] between the values `edges` [B + 1] of the y axis."""
+    """A horizontal histogram: `counts` [B] between the values `edges` [B + 1] of the y axis."""
 
     edges: Array
     counts: Array
@@ -128,7 +128,7 @@ Mark: TypeAlias = Line | Points | Band | Span | Rule | Rug | Heat | Bars | Text
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis; without `range` it is as long as what is drawn, and by the share `margin` longer at either end."""
+    """An axis; without `range` it covers the marks, extended by the fraction `margin` at either end."""
 
     label: str = ""
     unit: str = ""
@@ -145,7 +145,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Panel:
-    """Marks over two axes; `legend`: in a file it has one of its own (on the page every panel has)."""
+    """Marks over two axes; `legend`: in a file it has its own legend (on the page every panel has one)."""
 
     marks: tuple[Mark, ...]
     x: Axis
@@ -158,7 +158,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Row:
-    """Panels side by side (None: an empty place); `heading` and `note` say what they have in common."""
+    """Panels side by side (None: an empty place); `heading` and `note` apply to all of them."""
 
     panels: tuple[Panel | None, ...]
     heading: str = ""
@@ -192,7 +192,7 @@ def single(panel: Panel, legend: Literal["", "below", "above"] = "") -> Figure:
 
 
 def wrapped(panels: tuple[Panel, ...], columns: int) -> tuple[Row, ...]:
-    """Panels in rows of so many columns, the last one filled up with empty places."""
+    """Panels in rows of `columns` panels, the last one completed by empty places."""
     starts = range(0, len(panels), columns)
     rows = (panels[start : start + columns] for start in starts)
     return tuple(Row((*row, *([None] * (min(columns, len(panels)) - len(row))))) for row in rows)
@@ -208,7 +208,7 @@ def ensemble(x: Array, members: Array) -> tuple[Mark, ...]:
 
 
 def truth(x: Array, y: Array) -> Line:
-    """A reference: dashed, over the learned curve, so that agreement is seen as the dashes lying on it."""
+    """A reference curve: dashed and drawn over the learned curve, so that agreement is visible."""
     return Line(x, y, "truth", TRUTH, 1.2, "dashed", layer=4)
 
 
@@ -218,13 +218,13 @@ def measured(x: Array, y: Array) -> Points:
 
 
 MANY = 60
-"""Measurements in a panel from which they are drawn smaller."""
+"""Number of measurements in a panel from which they are drawn smaller."""
 
 
 def beyond(
     axis: Literal["x", "y"], shown: tuple[float, float], trained: tuple[float, float] | None
 ) -> tuple[Span, ...]:
-    """Grey ground on the parts of the range `shown` beyond the trained range; none where that is not known."""
+    """A grey background on the parts of the range `shown` beyond the trained range; none if that is not known."""
     if trained is None:
         return ()
     (low, high), (first, last) = shown, trained
@@ -233,7 +233,7 @@ def beyond(
 
 
 def pieces(x: Array, y: Array, stable: tuple[bool, ...]) -> tuple[tuple[bool, Array, Array], ...]:
-    """A curve cut where its stability changes; neighbouring pieces share a point, so that no gap is seen."""
+    """A curve cut where its stability changes; neighbouring pieces share a point, so that there is no gap."""
     found, start = [], 0
     for end in range(1, len(x) + 1):
         if end == len(x) or stable[end] != stable[start]:
@@ -243,6 +243,6 @@ def pieces(x: Array, y: Array, stable: tuple[bool, ...]) -> tuple[tuple[bool, Ar
 
 
 def diagonal(low: float, high: float) -> Line:
-    """Where learned and true values would be equal."""
+    """The line on which learned and true values are equal."""
     ends = np.array([low, high])
     return Line(ends, ends, color=MUTED, width=0.9, layer=2)

@@ -39,7 +39,7 @@ LEGEND = 0.4
 IN_A_ROW = 5
 """Entries of a legend side by side."""
 LEAST_WIDTH = 5.2
-"""Inches below which a legend would be wider than its figure."""
+"""Width in inches below which a legend would be wider than its figure."""
 
 
 def drawn(shown: Description) -> Figure:
@@ -103,7 +103,7 @@ def _block(where: Figure | SubFigure, block: Block) -> None:
 
 
 def _entries(panels: Sequence[Axes]) -> Iterator[tuple[str, Artist]]:
-    """Labels and what they belong to, the same label again and again."""
+    """Labels and their artists; labels may be repeated."""
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             yield label, handle
@@ -186,4 +186,4 @@ def _points(axes: Axes, mark: Points, label: str) -> None:
 
 
 RASTER = 1000
-"""Points from which a file holds a picture of them, not each of them."""
+"""Number of points from which a file contains an image of them instead of each point."""

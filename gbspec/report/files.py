@@ -1,4 +1,4 @@
-"""The figures that go into files and notebooks: of a run by their kind, and of results."""
+"""Figures for files and notebooks: of a run by their kind, and of results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def draw(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
     """The figure of that kind; `show` names trajectories by label (default: the first four).
 
-    Raises `UserError` (GB813) where the run, the model or the data lack what the figure shows, `ValueError` where there
+    Raises `UserError` (GB813) if the run, the model or the data lack the content of the figure, `ValueError` if there
     is no such kind.
     """
     found = kind_of(kind)
@@ -38,12 +38,12 @@ def draw(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = (
 
 
 def diagram(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None = None) -> Figure:
-    """A bifurcation diagram, beside those of other members and of the truth."""
+    """A bifurcation diagram, with those of other members and of the truth."""
     return drawn(diagrams.figure(shown, others, truth))
 
 
 def plane(shown: PlaneDiagram, others: Sequence[PlaneDiagram] = (), truth: PlaneDiagram | None = None) -> Figure:
-    """Hopf and fold curves, beside those of other members and of the truth."""
+    """Hopf and fold curves, with those of other members and of the truth."""
     return drawn(planes.figure(shown, others, truth))
 
 
@@ -53,7 +53,7 @@ def profile(found: Profile, truth: float | None = None) -> Figure:
 
 
 def result(shown: object) -> Figure:
-    """The figure of a result. Raises `TypeError` for what has none."""
+    """The figure of a result. Raises `TypeError` for objects without a figure."""
     match shown:
         case Diagram():
             return diagram(shown)

@@ -1,7 +1,7 @@
-"""The figures of a run by their kinds: one entry each, from which `gbspec plot` and the page take what they offer.
+"""The table of the kinds of figures of a run, for `gbspec plot` and for the page.
 
-A kind's module has a function `build(source: Source) -> Figure`, which raises `MissingError` where there is nothing to
-show. The modules are imported when a figure is asked for, so that this table costs nothing to read.
+A kind's module has a function `build(source: Source) -> Figure`, which raises `MissingError` if there is nothing to
+show. The modules are imported when a figure is requested, so that importing this table is cheap.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Builder(Protocol):
-    """What a kind's module has."""
+    """The interface of a kind's module."""
 
     @staticmethod
     def build(source: Source) -> Figure:
@@ -25,7 +25,7 @@ class Builder(Protocol):
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of figure: `name` for `gbspec plot`, `help` beside it, and the `module` that builds it.
+    """A kind of figure: `name` for `gbspec plot`, its `help`, and the `module` that builds it.
 
     `heading` and `note` are those of its section on the page (without a heading it has none), `section` is the
     section's id where it is not the name. `also` are other names for `gbspec plot`.
@@ -114,7 +114,7 @@ KINDS = (
 
 
 def names() -> tuple[str, ...]:
-    """Everything that `gbspec plot` takes for a kind."""
+    """All names of kinds that `gbspec plot` accepts."""
     return tuple(name for kind in KINDS for name in (kind.name, *kind.also))
 
 

@@ -1,4 +1,4 @@
-"""How results show themselves in a notebook: as the text that the commands print, and as their figures.
+"""The display of results in a notebook: the text that the commands print, and their figures.
 
 IPython asks formatters by type for what to show. They are registered by name, so that nothing is imported for a type
 that is never shown.
@@ -25,7 +25,7 @@ TEXTS = (
     ("gbspec.analysis.validation.validate", "Validation"),
     ("gbspec.training.profile.likelihood", "Profile"),
 )
-"""What is shown as the text that `print` gives: module and name of the type."""
+"""Types that are displayed by the text of `print`: module and name of the type."""
 FIGURES = (
     ("gbspec.analysis.bifurcation.diagram", "Diagram"),
     ("gbspec.analysis.bifurcation.plane_diagram", "PlaneDiagram"),
@@ -33,7 +33,7 @@ FIGURES = (
     ("gbspec.training.profile.likelihood", "Profile"),
     ("matplotlib.figure", "Figure"),
 )
-"""What is drawn too."""
+"""Types that are also displayed by a figure."""
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""Predictions as a table: one row a row of the data, with intervals and what the row was used for."""
+"""Predictions as a table: one row per row of the data, with intervals and the use of the row."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def target(path: str | Path) -> Path:
 def frame(forecast: Forecast, time: str) -> pl.DataFrame:
     """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
 
-    `used` is `training`, `window` (the start was estimated from this row) or `predicted`; `outside` names the states
-    and conditions that lie beyond the range in which the model was trained.
+    `used` is `training`, `window` (the initial state was estimated from this row) or `predicted`; `outside` names the
+    states and conditions that lie beyond the range in which the model was trained.
     """
     items = forecast.items
     columns: dict[str, pl.Series] = {
@@ -43,7 +43,7 @@ def frame(forecast: Forecast, time: str) -> pl.DataFrame:
 
 
 def write(path: str | Path, forecast: Forecast, time: str) -> None:
-    """Writes the table in the form that the path's suffix says."""
+    """Writes the table in the format given by the path's suffix."""
     to = target(path)
     made = frame(forecast, time)
     if to.suffix.lower() in PARQUET:

@@ -1,4 +1,4 @@
-"""What the figures of a run are built from: the run, its data, and the trajectories that were asked for."""
+"""The source of a run's figures: the run, its data, and the requested trajectories."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class MissingError(Exception):
-    """The run, the model or the data have nothing for a figure: `why`, and what can be drawn `instead`."""
+    """The run, the model or the data lack the content of a figure: `why`, and which figure can be drawn `instead`."""
 
     def __init__(self, why: str, instead: str) -> None:
         super().__init__(why)
@@ -26,7 +26,7 @@ class MissingError(Exception):
 
 @dataclass(frozen=True)
 class Source:
-    """A run, its `data` (None where they are not there), and labels of trajectories to `show` (none: some of them).
+    """A run, its `data` (None if not available), and labels of trajectories to `show` (none: some of them).
 
     `page`: the figure is for the page, which has room for more than a file. `over` and `spectra` are the run over its
     data and the eigenvalues along them, where they are there already.
@@ -41,7 +41,7 @@ class Source:
 
     @cached_property
     def fitted(self) -> Fitted:
-        """The run over its data. Raises `MissingError` where there are none."""
+        """The run applied to its data. Raises `MissingError` if there are none."""
         if self.over is not None:
             return self.over
         if self.data is None or not len(self.data):
@@ -51,7 +51,7 @@ class Source:
         return Fitted(self.run, self.data)
 
     def chosen(self) -> list[int]:
-        """The trajectories that were asked for, in that order. Raises `UserError` (GB813) where one is not there."""
+        """The requested trajectories, in that order. Raises `UserError` (GB813) if one does not exist."""
         labels = [item.label for item in self.fitted.data.items]
         missing = [label for label in self.show if label not in labels]
         if missing:
@@ -61,6 +61,6 @@ class Source:
         return [labels.index(label) for label in self.show]
 
     def some(self, in_file: int, on_page: int) -> list[int]:
-        """The trajectories that were asked for; where none were, the first few in a file, evenly chosen on the page."""
+        """The requested trajectories; by default the first few in a file, and evenly selected ones on the page."""
         count = len(self.fitted.data)
         return self.chosen() or (evenly_spaced(count, on_page) if self.page else list(range(min(in_file, count))))

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LEARNED, TRUTH, MEASURED, MUTED = "#1f5fa8", "#2b2b2b", "#d9622b", "#8a8f98"
-"""Learned curves, the truth, measurements, and what is secondary. Distinct in grey and to the colour-blind."""
+"""Colours of learned curves, the truth, measurements and secondary marks; distinct in grey and to the colour-blind."""
 MEMBERS = ("#1f5fa8", "#3a8f5c", "#8e5ea2", "#c2872b", "#4aa3b8", "#b14a5b")
-"""One colour a member, or a state, where several are drawn."""
+"""Colours of members, or of states, if several are drawn."""
 CYCLE, FOLD = MEMBERS[1], MEMBERS[2]
 """Limit cycles; folds."""
 BEHIND = "#c3c7cd"
-"""The truth behind diagrams, where dashes would be taken for what is unstable."""
+"""The truth behind diagrams, where dashes would look like unstable parts."""
 FORMS = (".png", ".svg", ".pdf")
 
 _SETTINGS: Any = {
@@ -57,7 +57,7 @@ _SETTINGS: Any = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Settings for the figures made inside; nothing global is changed."""
+    """A context with the settings for figures; nothing global is changed."""
     import matplotlib as mpl
 
     with mpl.rc_context(_SETTINGS):
@@ -65,7 +65,7 @@ def styled() -> Iterator[None]:
 
 
 def figure(width: float, height: float) -> Figure:
-    """An empty figure (inches), bound to no window."""
+    """An empty figure (size in inches), without a window."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -84,7 +84,7 @@ def form_of(path: str | Path) -> Path:
 
 
 def save(made: Figure, path: str | Path) -> None:
-    """Writes the figure in the form its suffix says. Nothing of the clock goes in: the same figure, the same bytes."""
+    """Writes the figure in the format of its suffix, without a date: the same figure gives the same bytes."""
     target = form_of(path)
     clocks: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     metadata = clocks.get(target.suffix.lower(), {})

@@ -26,7 +26,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A plain text table: the first column to the left, the others to the right, two blanks between."""
+    """A plain text table: the first column left-aligned, the others right-aligned, two blanks between."""
     lines = [list(header), *(list(row) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     shown = []
@@ -38,7 +38,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def model_summary(model: Model) -> str:
-    """What a person wants to see confirmed: states and their starts, what is learned, what is measured."""
+    """A summary of a model: states and their initial values, learned and measured quantities."""
     lines = [f"{model.name}" + (f': "{model.title}"' if model.title else "")]
     rows = [(name, begin, _range(s.range), s.unit or "-", s.description or "-") for name, begin, s in _states(model)]
     lines.append(_left(("state", "starts", "range", "unit", "description"), rows))
@@ -62,7 +62,8 @@ def model_summary(model: Model) -> str:
 
 
 def _states(model: Model) -> Iterator[tuple[str, str, State]]:
-    """Name and start of each state; arrays as one where all of their elements start alike."""
+    """Name and initial value of each state; one entry for an array whose elements all have the same kind of initial
+    value."""
     families = {family.begin: family for family in model.families if family.vector == "starts"}
     arrays = {array.position: array for array in model.arrays}
     place = 0
@@ -79,7 +80,7 @@ def _states(model: Model) -> Iterator[tuple[str, str, State]]:
 
 
 def _measured(model: Model) -> list[str]:
-    """Names of the channels; of an array that is measured as a whole its range."""
+    """Names of the channels; for an array that is measured as a whole, its range."""
     arrays = {array.name: array.range for array in model.arrays}
     runs = model.runs("channels")
     return [
@@ -93,7 +94,7 @@ def _first(run: Family | int) -> int:
 
 
 def start(initial: Initial) -> str:
-    """How a state starts, in words."""
+    """The origin of a state's initial value, in words."""
     match initial.kind:
         case "expression":
             return f"= {sympy.sstr(initial.value, full_prec=False)}"
@@ -114,7 +115,7 @@ def _range(given: Range | None) -> str:
 
 
 def _left(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table with every column to the left; columns that say nothing are left out."""
+    """A table with all columns left-aligned; empty columns are omitted."""
     kept = [i for i in range(len(header)) if i == 0 or any(row[i] != "-" for row in rows)]
     lines = [[line[i] for i in kept] for line in (header, *rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(kept))]

@@ -1,4 +1,4 @@
-"""The learned functions over what the data visit: along each argument, over planes, beside the truth."""
+"""The learned functions over the region that the data cover: along each argument, over planes, with the truth."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gbspec.report.content import LearnedFunction, Plane, Slice
 
 CURVE, GRID = 160, 60
 TICKS = 120
-"""Marks that show where along a slice data are."""
+"""Number of marks that show the positions of data along a slice."""
 NEAR = 20
-"""Points that a slice needs near it before they set its range."""
+"""Number of points near a slice that are needed to determine its range."""
 FAR = 0.06
 """Parts of a plane further than this (in widths of the axes) from every visited point are left blank."""
 EDGE = 0.02
-"""The share of visited points left out at either end of an argument's range: a few outliers do not set the axis."""
+"""The fraction of visited points omitted at either end of an argument's range, so that outliers do not matter."""
 
 
 def learned_functions(fitted: Fitted) -> tuple[LearnedFunction, ...]:
@@ -41,7 +41,7 @@ def learned_functions(fitted: Fitted) -> tuple[LearnedFunction, ...]:
 
 
 class Expression:
-    """An expression of some parameters at given points, by the same printer as everything else.
+    """An expression of some parameters as a function of points.
 
     It is evaluated as the channel of a model that has the parameters as conditions and `constants` as constants.
     """
@@ -70,7 +70,7 @@ def truth_of(model: Model, name: str) -> Expression | None:
 
 
 def postulate_of(fitted: Fitted, unknown: Unknown) -> Expression | None:
-    """What the user supposed of an unknown, with the constants as learned; None where nothing was supposed."""
+    """The postulate of an unknown, with learned constants; None if there is none."""
     if unknown.postulate == NN:
         return None
     model, evaluator = fitted.model, fitted.evaluators[0]
@@ -128,7 +128,7 @@ class _Drawn:
         return None if self.postulate is None else self.postulate(points)
 
     def slice(self, i: int) -> Slice:
-        """The function along argument `i`, the others at their medians, as far as the data go there."""
+        """The function along argument `i` within the range of the data, with the others at their medians."""
         x = np.linspace(*self.reach(i), CURVE)
         points = np.tile(self.middle, (CURVE, 1))
         points[:, i] = x
@@ -146,11 +146,11 @@ class _Drawn:
         )
 
     def trained(self, i: int) -> tuple[float, float] | None:
-        """The range of argument `i` in which the network was trained, None where the weights do not say it."""
+        """The range of argument `i` in which the network was trained, None if the weights do not contain it."""
         weights = self.fitted.evaluators[0].instance.weights
         ends = [weights.get(f"network.{self.network}.input_{end}") for end in ("low", "high")]
         if ends[0] is None or ends[1] is None or not ends[0][i] < ends[1][i]:
-            return None  # of a hidden state its guess alone is known where the range is taken
+            return None  # for an unmeasured state only a guess was known when the range was set
         return float(ends[0][i]), float(ends[1][i])
 
     def reach(self, i: int) -> tuple[float, float]:
@@ -176,7 +176,7 @@ class _Drawn:
         return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}))
 
     def _far(self, places: Array, columns: list[int]) -> NDArray[np.bool_]:
-        """Which places [P, 2] in the plane of two arguments lie far from every visited point."""
+        """The mask of points `places` [P, 2] in the plane of two arguments that are far from every visited point."""
         from scipy.spatial import KDTree
 
         width = self.high[columns] - self.low[columns]

@@ -1,4 +1,4 @@
-"""Files of a run directory, each written whole or not at all."""
+"""Files of a run directory, each written atomically."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WEIGHTS, CHECKPOINT, CHECKPOINT_BEST = "weights.safetensors", "checkpoint.safete
 
 
 def member_directory(run: Path, member: int) -> Path:
-    """Where a member's files are."""
+    """The directory of a member's files."""
     return run / MEMBERS / str(member)
 
 
@@ -40,7 +40,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Writes JSON with keys in the order given; numbers in full, those that are not finite as null."""
+    """Writes JSON with keys in the order given; numbers in full precision, NaN and infinities as null."""
     write_bytes(path, (json.dumps(_finite(content), indent=2, ensure_ascii=False) + "\n").encode("utf-8"))
 
 
@@ -62,13 +62,13 @@ def _finite(value: object) -> object:
 
 
 def write_tensors(path: Path, arrays: Mapping[str, Array], remarks: Mapping[str, object]) -> None:
-    """Writes arrays as safetensors, with remarks (expressible as JSON) in its header."""
+    """Writes arrays as safetensors, with remarks (JSON values) in the header of the file."""
     whole = {name: np.asarray(value, order="C") for name, value in arrays.items()}
     write_bytes(path, dump_tensors(whole, {"remarks": json.dumps(_finite(remarks))}))
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Array], JsonObject]:
-    """Arrays and remarks of a file written by `write_tensors`. Raises ValueError where it is damaged."""
+    """Arrays and remarks of a file written by `write_tensors`. Raises ValueError if it is damaged."""
     content = path.read_bytes()
     try:
         arrays = load_tensors(content)
@@ -86,7 +86,7 @@ def history_header(constants: Sequence[str]) -> list[str]:
 
 
 def write_history(path: Path, constants: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Writes the history of all members: one row an iteration."""
+    """Writes the history of all members: one row per iteration."""
     import io
 
     text = io.StringIO()

@@ -1,6 +1,6 @@
-"""What `fit.json` says of a run: read and written here alone.
+"""The content of `fit.json`, which is read and written only here.
 
-The keys are the fields, in their order. A file of the first edition lacks those that have a default here.
+The keys are the names of the fields, in their order. Files of the first edition lack the keys of fields with a default.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from gbspec.runs.typed_json import JsonError, decode, encode, read_object
 from gbspec.version import __version__
 
 Option = str | int | float | bool | None
-"""The value of an option of training; whole numbers stay whole."""
+"""The value of an option of training; integers stay integers."""
 OLDEST = 1
-"""The first interface of the generated module whose runs are still read; a run that names none is of it."""
+"""The oldest interface of the generated module whose runs can still be read; assumed if a run names none."""
 DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
 
 
@@ -38,7 +38,7 @@ class DataRecord:
 
 @dataclass(frozen=True)
 class ConstantRecord:
-    """A learned constant, in its unit: the mean over members, its sd and 90 % interval (None: not known)."""
+    """A learned constant, in its unit: mean over members, standard deviation, 90 % interval (None: not known)."""
 
     value: float
     sd: float | None
@@ -50,7 +50,7 @@ class ConstantRecord:
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage of a member's training; None for a loss that is not finite, or of a stage that did not begin."""
+    """A stage of a member's training; the loss is None if it is not finite or the stage did not begin."""
 
     name: str
     iterations: int
@@ -61,7 +61,7 @@ class StageRecord:
 
 @dataclass(frozen=True)
 class MemberRecord:
-    """A member's fit; `rmse` by channel, None where its solution blew up."""
+    """A member's fit; `rmse` by channel, None if the solution was not finite."""
 
     seed: int
     loss: float | None
@@ -73,7 +73,7 @@ class MemberRecord:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """The check of a member's step: largest differences over the states' ranges (None: none, or not finite)."""
+    """Check of a member's step: largest differences relative to the states' ranges (None: no check, or not finite)."""
 
     half_step: float | None
     adaptive: float | None
@@ -87,10 +87,10 @@ class StepRecord:
 class FitRecord:
     """The content of `fit.json`.
 
-    `gbspec` is the version that wrote it and `interface` that of its generated module; `noise` [standard deviation] by
-    channel; `correlations` of the shared constants by their names, empty where not known; `solver` one of
-    `gbspec.ir.methods`; `step_checks` one a member,
-    empty where none was made. `others` are keys that this version does not know: they are kept.
+    `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
+    deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
+    `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made. `others` are keys
+    that this version does not know; they are kept.
     """
 
     gbspec: str
@@ -109,19 +109,19 @@ class FitRecord:
     others: Mapping[str, object] = field(default_factory=dict)
 
     def to_json(self) -> JsonObject:
-        """The document of `fit.json`."""
+        """The content of `fit.json` as a JSON object."""
         document: JsonObject = encode(self)
         return document
 
     def write(self, directory: Path) -> None:
-        """Writes `fit.json` into a run directory, whole or not at all."""
+        """Writes `fit.json` into a run directory, atomically."""
         files.write_json(directory / files.FIT, self.to_json())
 
 
 def read_record(directory: Path, findings: Findings) -> FitRecord | None:
-    """What the `fit.json` of a run directory says.
+    """Reads the `fit.json` of a run directory.
 
-    None where it is damaged, with GB852 for each key that is wrong, or of another interface, with GB857.
+    Returns None if it is damaged (GB852 for each wrong key) or of an interface that this version cannot read (GB857).
     """
     path = directory / files.FIT
     if not path.is_file():
@@ -149,9 +149,9 @@ def read_record(directory: Path, findings: Findings) -> FitRecord | None:
 
 
 def _of_another_interface(directory: Path, content: Mapping[str, object], findings: Findings) -> bool:
-    """Whether the run's weights are for a generated module that this version does not make, which is then reported.
+    """Whether the run's weights are for a generated module that this version does not read, which is reported.
 
-    It is asked before anything else is read: the keys may be others, too.
+    This is checked before anything else is read, since the keys may differ too.
     """
     interface, wrote = content.get("interface", OLDEST), content.get("gbspec")
     if type(interface) is not int or OLDEST <= interface <= INTERFACE:

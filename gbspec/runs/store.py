@@ -1,4 +1,4 @@
-"""Opening a run directory: its model, its members' weights, what was found, and predictions of all members."""
+"""Opening a run directory: its model, its members' weights, the results of the fit, and predictions of all members."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gbspec.runs.record import DAMAGED, FitRecord, read_record
 class Run:
     """A run directory. `fit` is the content of `fit.json`; `numbers` are the members that have weights.
 
-    `values` are constants that were set by hand: every member has them in place of what it learned.
+    `values` are constants set by the user; in every member they replace the learned values.
     """
 
     path: Path
@@ -33,16 +33,16 @@ class Run:
 
     @cached_property
     def module(self) -> type[GeneratedModule]:
-        """The class of the generated module, stepped by the method that the run was trained with."""
+        """The class of the generated module, with the Runge-Kutta method that the run was trained with."""
         return load_module(self.model, self.method)
 
     @property
     def method(self) -> Method:
-        """The method that it was trained with; older runs do not name theirs, the classical one."""
+        """The Runge-Kutta method of the training; older runs, which do not name it, used the classical one."""
         return METHODS[self.fit.solver]
 
     def stepped_by(self, method: Method) -> Run:
-        """The same run with steps of another method."""
+        """The same run with another Runge-Kutta method."""
         return replace(self, fit=replace(self.fit, solver=method.name))
 
     @cached_property
@@ -52,8 +52,8 @@ class Run:
     def member(self, number: int = 0) -> GeneratedModule:
         """The generated module with the weights of one member.
 
-        Raises `UserError` (GB854) where there is no such member, (GB853) where its weights are damaged or belong to
-        another model.
+        Raises `UserError`: GB854 if there is no such member, GB853 if its weights are damaged or belong to another
+        model.
         """
         if number not in self.numbers:
             there = ", ".join(map(str, self.numbers))
@@ -69,7 +69,7 @@ class Run:
         return self._loaded[number]
 
     def _set(self, member: GeneratedModule) -> GeneratedModule:
-        """The member with `values` in its constants; those of which each trajectory has its own are all set."""
+        """The member with its constants set to `values`; a constant per trajectory is set in all trajectories."""
         if not self.values:
             return member
         learned = zip(member.constants, member.weights["constants"], strict=True)
@@ -80,7 +80,7 @@ class Run:
         return type(member)(weights, member.info)
 
     def amended(self, fit: FitRecord) -> Run:
-        """The same run with another `fit.json`, which is written."""
+        """The same run with another `fit.json`, which is also written."""
         fit.write(self.path)
         return replace(self, fit=fit)
 
@@ -91,26 +91,26 @@ class Run:
 
     @property
     def best(self) -> int:
-        """The number of the member whose loss is least."""
+        """The number of the member with the smallest loss."""
         losses = {n: m.loss for n, m in zip(self.numbers, self.fit.members, strict=False) if m.loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
 
     def mean(self, predict: Callable[[GeneratedModule], Array]) -> Array:
-        """The mean over members of what `predict` (module instance -> array) gives."""
+        """The mean over members of the result of `predict` (module instance -> array)."""
         return np.asarray(np.mean([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
     def spread(self, predict: Callable[[GeneratedModule], Array]) -> Array:
-        """The standard deviation over members of what `predict` gives (zero for a single member)."""
+        """The standard deviation over members of the result of `predict` (zero for a single member)."""
         return np.asarray(np.std([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
     @property
     def max_step(self) -> float | None:
-        """The largest step of the solver that it was trained with."""
+        """The largest step of the solver in training."""
         value = self.member(self.numbers[0]).info.get("max_step")
         return float(value) if value is not None else None
 
     def history(self) -> list[dict[str, str]]:
-        """The rows of `history.csv`; none where the file is not there."""
+        """The rows of `history.csv`; empty if there is no such file."""
         import csv
 
         path = self.path / files.HISTORY
@@ -123,8 +123,8 @@ class Run:
 def open_run(path: str | Path) -> Run:
     """Reads a run directory.
 
-    Raises `UserError`: GB851 where it is no run, GB852 where a file of it is missing or damaged, GB857 where it is of
-    another version of the generated module, GB853 where no member has weights; and what is wrong with its `model.gb`.
+    Raises `UserError`: GB851 if it is not a run, GB852 if one of its files is missing or damaged, GB857 if it has
+    another version of the generated module, GB853 if no member has weights; also with the errors of its `model.gb`.
     """
     directory = Path(path)
     if not (directory / files.FIT).is_file() and not (directory / files.MODEL).is_file():

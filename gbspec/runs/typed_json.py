@@ -1,8 +1,8 @@
-"""JSON into frozen dataclasses by their annotations, and back; every value that does not fit is reported by its key.
+"""JSON into frozen dataclasses by their annotations, and back; every invalid value is reported with its key.
 
 A field may be a str, int, float, bool, None, Literal, tuple, Mapping from names, another such dataclass, or a union of
-these. A field without a default must be there. A dataclass with a field `others` keeps the keys that it does not know;
-without one they are dropped.
+these. A field without a default is required. A dataclass with a field `others` keeps unknown keys; otherwise they are
+dropped.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ T = TypeVar("T")
 # A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
 
 OTHERS = "others"
-"""The field of a dataclass that holds the keys it does not know."""
+"""The field of a dataclass that holds unknown keys."""
 WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", NoneType: "null"}
 LARGEST = 2**63
-"""Whole numbers reach below this, as those of numpy and torch."""
+"""Bound on the magnitude of integers, as in numpy and torch."""
 SHOWN = 40
-"""Characters of a wrong value that a message repeats."""
+"""Number of characters of a wrong value that are quoted in a message."""
 
 
 class JsonError(ValueError):
-    """JSON that is not what was expected; `findings` has a sentence for each key."""
+    """JSON of unexpected form; `findings` has a sentence for each wrong key."""
 
     def __init__(self, findings: list[str]) -> None:
         self.findings = tuple(findings)
@@ -37,11 +37,11 @@ class JsonError(ValueError):
 
 
 def read_object(path: Path) -> dict[str, object]:
-    """The one JSON object of a file. Raises JsonError where it holds anything else, OSError where it cannot be read."""
+    """The JSON object in a file. Raises JsonError if the file holds anything else, OSError if it cannot be read."""
     try:
         content = json.loads(path.read_bytes().decode("utf-8"), parse_constant=_refuse)
-        json.dumps(content, ensure_ascii=False).encode("utf-8")  # half a surrogate pair is JSON, and no text
-    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, numbers of thousands of digits, too deep
+        json.dumps(content, ensure_ascii=False).encode("utf-8")  # an unpaired surrogate is valid JSON but not text
+    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, huge numbers, nested too deeply
         raise JsonError([str(error)]) from None
     if not isinstance(content, dict):
         raise JsonError([f"it holds {_shown(content)}; expected an object"])
@@ -53,7 +53,7 @@ def _refuse(name: str) -> float:
 
 
 def decode(kind: type[T], value: object, key: str = "") -> T:
-    """A dataclass from a JSON value whose keys are below `key`. Raises JsonError with all that is wrong in it."""
+    """A dataclass from a JSON value whose keys are below `key`. Raises JsonError with all errors in it."""
     findings: list[str] = []
     found: T = _read(kind, value, key, findings)
     if findings:
@@ -62,7 +62,7 @@ def decode(kind: type[T], value: object, key: str = "") -> T:
 
 
 def encode(value: object) -> Any:
-    """The JSON value of such a dataclass or of a part of one: keys in the order of the fields, unknown ones last."""
+    """The JSON value of a dataclass or of a part of one: keys in the order of the fields, unknown keys last."""
     if is_dataclass(value) and not isinstance(value, type):
         known = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.name != OTHERS}
         return known | dict(getattr(value, OTHERS, {}))
@@ -72,7 +72,7 @@ def encode(value: object) -> Any:
 
 
 def _read(kind: Any, value: Any, key: str, findings: list[str]) -> Any:
-    """The value as its kind; None, and a finding, where it is of another."""
+    """The value converted to `kind`; None, and an entry in `findings`, if it does not fit."""
     alternatives = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
     fitting = next((one for one in alternatives if _fits(one, value)), None)
     if fitting is None:
@@ -105,13 +105,13 @@ def _read_fields(kind: Any, value: dict[str, Any], key: str, findings: list[str]
 
 @cache
 def _fields(kind: Any) -> dict[str, tuple[Any, Field[Any]]]:
-    """The fields that stand in the JSON: what each may be, and its declaration."""
+    """The fields that occur in the JSON: for each its type and its declaration."""
     hints = get_type_hints(kind)
     return {f.name: (hints[f.name], f) for f in fields(kind) if f.name != OTHERS}
 
 
 def _fits(kind: Any, value: Any) -> bool:
-    """Whether a value is of a kind, its parts aside."""
+    """Whether a value is of a kind; its parts are not examined."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Literal:
         return any(type(value) is type(one) and value == one for one in arguments)
@@ -125,7 +125,7 @@ def _fits(kind: Any, value: Any) -> bool:
 
 
 def _word(kind: Any) -> str:
-    """What is expected, in words."""
+    """The expected kind, in words."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         return " or ".join(map(_word, arguments))
@@ -141,7 +141,7 @@ def _many(kind: Any) -> str:
 
 
 def _shown(value: object) -> str:
-    """A wrong value: itself where it is short, else what it is."""
+    """A wrong value for a message: the value if it is short, otherwise its kind."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else f"a list of {len(value)}"
     text = json.dumps(value, ensure_ascii=False)

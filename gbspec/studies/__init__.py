@@ -1,4 +1,4 @@
-"""Studies: the cases of a `cases.toml` fitted many times and set beside what was published; cross-validation."""
+"""Studies: the cases of a `cases.toml` fitted repeatedly and compared with published results; cross-validation."""
 
 import lazy_loader
 

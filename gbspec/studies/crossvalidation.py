@@ -33,7 +33,7 @@ SUMMARY = "crossvalidation.json"
 
 @dataclass(frozen=True)
 class CrossOptions:
-    """How `gbspec crossvalidate` divides the data and predicts what was left out."""
+    """How `gbspec crossvalidate` divides the data and predicts the held-out part."""
 
     folds: int | None = field(
         default=None,
@@ -65,7 +65,7 @@ class CrossOptions:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Errors of each fold and of all held-out measurements together; `failures` say which folds have none, and why."""
+    """Errors of each fold and of all held-out measurements together; `failures`: the reason for each failed fold."""
 
     model: str
     over: Over
@@ -76,7 +76,7 @@ class CrossValidation:
     points: tuple[Point, ...] = field(repr=False, default=())
 
     def to_json(self) -> dict[str, object]:
-        """The document of `crossvalidate --json`."""
+        """The content of `crossvalidate --json`."""
         return {
             "model": self.model,
             "over": self.over,
@@ -100,10 +100,10 @@ def crossvalidate(
     options: CrossOptions,
     progress: Callable[[Fold], Progress],
 ) -> CrossValidation:
-    """Fits the model without each fold and predicts it; finished folds are kept, an interrupted one goes on.
+    """Fits the model without each fold and predicts the fold; finished folds are kept, an interrupted one is continued.
 
-    Raises UserError (GB814, GB820 for a directory of something else, GB821 where the data cannot be divided), and
-    ComputationError where no fold could be fitted.
+    Raises UserError (GB814; GB820 if the directory belongs to something else; GB821 if the data cannot be divided), and
+    ComputationError if no fold could be fitted.
     """
     options.check()
     over = way(data, options.over)
@@ -130,7 +130,7 @@ def crossvalidate(
 
 
 def _begin(directory: Path, model: Model, data: Trajectories, training: TrainOptions, options: CrossOptions) -> None:
-    """Writes down what the cross-validation is of, or refuses to continue one of something else (GB820)."""
+    """Records model, data and options, or refuses to continue a cross-validation begun with others (GB820)."""
     fixed = training.settings(("workers", "threads", "scheduler"))
     content = [fingerprint(item) for item in data.items]
     parts = [hashlib.sha256(model.text.encode()).hexdigest(), content, fixed, asdict(options)]
@@ -178,11 +178,11 @@ def _fitted(
 
 
 _KNOWN = ("trajectory", "time", "channel", "measured", "in_logarithms")
-"""What a held-out measurement always has; a prediction that is not finite (it blew up) is left out of the record."""
+"""The keys that every held-out measurement has; a prediction that is not finite is left out of the record."""
 
 
 def _spreads(data: Trajectories) -> dict[str, float]:
-    """The deviation of each channel over all of the data."""
+    """The standard deviation of each channel over all data."""
     from gbspec.data import channel_statistics
 
     return {one.name: one.scale for one in channel_statistics(data)}

@@ -1,4 +1,4 @@
-"""How data are divided for cross-validation: by trajectories, or into stretches of time."""
+"""The division of data for cross-validation: by trajectories, or into blocks of successive rows."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from gbspec.diagnostics import Diagnostic, UserError
 Over = Literal["trajectories", "time"]
 
 FEW = 20
-"""Up to this many trajectories each is left out once; beyond, there are five folds."""
+"""Up to this many trajectories, each is left out once; with more there are five folds."""
 FOLDS = 5
 
 
 @dataclass(frozen=True)
 class Fold:
-    """One division of the data. `kept` are fitted; of `whole` the rows marked in `held` [R] each are predicted.
+    """One division of the data. `kept` are fitted; the rows of `whole` marked in `held` (masks [R]) are predicted.
 
-    Over trajectories, `whole` are the trajectories left out, all of their rows held. Over time, `kept` and `whole` are
-    the same trajectories in the same order, `kept` without the held rows but with the same start.
+    For folds of trajectories, `whole` are the trajectories left out, with all their rows held. For folds over time,
+    `kept` and `whole` are the same trajectories in the same order, `kept` without the held rows but with the same
+    initial time.
     """
 
     number: int
@@ -34,14 +35,14 @@ class Fold:
 
 
 def way(data: Trajectories, over: Over | None) -> Over:
-    """Over what the folds go: trajectories, unless there is a single one (or as asked for)."""
+    """The kind of folds: as requested, otherwise trajectories, or time if there is a single trajectory."""
     return over or ("trajectories" if len(data) > 1 else "time")
 
 
 def folds(data: Trajectories, over: Over, count: int | None, seed: int) -> tuple[Fold, ...]:
-    """The folds. Trajectories are dealt at random; a stretch of time is a run of successive rows of each trajectory.
+    """The folds: trajectories assigned at random, or blocks of successive rows of each trajectory.
 
-    Raises UserError (GB821) where the data cannot be divided so.
+    Raises UserError (GB821) if the data cannot be divided in this way.
     """
     made = _by_trajectory(data, count, seed) if over == "trajectories" else _by_time(data, count)
     return tuple(made)
@@ -72,14 +73,14 @@ def _by_time(data: Trajectories, count: int | None) -> Iterator[Fold]:
 
 
 def _stretch(rows: int, number: int, count: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which rows belong to a stretch: successive ones, as many in each as in the others, give or take one."""
+    """A mask of the rows of block `number`: successive rows; the sizes of the blocks differ by at most one."""
     edges = np.linspace(0, rows, count + 1).round()
     index = np.arange(rows)
     return np.asarray((index >= edges[number]) & (index < edges[number + 1]), dtype=np.bool_)
 
 
 def _without(item: Trajectory, held: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Trajectory:
-    """The trajectory without these rows; it starts when it started, so that its first stretch can be predicted."""
+    """The trajectory without these rows; its initial time is kept, so that its first block can be predicted."""
     return replace(item, **{name: getattr(item, name)[~held] for name in ("times", "values", "counts", "sd")})
 
 

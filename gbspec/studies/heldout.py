@@ -1,4 +1,4 @@
-"""What a run predicts of data that it did not see, and how far off that is."""
+"""A run's predictions of data that it was not fitted to, and their errors."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Point:
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors over held-out measurements of one channel; a number that cannot be told is NaN.
+    """Errors over held-out measurements of one channel; a number that cannot be computed is NaN.
 
-    `nrmse` is over the channel's deviation in all data, `rmse_log` of natural logarithms (where all values are
-    positive), `covered` the share inside of the 90 % intervals. `unsolved` measurements have no prediction and are in
-    none of these.
+    `nrmse` is relative to the channel's standard deviation in all data, `rmse_log` that of natural logarithms (if all
+    values are positive), `covered` the share within the 90 % intervals. `unsolved` measurements have no prediction and
+    do not count in the other numbers.
     """
 
     n: int
@@ -60,9 +60,9 @@ class Errors:
 def held_out(run: Run, fold: Fold, window: int | None) -> list[Point]:
     """The predictions of a run for the held rows of its fold.
 
-    Over trajectories: starts and constants of their own are estimated from each trajectory's first rows (`window`),
-    which then count as seen and are left out. Over time: the trajectory is solved from the start that was learned from
-    all its other rows, before and after.
+    For folds of trajectories, initial states and per-trajectory constants are estimated from the first rows (`window`)
+    of each trajectory, which are then excluded from the errors. For folds over time, the trajectory is solved from the
+    initial state that was learned from all its other rows, before and after the block.
     """
     return _trajectories(run, fold, window) if fold.over == "trajectories" else _stretches(run, fold)
 
@@ -115,7 +115,7 @@ def _points(
 
 
 def errors(points: Sequence[Point], spreads: Mapping[str, float]) -> dict[str, Errors]:
-    """The errors of each channel that has held-out measurements; `spreads` are the channels' deviations."""
+    """The errors of each channel that has held-out measurements; `spreads` are the channels' standard deviations."""
     found = {}
     for name, spread in spreads.items():
         mine = [point for point in points if point.channel == name]

@@ -1,4 +1,4 @@
-"""One member of a study: its data are simulated (or read), it is fitted, and compared with the truth."""
+"""One member of a study: simulates (or reads) its data, fits it, and compares the fit with the truth."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ NORMS = ("L1", "L2", "Linf")
 
 @dataclass(frozen=True)
 class Place:
-    """Where the files of a study are."""
+    """The locations of a study's files."""
 
     root: Path
 
     def record(self, task: Task) -> Path:
-        """What a finished member reached; it is written last, so a member that has one is finished."""
+        """The record of a finished member; it is written last, so that a member with a record is finished."""
         return self.root / "members" / task.case.name / f"{task.member}.json"
 
     def run(self, task: Task) -> Path:
-        """The member's run directory, of which an interrupted fit is continued."""
+        """The member's run directory, in which an interrupted fit is continued."""
         return self.root / "runs" / task.case.name / str(task.member)
 
     def table(self, task: Task) -> Path:
-        """The member's data."""
+        """The table of the member's data."""
         return self.root / "runs" / task.case.name / f"{task.member}.csv"
 
 
 def read_record(path: Path) -> JsonObject | None:
-    """A finished member, None where it is not. A damaged record counts as none."""
+    """The record of a finished member; None if there is none or it is damaged."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError):
@@ -59,8 +59,8 @@ def read_record(path: Path) -> JsonObject | None:
 def fit_member(task: Task, place: Place, threads: int = 1, keep: bool = False) -> JsonObject:
     """Simulates, trains, validates, and writes the member's record; an interrupted fit is continued.
 
-    A fit that fails is a result too: its record has a `failure`. Raises KeyboardInterrupt after saving what was
-    reached.
+    A fit that fails is a result too: its record has a `failure`. Raises KeyboardInterrupt after saving the
+    intermediate result.
     """
     resumed = (place.run(task) / files.FIT).is_file()
     record: JsonObject = {
@@ -91,7 +91,7 @@ def discard(task: Task, place: Place) -> None:
     shutil.rmtree(place.run(task), ignore_errors=True)
     place.table(task).unlink(missing_ok=True)
     for folder in (place.run(task).parent, place.run(task).parent.parent):
-        with contextlib.suppress(OSError):  # not empty: others are at work there
+        with contextlib.suppress(OSError):  # not empty: other members are still in progress there
             folder.rmdir()
 
 
@@ -122,7 +122,7 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
 
 
 def measured(task: Task, model: Model, place: Place) -> Trajectories:
-    """The member's data: the case's table, or simulated ones, read back from a table as a user's would be."""
+    """The member's data: the case's table, or simulated data, read back from a table like a user's."""
     from gbspec.data import write
     from gbspec.operations import models, tables
 
@@ -139,7 +139,7 @@ def measured(task: Task, model: Model, place: Place) -> Trajectories:
 
 
 def check(run: Run, data: Trajectories, task: Task) -> JsonObject:
-    """The errors of a fitted member on its data and against the truth, and what was warned of."""
+    """The errors of a fitted member on its data and against the truth, and the warnings."""
     from gbspec.analysis import validate
 
     found = validate(run, data, member=0, sampling=task.case.sampling, metrics=task.case.metrics)
@@ -154,7 +154,7 @@ def check(run: Run, data: Trajectories, task: Task) -> JsonObject:
 
 
 def starts(run: Run, data: Trajectories, task: Task) -> JsonObject:
-    """The tables on starts that the case asks for, by what is known of simulated data."""
+    """The tables on initial states that the case requests, from the known truth of simulated data."""
     if not task.case.tables or task.case.data is not None:
         return {}
     from gbspec.studies.starts import Starts
@@ -165,9 +165,9 @@ def starts(run: Run, data: Trajectories, task: Task) -> JsonObject:
 
 
 def errors_of(found: Validation) -> dict[str, Mapping[str, float | int]]:
-    """The norms of each metric against the truth; of constants the mean relative error, as `L2` (the paper's name).
+    """The norms of each metric against the truth; for constants the mean relative error, as `L2` (the paper's name).
 
-    Without a truth, the mean NRMSE of the channels on the data, infinite where a trajectory could not be solved.
+    Without a truth, the mean NRMSE of the channels on the data, infinite if a trajectory could not be solved.
     """
     truth = found.truth
     if truth is None:

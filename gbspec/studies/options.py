@@ -1,4 +1,4 @@
-"""The options of a study: one frozen dataclass from which flags and help derive."""
+"""The options of a study: a frozen dataclass from which flags and help are derived."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Runs the tasks of a study, each in a process of its own, and writes the tables anew after each.
+"""Runs the tasks of a study, each in a separate process, and rewrites the tables after each.
 
-A process of its own keeps the CPU time of a member apart, and lets the study survive one that is killed for lack of
-memory. Finished members have a record and are never fitted again; an unfinished one goes on from its checkpoint.
+Separate processes allow the CPU time of each member to be measured, and the study survives a process that is killed for
+lack of memory. Finished members have a record and are never refitted; an unfinished one continues from its checkpoint.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from gbspec.studies.tables import write_tables
 from gbspec.studies.tasks import Study, Task
 
 POLL = 0.2
-"""Seconds between looks at the workers."""
+"""Seconds between polls of the workers."""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 Told = Callable[[Task, JsonObject, int, int], None]
-"""Called with a finished task, its record, and how many of how many are done."""
+"""Called with a finished task, its record, the number of finished tasks, and the number of all tasks."""
 
 
 def run_study(study: Study, root: Path, options: StudyOptions, command: str, told: Told) -> JsonObject:
     """Fits what is not fitted yet (nothing with `--table-only`) and writes the tables; gives `study.json`'s content.
 
-    Raises UserError (GB820) where the directory holds a study with other settings, ComputationError where the process
-    of a member died, KeyboardInterrupt once the workers are stopped.
+    Raises UserError (GB820) if the directory holds a study with other settings, ComputationError if the process of a
+    member died, KeyboardInterrupt once the workers are stopped.
     """
     place = Place(root)
     tasks = study.tasks()
@@ -45,7 +45,7 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
     if not waiting:
         return write_tables(study, place, command)
     check_models(study)
-    # With `--keep-runs` every member has a run of its own.
+    # With `--keep-runs` every member has its own run.
     equal = {} if options.keep_runs else equal_tasks(tasks)
     share_records(equal, place)
     waiting = [task for task in waiting if task.name not in equal]
@@ -64,7 +64,7 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
 
 
 def equal_tasks(tasks: Sequence[Task]) -> dict[str, tuple[Task, Task]]:
-    """By name, tasks whose fit is that of an earlier one (the same model, data, options and tables), and that one."""
+    """Tasks by name that need the same fit as an earlier task (same model, data, options, tables), with that task."""
     first: dict[tuple[object, ...], Task] = {}
     equal: dict[str, tuple[Task, Task]] = {}
     settings = {task.case.name: task.settings for task in tasks if task.member == 0}
@@ -76,7 +76,7 @@ def equal_tasks(tasks: Sequence[Task]) -> dict[str, tuple[Task, Task]]:
 
 
 def share_records(equal: Mapping[str, tuple[Task, Task]], place: Place) -> None:
-    """Gives tasks that have no record that of the equal one, where it is finished."""
+    """Copies the record of the equal task, if it is finished, to each task without a record."""
     for task, other in equal.values():
         if read_record(place.record(task)) is None:
             record = read_record(place.record(other))
@@ -85,7 +85,7 @@ def share_records(equal: Mapping[str, tuple[Task, Task]], place: Place) -> None:
 
 
 def check_models(study: Study) -> None:
-    """Raises UserError where a case's model is wrong, or has no truth though its data are to be simulated."""
+    """Raises UserError if a case's model is invalid, or has no truth although its data are to be simulated."""
     from gbspec import frontend
     from gbspec.passes import with_truth
 
@@ -96,7 +96,7 @@ def check_models(study: Study) -> None:
 
 
 def check_settings(tasks: list[Task], place: Place) -> None:
-    """Raises UserError (GB820) where finished members of a case were fitted with other settings."""
+    """Raises UserError (GB820) if finished members of a case were fitted with other settings."""
     settings: dict[str, str] = {}
     for task in tasks:
         record = read_record(place.record(task))
@@ -129,7 +129,7 @@ def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Cal
                     lost.append(f"{task.name} ({_ending(process)})")
             time.sleep(POLL)
     finally:
-        for process in running:  # there are some only after an interruption; their checkpoints are seconds old
+        for process in running:  # any are left only after an interruption; their checkpoints are seconds old
             process.terminate()
             process.join()
     if lost:
@@ -163,7 +163,7 @@ def _start(task: Task, place: Place, options: StudyOptions) -> BaseProcess:
 
 
 def _work(task: Task, place: Place, threads: int, keep: bool) -> None:
-    """One member, in its process, which leaves the terminal's process group: the parent alone hears Ctrl-C."""
+    """Fits one member in its process, which leaves the terminal's process group: only the parent receives Ctrl-C."""
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -171,7 +171,7 @@ def _work(task: Task, place: Place, threads: int, keep: bool) -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker whose study was killed does not go on alone: another study may already be at its member."""
+    """Makes this worker end with its parent, since another study may already have begun the same member."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -180,7 +180,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Within it SIGTERM, which ends jobs in the background, does what Ctrl-C does."""
+    """A context in which SIGTERM, which ends background jobs, has the effect of Ctrl-C."""
     before = signal.signal(signal.SIGTERM, _raise_interrupt)
     try:
         yield

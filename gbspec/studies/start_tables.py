@@ -11,10 +11,10 @@ SPECTRA = ("true", "learned_at_true", "learned")
 
 
 def joined(records: Sequence[JsonObject]) -> JsonObject:
-    """What the members of a case say of starts together; empty where the case asks for none.
+    """The summary over the members of a case about initial states; empty if the case requests none.
 
-    Spectra are the first member's; distances and differences the median over members of their medians, and the worst
-    of their worst.
+    Spectra are those of the first member; distances and differences are the median over members of the members'
+    medians, and the largest over members.
     """
     found: JsonObject = {}
     spectra = [record["eigenvalues"] for record in records if "eigenvalues" in record]
@@ -45,7 +45,7 @@ def _together(several: Sequence[JsonObject]) -> JsonObject:
 
 
 def sections(cases: Mapping[str, JsonObject]) -> list[str]:
-    """The lines of `table.md` on starts, for the cases that have them."""
+    """The lines of `table.md` on initial states, for the cases that have them."""
     lines: list[str] = []
     for name, case in cases.items():
         if "eigenvalues" in case:

@@ -1,10 +1,10 @@
-"""Where trajectories start, as it truly was and as it was learned, and the eigenvalues there (paper, discussion).
+"""True and learned initial states of trajectories, and the eigenvalues there (paper, discussion).
 
-A start that is off along directions that die out before the next measurement does no harm, and no data can tell it;
-so the difference is split into a fast part and a slow one. It is measured in deviations of the true starts, D; with J
-the true Jacobian at the true start, the modes of D^-1 J D that fall below 1/e within the mean interval between
-measurements span the fast part, the others the slow one. States that were measured at the start are right there by
-construction and are not counted.
+An error along directions that decay before the next measurement is harmless, and no data can reveal it; the error
+is split into a fast and a slow part. Its unit D is the standard deviation of the true initial states. With J the true
+Jacobian at the true initial state, the modes of D^-1 J D that decay below 1/e within the mean interval between
+measurements span the fast part, the others the slow part. States measured at the initial time are exact by construction
+and not counted.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Spectra = np.ndarray[tuple[int, int], np.dtype[np.complex128]]
 
 @dataclass(frozen=True)
 class Starts:
-    """The starts [N, n] of all trajectories, true and learned, and what is needed to compare them."""
+    """True and learned initial states [N, n] of all trajectories, and the data needed to compare them."""
 
     run: Run
     data: Trajectories
@@ -47,7 +47,7 @@ class Starts:
 
     @classmethod
     def of(cls, run: Run, data: Trajectories, sampling: SimulateOptions) -> Starts:
-        """Of the first member of a run on simulated data. Raises ComputationError where the truth cannot be solved."""
+        """Those of a run's first member on simulated data. Raises ComputationError if the truth cannot be solved."""
         from gbspec.backends import Evaluator
 
         truth, learned = truth_evaluator(run.model), Evaluator(run.member(run.numbers[0]))
@@ -56,11 +56,12 @@ class Starts:
         return cls(run, data, sampling.dt, truth, learned, true, found)
 
     def eigenvalues(self) -> dict[str, object]:
-        """Spectra of the first trajectory's start, and the median distances to the truth over all trajectories.
+        """Spectra at the first trajectory's initial state, and median distances to the truth over all trajectories.
 
-        `true` are the truth's at the true start, by falling real part, `learned_at_true` and `learned` what was learned
-        at the true and at the learned start, each beside the true one that it is nearest to (the assignment of least
-        total distance); `error_at_true` and `error` [n] are the distances.
+        `true` are the eigenvalues of the true Jacobian at the true initial state, by decreasing real part;
+        `learned_at_true` and `learned` those of the learned Jacobian at the true and at the learned initial state, in
+        the order of the true ones (by the assignment of least total distance); `error_at_true` and `error` [n] are the
+        distances.
         """
         true = self._spectra(self.truth, self.true)
         at_true = matched(self._spectra(self.learned, self.true), true)
@@ -82,10 +83,10 @@ class Starts:
         return np.asarray(evaluator.jacobian_at(item.start, state, item.condition, inputs), dtype=np.float64)
 
     def initial_states(self) -> dict[str, object]:
-        """How far learned starts are off, in deviations of the true ones: medians, and the worst.
+        """Errors of learned initial states, in standard deviations of the true ones: medians and maxima.
 
-        `states` by state, over the trajectories in which it was not measured at the start (`n` of them); `fast` and
-        `slow` along these directions, over the trajectories in which any was not.
+        `states` by state, over the `n` trajectories in which it was not measured at the initial time; `fast` and `slow`
+        along these directions, over the trajectories in which some state was not measured then.
         """
         scale = self.true.std(axis=0)
         scale = np.where(scale > 0, scale, 1.0)
@@ -100,7 +101,7 @@ class Starts:
         return {"states": states, "fast": _middle(split[:, 0]), "slow": _middle(split[:, 1])}
 
     def _split(self, index: int, off: Array, scale: Array) -> tuple[float, float]:
-        """The lengths of the fast and the slow part of a difference [n] (in deviations)."""
+        """The lengths of the fast and the slow part of a difference [n] (in standard deviations)."""
         jacobian = self._jacobian(self.truth, index, self.true[index]) * scale / scale[:, None]
         values, vectors = np.linalg.eig(jacobian)
         parts = vectors * np.linalg.solve(vectors, off.astype(complex))
@@ -120,7 +121,7 @@ def matched(spectra: Spectra, reference: Spectra) -> Spectra:
 
 
 def _middle(values: Array) -> dict[str, object]:
-    """Number, median and largest of some values; null without any."""
+    """Number, median and maximum of some values; null if there are none."""
     if not len(values):
         return {"n": 0, "median": None, "worst": None}
     return {"n": len(values), "median": float(np.median(values)), "worst": float(values.max())}

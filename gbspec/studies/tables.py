@@ -24,14 +24,14 @@ METRICS = {
     "constants": "constants",
     "data": "data (nrmse)",
 }
-"""Metrics as the records have them, and as the table calls them; the data's where there is no truth."""
+"""Names of metrics in the records and in the table; without a truth the metric of the data."""
 SINGLE = ("constants", "data")
-"""Metrics of which there is one number instead of three norms."""
+"""Metrics with one number instead of three norms."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Numbers of several members: a failed one counts as infinite in median and worst; there is then no mean."""
+    """Statistics over members: a failed member counts as infinite in median and worst; there is then no mean."""
 
     mean: float
     sd: float
@@ -40,7 +40,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """The spread of at least one number."""
+        """The statistics of at least one number."""
         finite = all(math.isfinite(value) for value in values)
         ordered = sorted(values)
         middle = len(ordered) // 2
@@ -55,7 +55,7 @@ class Spread:
 
 
 def write_tables(study: Study, place: Place, command: str) -> JsonObject:
-    """Writes the three files from the records that are there; gives the content of `study.json`."""
+    """Writes the three files from the existing records; returns the content of `study.json`."""
     records: dict[str, list[JsonObject]] = {case.name: [] for case in study.cases}
     for task in study.tasks():
         record = read_record(place.record(task))
@@ -70,7 +70,7 @@ def write_tables(study: Study, place: Place, command: str) -> JsonObject:
 
 
 def summarise(study: Study, records: Mapping[str, Sequence[JsonObject]], command: str) -> JsonObject:
-    """The content of `study.json`: spreads over the members that are finished, case by case."""
+    """The content of `study.json`: statistics over the finished members, case by case."""
     everything = [record for several in records.values() for record in several]
     return {
         "command": command,
@@ -86,7 +86,7 @@ def summarise(study: Study, records: Mapping[str, Sequence[JsonObject]], command
 
 
 def _versions(records: Sequence[JsonObject]) -> dict[str, list[str]]:
-    """Which versions of gbspec and its libraries the members were fitted with."""
+    """The versions of gbspec and its libraries with which the members were fitted."""
     found: dict[str, set[str]] = {}
     for record in records:
         for name, version in record.get("versions", {}).items():
@@ -122,7 +122,7 @@ def _case(case: Case, planned: int, effort: str, records: Sequence[JsonObject]) 
 
 
 def _value(record: JsonObject, metric: str, norm: str) -> float:
-    """A member's number; infinite where the fit failed, or some of the points could not be computed."""
+    """A metric of a member; infinite if the fit failed, or some of the points could not be computed."""
     entry = record.get("errors", {}).get(metric, {})
     value = entry.get(norm)
     return math.inf if value is None or entry.get("failed") else float(value)
@@ -130,7 +130,7 @@ def _value(record: JsonObject, metric: str, norm: str) -> float:
 
 # ------------------------------------------------------------------------------------------------------- results.csv
 def results(records: Mapping[str, Sequence[JsonObject]]) -> str:
-    """One row a member; cells are empty where there is no number."""
+    """One row per member; cells without a number are empty."""
     columns = [f"{metric}_{norm}" for metric, norm in _COLUMNS]
     names = sorted({name for several in records.values() for record in several for name in record.get("constants", {})})
     head = ["case", "member", "seed", "failure", "cpu_seconds", "wall_seconds", "resumed", "step_warning", "loss"]
@@ -150,7 +150,7 @@ def results(records: Mapping[str, Sequence[JsonObject]]) -> str:
 
 
 _COLUMNS = [(metric, norm) for metric in METRICS for norm in NORMS if metric not in SINGLE or norm == "L2"]
-"""What a row of results has."""
+"""The columns of a row of results."""
 
 
 # ---------------------------------------------------------------------------------------------------------- table.md
@@ -204,7 +204,7 @@ def _row(case: str, metric: str, entry: JsonObject) -> str:
 
 
 def number(value: float | None) -> str:
-    """Three digits; `failed` where a member failed."""
+    """A number with three digits; `failed` if it is not finite because a member failed."""
     if value is None:
         return ""
     return f"{value:.2e}" if math.isfinite(value) else "failed"

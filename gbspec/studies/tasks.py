@@ -1,7 +1,7 @@
-"""What a study has to do: which cases were meant, with which settings, and one task for each member of each.
+"""The tasks of a study: which cases are selected, with which settings, and one task for each member of each case.
 
 The order is by member first: every case has its first fit before any has its second, so that a table of an unfinished
-study is fair to all of them.
+study treats all cases alike.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from gbspec.studies.options import StudyOptions
 from gbspec.training import TrainOptions
 
 SET_BY_THE_STUDY = ("members", "seed", "workers", "threads", "scheduler", "resume")
-"""Options of training that a case cannot have, since the study gives them."""
+"""Options of training that a case cannot set, since the study sets them."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """Chosen cases in order, each with how many members it has and the options that they are trained with."""
+    """The selected cases in order, each with its number of members and the options of their training."""
 
     cases: tuple[Case, ...]
     members: tuple[int, ...]
@@ -44,7 +44,7 @@ class Study:
 
 @dataclass(frozen=True)
 class Task:
-    """One fit of one case. `seed` is that of its data and of its weights."""
+    """One fit of one case. `seed` is used for its data and for its weights."""
 
     case: Case
     member: int
@@ -53,31 +53,31 @@ class Task:
 
     @property
     def name(self) -> str:
-        """As it is called in messages."""
+        """Its name in messages."""
         return f"{self.case.name} member {self.member}"
 
     @property
     def settings(self) -> str:
-        """A fingerprint of everything that the result depends on but the seed and gbspec itself.
+        """A fingerprint of everything that the result depends on except the seed and gbspec itself.
 
-        Raises UserError where the model is wrong.
+        Raises UserError if the model is invalid.
         """
         from gbspec import frontend
 
         sampling, metrics = (dataclasses.asdict(part) for part in (self.case.sampling, self.case.metrics))
         training = self.training.settings(SET_BY_THE_STUDY)
         sampling.pop("seed")
-        source = frontend.load_model(str(self.case.model), Findings()).text.encode()  # what it extends is in there
+        source = frontend.load_model(str(self.case.model), Findings()).text.encode()  # with the models it extends
         data = self.case.data.read_bytes() if self.case.data else b""
         parts = [hashlib.sha256(source).hexdigest(), hashlib.sha256(data).hexdigest(), sampling, metrics, training]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def study_of(texts: Sequence[str], options: StudyOptions) -> Study:
-    """The study that the arguments of `gbspec study` mean.
+    """The study that the arguments of `gbspec study` denote.
 
-    Raises UserError: GB801 where there are no such cases, GB743 where a case is not among them, GB741 and GB742 where a
-    case's training is not what `gbspec train` knows.
+    Raises UserError: GB801 if there are no such cases, GB743 if a case is not among them, GB741 and GB742 if a case has
+    training options that `gbspec train` does not have.
     """
     options.check()
     chosen = _chosen(texts, options.case)
@@ -93,7 +93,7 @@ def study_of(texts: Sequence[str], options: StudyOptions) -> Study:
 
 
 def _chosen(texts: Sequence[str], names: Sequence[str]) -> tuple[Case, ...]:
-    """The cases named by `FILE`, `FOLDER` or `FILE:CASE,CASE` texts, and among them those of `--case`."""
+    """The cases named by `FILE`, `FOLDER` or `FILE:CASE,CASE` texts, restricted to those of `--case`."""
     chosen: list[Case] = []
     for text in texts:
         place, _, listed = text.partition(":")
@@ -111,23 +111,23 @@ def _chosen(texts: Sequence[str], names: Sequence[str]) -> tuple[Case, ...]:
 
 
 def _default(cases: Sequence[Case], names: Sequence[str]) -> list[Case]:
-    """The cases of a file that are meant where none is named; all of them where `--case` will name some."""
+    """The cases of a file if none is named: the default ones, or all of them if `--case` selects among them."""
     return [case for case in cases if names or case.training.members]
 
 
 def cases_file(text: str) -> Path:
-    """The `cases.toml` meant: a file, a folder that has one, or the name of a folder of shipped models."""
+    """The path of the `cases.toml` that a file, a folder, or the name of a folder of bundled models denotes."""
     for path in (Path(text), Path(text) / FILE, models_folder() / text / FILE):
         if path.is_file():
             return path
     known = sorted(path.parent.name for path in models_folder().glob(f"*/{FILE}"))
     meant = similar(text, known)
-    advice = f"is `{meant}` meant?" if meant else f"name a `cases.toml`, or one of {', '.join(known)}"
+    advice = f"did you mean `{meant}`?" if meant else f"name a `cases.toml`, or one of {', '.join(known)}"
     raise UserError([Diagnostic("GB801", f"there are no cases `{text}`", None, help=advice)])
 
 
 def _training(case: Case, options: StudyOptions, findings: Findings) -> TrainOptions:
-    """How the members of a case are trained; what is wrong with that goes into `findings`."""
+    """The options with which the members of a case are trained; errors in them are added to `findings`."""
     place = Cell(str(case.model.parent / FILE)) if case.model else None
 
     def report(code: str, key: str, what: str) -> None:

@@ -1,4 +1,4 @@
-"""The options of training: one frozen dataclass from which flags, configuration keys and help derive."""
+"""The options of training: a frozen dataclass from which flags, configuration keys and help are derived."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
 
 STAGES = tuple(str(name) for name in StageName if name not in BY_METHOD)
-"""The stages that `--stages` can name; the plan says which of them a model and its data have."""
+"""The stages that `--stages` can name; the plan determines which of them exist for a model and its data."""
 
 
 @dataclass(frozen=True)
@@ -208,18 +208,18 @@ class TrainOptions:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("resume", "scheduler")} | named
 
     def settings(self, left_out: Collection[str]) -> dict[str, str | int | float | bool | None]:
-        """The options for a fingerprint of what a result depends on, without those left out.
+        """The options that a result depends on, for a fingerprint, without those in `left_out`.
 
-        The default solver is not in it: fingerprints from before there was a choice are still met.
+        The default solver is omitted, so that fingerprints from before there was a choice stay valid.
         """
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
 
     @classmethod
     def recorded(cls, options: Mapping[str, Option], run: Path) -> TrainOptions:
-        """The options of a run as its `fit.json` has them; those that it lacks are at their defaults.
+        """The options of a run recorded in its `fit.json`; missing ones have their defaults.
 
-        Raises UserError (GB852) where one has a value that it cannot have.
+        Raises UserError (GB852) if an option has an invalid value.
         """
         findings = Findings()
         try:

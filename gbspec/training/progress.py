@@ -1,4 +1,4 @@
-"""What training tells while it runs; whoever shows it implements `Progress`."""
+"""Reports of training while it runs; a class that shows them implements `Progress`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Protocol
 class Update:
     """One iteration of one member.
 
-    `total` is the most iterations that the stage may take; `loss` is the mean over measured values of half the squared
-    residual; `constants` are shared learned constants by name; `seconds_left` is an estimate of the time to the end.
+    `total` is the largest number of iterations of the stage; `loss` is the mean over measured values of half the
+    squared residual; `constants` are shared learned constants by name; `seconds_left` is an estimate of the time to the
+    end.
     """
 
     member: int
@@ -26,13 +27,13 @@ class Update:
 
 
 class Progress(Protocol):
-    """Receives what happens, in order; called from the process that called `train`."""
+    """Receives events in order; called in the process that called `train`."""
 
     def update(self, update: Update) -> None:
-        """An iteration is done."""
+        """Receives a completed iteration."""
 
     def message(self, text: str) -> None:
-        """A remark worth showing: a decision, a warning."""
+        """Receives a remark for the user: a decision, a warning."""
 
 
 class Silent:

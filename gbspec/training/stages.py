@@ -1,4 +1,4 @@
-"""The stages of the estimation: their names, and the most iterations of each by effort.
+"""The stages of the estimation: their names, and the largest number of iterations of each by effort.
 
 `gbspec.training.recipe.planning` says when each of them runs; docs/training.md describes them.
 """
@@ -13,7 +13,7 @@ Effort = Literal["low", "normal", "high"]
 
 
 class StageName(StrEnum):
-    """What a stage is called in options, histories, `fit.json` and checkpoints."""
+    """The names of stages in options, histories, `fit.json` and checkpoints."""
 
     ADAM = "adam"
     IMPUTED = "imputed forcing"
@@ -35,7 +35,7 @@ class StageName(StrEnum):
 
 
 BY_METHOD = frozenset({StageName.LEVENBERG_MARQUARDT})
-"""Stages that only `--method` chooses; `--stages` names the others."""
+"""Stages that only `--method` can select; `--stages` selects among the others."""
 
 _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.ADAM: (15, 25, 60),
@@ -54,5 +54,5 @@ _EFFORTS: tuple[Effort, ...] = ("low", "normal", "high")
 
 
 def most_iterations(stage: StageName, effort: Effort) -> int:
-    """The most iterations of a stage; 1 for stages that are one step whatever the effort."""
+    """The largest number of iterations of a stage; 1 for stages that consist of one step at any effort."""
     return _MOST[stage][_EFFORTS.index(effort)] if stage in _MOST else 1

@@ -1,1 +1,1 @@
-"""Figures: a module each, from what is known of a run, or from a result, to the description of what is drawn."""
+"""Figures: each module builds the description of one kind of figure, from a run or from a result."""

@@ -1,4 +1,4 @@
-"""The learned constants, each on an axis of its own."""
+"""The learned constants, each on its own axis."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def build(source: Source) -> Figure:
 
 
 def figure(learned: Sequence[LearnedConstant]) -> Figure:
-    """One row a constant."""
+    """One row per constant."""
     return Figure(((Block(tuple(Row((panel(constant),)) for constant in learned), "below"),),))
 
 
 def panel(constant: LearnedConstant, *, height: float = 0.95) -> Panel:
-    """Value, interval, members, start and truth of a constant on a horizontal axis."""
+    """Value, interval, members, starting value and truth of a constant on a horizontal axis."""
     marks: list[Mark] = []
     if constant.interval is not None:
         marks.append(Line(np.array(constant.interval), np.zeros(2), "interval", width=4.0, alpha=0.35, layer=2))

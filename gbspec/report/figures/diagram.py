@@ -1,4 +1,4 @@
-"""Bifurcation diagrams: branches of steady states, limit cycles and special points, a panel a state."""
+"""Bifurcation diagrams: branches of steady states, limit cycles and special points, one panel per state."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ MARKERS: dict[str, tuple[Marker, str]] = {
     "period_doubling": ("down", MEMBERS[4]),
     "torus": ("plus", MEMBERS[5]),
 }
-"""How special points are drawn: by their shape and colour."""
+"""The shape and colour of each kind of special point."""
 ACROSS = 3
 
 
 def figure(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None = None) -> Figure:
-    """One panel a state: `shown` in colour, `others` (members) faint behind it, the `truth` broad and grey.
+    """One panel per state: `shown` in colour, `others` (members) faint behind it, the `truth` broad and grey.
 
-    Stable parts are solid, unstable ones dashed; of a cycle its largest and smallest values are drawn. The range in
-    which the model was trained is white, what lies beyond it grey.
+    Stable parts are solid, unstable ones dashed; cycles are drawn by their largest and smallest values. The range in
+    which the model was trained is white, the rest grey.
     """
     panels = tuple(_panel(shown, others, truth, state) for state in range(len(shown.states)))
     return Figure(((Block(wrapped(panels, ACROSS), "below"),),))
@@ -48,7 +48,7 @@ def figure(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None
 def _panel(shown: Diagram, others: Sequence[Diagram], truth: Diagram | None, state: int) -> Panel:
     marks: list[Mark] = [*beyond("x", (shown.low, shown.high), shown.trained)]
     if truth is not None:
-        # Broad, grey and behind: dashes would be taken for what is unstable
+        # Broad, grey and behind: dashes would look like unstable parts
         marks += [Line(x, y, "truth", BEHIND, 4.5, layer=1.5) for _, x, y, _ in _curves(truth, state)]
     for other in others:
         marks += _branches(other, state, named=False)
@@ -59,7 +59,7 @@ def _panel(shown: Diagram, others: Sequence[Diagram], truth: Diagram | None, sta
 
 
 def _curves(shown: Diagram, state: int) -> Iterator[tuple[str, Array, Array, tuple[bool, ...]]]:
-    """Each curve: what it is, parameter, height, and where it is stable."""
+    """Each curve: its kind, parameter values, heights, and mask of stability."""
     for branch in shown.branches:
         if branch.points:
             x = np.array([point.value for point in branch.points])

@@ -1,4 +1,4 @@
-"""Eigenvalues of the Jacobian in the complex plane, at all points that were looked at."""
+"""Eigenvalues of the Jacobian in the complex plane, at all points where it was computed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, TRUTH
 
 MOST = 400
-"""Points whose eigenvalues are drawn; of more than these, evenly chosen ones: more would be one black spot."""
+"""Largest number of points whose eigenvalues are drawn; of more points, evenly spaced ones are selected."""
 
 
 def build(source: Source) -> Figure:
-    """The eigenvalues along the data, beside the truth's where there is one."""
+    """The eigenvalues along the data, with those of the truth if there is one."""
     found = along(source) if source.spectra is None else source.spectra
     if not found.points:
         raise MissingError("there is no point with a finite Jacobian", "fit")
@@ -33,7 +33,7 @@ def along(source: Source) -> Eigen:
 
 
 def figure(found: Eigen) -> Figure:
-    """Learned as points, true as circles; a view of all but the few that lie far to the left."""
+    """Learned eigenvalues as points, true ones as circles; the few that lie far to the left are outside the view."""
     points = [found.points[i] for i in evenly_spaced(len(found.points), MOST)]
     learned = np.concatenate([np.zeros(0, complex), *(point.eigenvalues for point in points)])
     marks: list[Mark] = [Rule("x", 0.0), Points(learned.real, learned.imag, "learned", LEARNED, 3.2, alpha=0.6)]
@@ -50,7 +50,7 @@ def figure(found: Eigen) -> Figure:
 
 
 def _view(values: Array) -> tuple[float, float] | None:
-    """The range of all but the lowest hundredth, where those few would press everything else together."""
+    """The range without the lowest hundredth of the values, if these would compress the rest; else None."""
     if not len(values):
         return None
     low, high = float(np.quantile(values, 0.01)), float(values.max())

@@ -1,4 +1,4 @@
-"""Measurements, learned solution and truth: a row a trajectory, a panel a channel."""
+"""Measurements, learned solution and truth: one row per trajectory, one panel per channel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gbspec.report.description import Axis, Block, Figure, Mark, Panel, Row, ens
 from gbspec.report.source import Source
 
 IN_FILE, ON_PAGE = 4, 24
-"""Trajectories where none are named."""
+"""Number of trajectories if none are named."""
 
 
 def build(source: Source) -> Figure:
@@ -21,7 +21,7 @@ def build(source: Source) -> Figure:
 
 
 def figure(trajectories: Sequence[TrajectoryFit], time: str = "t") -> Figure:
-    """One row a trajectory, one column a channel."""
+    """One row per trajectory, one column per channel."""
     columns = max(len(trajectory.channels) for trajectory in trajectories)
     rows = []
     for trajectory in trajectories:

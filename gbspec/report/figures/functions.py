@@ -1,4 +1,4 @@
-"""The unknown functions over what the data visit: along each argument, over planes, and against the truth."""
+"""The unknown functions over the region that the data cover: along each argument, over planes, against the truth."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from gbspec.report.style import LEARNED, MUTED
 from gbspec.report.unknowns import learned_functions
 
 ACROSS = 3
-"""Panels side by side."""
+"""Number of panels side by side."""
 SLICES = 3
-"""Slices of a function in a file; those along which it varies most come first."""
+"""Number of slices of a function in a file; those along which it varies most come first."""
 OUTERMOST = 0.002
 """The share of values at either end that the comparison with the truth leaves out."""
 
@@ -46,7 +46,7 @@ def build(source: Source) -> Figure:
 
 
 def figure(learned: Sequence[LearnedFunction], slices: int | None = SLICES) -> Figure:
-    """A block a function: so many (None: all) slices, its plane where it has several arguments, and the truth."""
+    """One block per function: `slices` slices (None: all), a plane if it has several arguments, and the truth."""
     blocks = []
     for function in learned:
         shown = [slice_panel(function.name, piece, legend=k == 0) for k, piece in enumerate(function.slices[:slices])]
@@ -61,7 +61,7 @@ def figure(learned: Sequence[LearnedFunction], slices: int | None = SLICES) -> F
 
 
 def slice_panel(name: str, piece: Slice, *, legend: bool = True) -> Panel:
-    """A function along one argument, beside its truth and postulate; ticks show where data are."""
+    """A function along one argument, with its truth and postulate; ticks show the positions of data."""
     ends = float(piece.x[0]), float(piece.x[-1])
     marks: list[Mark] = [*beyond("x", ends, piece.trained)]
     if piece.postulate is not None:

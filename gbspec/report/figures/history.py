@@ -43,7 +43,7 @@ def _curves(members: Sequence[History], name: str | None) -> list[Mark]:
 
 
 def _stages(member: History) -> tuple[list[Span], list[Text]]:
-    """Ground for every other stage of a member, and the names of those that are long enough for theirs."""
+    """A background for every other stage of a member, and the names of stages that are long enough for them."""
     if not member.stage:
         return [], []
     stage, seconds = member.stage, member.seconds

@@ -1,4 +1,4 @@
-"""Learned, bred and true initial states: each state over its reference, then how far off in each mode."""
+"""Learned, bred and true initial states: each state over its reference, then the differences in each mode."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from gbspec.report.source import Source
 from gbspec.report.style import LEARNED, MEASURED
 
 IN_FILE, ON_PAGE = 40, 24
-"""Trajectories that are compared where none are named."""
+"""Number of trajectories that are compared if none are named."""
 ACROSS = 3
 FLOOR = 1e-12
-"""Differences below this are drawn here: a logarithmic axis has no zero."""
+"""Smaller differences are drawn at this value: a logarithmic axis has no zero."""
 
 
 def build(source: Source) -> Figure:
-    """The initial states of some trajectories. Raises `UserError` (GB876) where none were learned."""
+    """The initial states of some trajectories. Raises `UserError` (GB876) if none were learned."""
     fitted = source.fitted
     most = ON_PAGE if source.page else IN_FILE
     return figure(collect.initial_states(fitted, source.chosen() or evenly_spaced(len(fitted.data), most)))
 
 
 def figure(found: InitialStates) -> Figure:
-    """Above one panel a state, learned and bred over the reference; below one a mode, slowest first."""
+    """Above, one panel per state, learned and bred over the reference; below, one per mode, slowest first."""
     states = tuple(_state(found, i, name) for i, name in enumerate(found.states))
     modes = tuple(_mode(found, i) for i in range(len(found.states)))
     return Figure(((Block((*wrapped(states, ACROSS), *wrapped(modes, ACROSS)), "below"),),))

@@ -12,11 +12,11 @@ from gbspec.report.figures.functions import ACROSS, parity_panel
 from gbspec.report.source import MissingError, Source
 
 MOST_POINTS = 3000
-"""Points in a panel."""
+"""Number of points in a panel."""
 
 
 def build(source: Source) -> Figure:
-    """A panel a state."""
+    """One panel per state."""
     fitted = source.fitted
     if fitted.truth is None:
         raise MissingError("the model states no truth to compare with", "fit")

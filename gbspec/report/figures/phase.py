@@ -10,7 +10,7 @@ from gbspec.report.description import Axis, Figure, Line, Mark, Panel, Points, m
 from gbspec.report.source import MissingError, Source
 
 IN_FILE, ON_PAGE = 4, 8
-"""Trajectories where none are named: more would hide each other."""
+"""Number of trajectories if none are named: more would overlap."""
 
 
 def build(source: Source) -> Figure:
@@ -23,7 +23,7 @@ def build(source: Source) -> Figure:
 
 
 def figure(orbits: Sequence[Orbit], x: str, y: str) -> Figure:
-    """Learned trajectories with dots where they start, the truth dashed, joint measurements as points."""
+    """Learned trajectories with dots at their initial states, the truth dashed, joint measurements as points."""
     marks: list[Mark] = []
     for orbit in orbits:
         path, words = orbit.learned, (f"trajectory {orbit.label}",)

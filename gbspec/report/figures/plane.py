@@ -15,14 +15,14 @@ MARKERS: dict[str, tuple[Marker, str]] = {
     "bogdanov_takens": ("square", MEMBERS[3]),
     "cusp": ("diamond", MEMBERS[4]),
 }
-"""How special points are drawn: by their shape and colour."""
+"""The shape and colour of each kind of special point."""
 
 
 def figure(shown: PlaneDiagram, others: Sequence[PlaneDiagram] = (), truth: PlaneDiagram | None = None) -> Figure:
     """The curves in colour, those of `others` (members) faint behind them, the `truth` broad and grey.
 
-    Hopf curves are solid where the cycles born there are stable (supercritical), dashed where they are not. Where both
-    parameters were trained is white, what lies beyond grey.
+    Hopf curves are solid where the cycles born there are stable (supercritical), dashed where they are not. The region
+    of the training is white, the rest grey.
     """
     marks: list[Mark] = [*beyond("x", shown.boxes[0], shown.trained[0]), *beyond("y", shown.boxes[1], shown.trained[1])]
     for curve in truth.curves if truth is not None else ():

@@ -38,7 +38,7 @@ def _deviance(found: Profile, truth: float | None, values: Array, x: Axis) -> Pa
     if truth is not None:
         marks.append(Rule("x", truth, "truth", TRUTH, 1.2, "dashed"))
     ends = [f"{end:.5g}" if end is not None else "open" for end in (found.low, found.high)]
-    interval = f"90 %: {ends[0]} to {ends[1]}" if found.settled else "the fits had not come to rest"
+    interval = f"90 %: {ends[0]} to {ends[1]}" if found.settled else "not all fits converged"
     y = Axis("deviance", range=(-0.2, max(2.2 * found.threshold, 1.0)))
     return Panel(tuple(marks), x, y, f"{found.name} = {found.estimate:.5g}, {interval}", width=5.6, height=3.0)
 

@@ -20,7 +20,7 @@ def build(source: Source) -> Figure:
 
 
 def figure(channels: Sequence[Residuals], time: str = "t") -> Figure:
-    """A row a channel."""
+    """One row per channel."""
     return Figure(((Block(tuple(_row(channel, time) for channel in channels)),),))
 
 

@@ -1,4 +1,4 @@
-"""One picture of a run: a trajectory's fit, a learned function beside its truth, and the constants."""
+"""One figure of a run: a trajectory's fit, a learned function with its truth, and the constants."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from gbspec.report.unknowns import learned_functions
 UPPER, LOWER = 2.4, 2.9
 """Heights of the two halves."""
 WIDE, NARROW = 4.3, 2.9
-"""Widths of panels in them."""
+"""Widths of the panels."""
 
 
 def build(source: Source) -> Figure:
-    """The trajectory that was asked for, else the liveliest one, with the first unknown and the constants."""
+    """The requested trajectory, else the one that varies most, with the first unknown and the constants."""
     fitted = source.fitted
     index = (source.chosen() or [liveliest(fitted.data)])[0]
     (shown,) = collect.trajectory_fits(fitted, [index])
@@ -47,7 +47,7 @@ def figure(
 
 
 def _function(function: LearnedFunction) -> tuple[Panel | None, ...]:
-    """The slice along which a function varies most, beside its truth or the next slice."""
+    """The slice along which a function varies most, and the comparison with its truth or the next slice."""
     panels = [functions.slice_panel(function.name, function.slices[0])]
     if function.truth is not None:
         panels.append(functions.parity_panel(function.name, function.truth, function.members.mean(axis=0)))
@@ -57,7 +57,7 @@ def _function(function: LearnedFunction) -> tuple[Panel | None, ...]:
 
 
 def liveliest(data: Trajectories) -> int:
-    """The trajectory whose channels change most from row to row: the one from which most can be seen."""
+    """The trajectory whose channels change most from row to row."""
 
     def change(values: Array) -> float:
         return float(sum(np.abs(np.diff(column[np.isfinite(column)])).sum() for column in values.T))

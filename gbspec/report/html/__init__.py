@@ -1,1 +1,1 @@
-"""The report of a run as one HTML file that needs nothing else: MathML for equations, plots that zoom, tables."""
+"""The report of a run as one self-contained HTML file: equations in MathML, interactive charts, tables."""

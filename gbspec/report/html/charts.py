@@ -16,25 +16,25 @@ Chart: TypeAlias = JsonObject
 DIGITS = 7
 """Significant digits of numbers in a chart: more than a screen can show."""
 PIXELS = 1.25
-"""Pixels of a line's width to a point."""
+"""Pixels per point for the widths of lines."""
 SIZE = 1.6
-"""Pixels of a mark's size to a point: a page is looked at from further away."""
+"""Pixels per point for the sizes of marks; larger, since a page is viewed from further away."""
 DASHES = {"solid": "solid", "dashed": "dash", "dotted": "dot"}
 MARKERS = {"circle": "circle", "square": "square", "diamond": "diamond", "up": "triangle-up", "down": "triangle-down",
            "plus": "cross", "cross": "x-thin-open", "bar": "line-ns-open"}  # fmt: skip
 TICK = 0.03
 """The length of a rug's ticks, as a share of the panel's height."""
 MOST_IN_SVG = 3000
-"""Points from which the browser's graphics card draws them."""
+"""Number of points from which the browser draws them by the graphics card."""
 
 
 def numbers(values: ArrayLike) -> list[float | None]:
-    """An array as JSON takes it: rounded, null (a gap) where it is not finite."""
+    """An array as a list for JSON: rounded, null (a gap) where it is not finite."""
     return [float(f"{v:.{DIGITS}g}") if math.isfinite(v) else None for v in np.ravel(np.asarray(values)).tolist()]
 
 
 def chart(panel: Panel) -> Chart:
-    """A panel as a document of its own."""
+    """A panel as a separate document."""
     data: list[Chart] = []
     layout = _layout(panel)
     for mark in panel.marks:
@@ -135,6 +135,6 @@ def _shape(kind: str, axis: str, low: float, high: float, label: str) -> Chart:
 
 
 def _clear(color: str, alpha: float) -> str:
-    """A colour `#rrggbb` through which what lies below is seen."""
+    """The colour `#rrggbb` with the opacity `alpha`."""
     red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
     return f"rgba({red},{green},{blue},{alpha:g})"

@@ -1,4 +1,4 @@
-"""A model's equations in presentation MathML, which browsers typeset without scripts or fonts of ours."""
+"""A model's equations in presentation MathML, which browsers typeset without additional scripts or fonts."""
 # ruff: noqa: N802 - sympy finds a printer's methods by the names of its classes
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
 def expression(value: Expr | sympy.Basic) -> str:
     """An expression, without the surrounding `math` element."""
     text = str(_Printer().doprint(value))
-    # A relation's sign is left bare by sympy's printer
+    # sympy's printer does not escape the sign of a relation
     text = text.replace("<mo><</mo>", "<mo>&lt;</mo>").replace("<mo>></mo>", "<mo>&gt;</mo>")
     return re.sub(r"&[A-Za-z]+;", lambda found: _ENTITIES.get(found[0], found[0]), text)
 
@@ -86,7 +86,7 @@ def name(text: str) -> str:
 
 
 def inline(text: str) -> str:
-    """A name within a line of words."""
+    """A name within a line of text."""
     return f"<math>{name(text)}</math>"
 
 
@@ -116,12 +116,12 @@ def intermediates(model: Model) -> list[tuple[str, str]]:
 
 
 def observations(model: Model) -> list[tuple[str, str]]:
-    """Left and right side of each channel that is not a state as it is."""
+    """Left and right side of each channel that is not simply a state."""
     return [(expression(left), expression(right)) for left, right in model.equations("channels")]
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
-    """Left and right side of each start that the model expresses."""
+    """Left and right side of each initial value that the model gives by an expression."""
     at = "<mn>0</mn>" if model.time.start is None else f"<mn>{escape(f'{model.time.start:g}')}</mn>"
     return [
         (f"<msub>{expression(left)}<mrow>{at}</mrow></msub>", expression(right))
@@ -130,7 +130,7 @@ def starts(model: Model) -> list[tuple[str, str]]:
 
 
 def postulate(model: Model, unknown: Unknown) -> tuple[str, str]:
-    """Left and right side of an unknown: what was postulated, with the network as a calligraphic N."""
+    """Left and right side of an unknown: its postulated form, with the network as a calligraphic N."""
     arguments = [a.symbol for a in model.networks[unknown.network].arguments]
     formals = "<mo>,</mo>".join(name(a.name) for a in arguments)
     network = f"<mrow><mi>𝒩</mi><mo>(</mo>{formals}<mo>)</mo></mrow>"

@@ -1,4 +1,4 @@
-"""The page: sections put into the template, plotly's script put inline, everything escaped."""
+"""The page: sections inserted into the template, plotly's script inline, everything escaped."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ HARMLESS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028",
 
 @dataclass(frozen=True)
 class Findings:
-    """What was computed for the report beside the fit. `diagrams`: the run's and its truth's; None where not asked."""
+    """Further results for the report. `diagrams`: the run's and its truth's; None if not requested."""
 
     validation: Validation
     eigen: Eigen | None
@@ -38,7 +38,8 @@ class Findings:
 
 
 def page(fitted: collect.Fitted | None, run: Run, found: Findings) -> str:
-    """The report as HTML. `fitted` is None where the training data are no longer there: what needs them says so."""
+    """The report as HTML. `fitted` is None if the training data are no longer available; sections that need them say
+    so."""
     import jinja2
     from plotly.offline import get_plotlyjs
 
@@ -52,18 +53,18 @@ def page(fitted: collect.Fitted | None, run: Run, found: Findings) -> str:
 
 
 class _Charts:
-    """Charts by number; the template asks for places, the script fills them."""
+    """Charts by number; the template contains placeholders, which the script fills."""
 
     def __init__(self) -> None:
         self.all: list[charts.Chart] = []
 
     def add(self, panel: Panel) -> int:
-        """Keeps the chart of a panel and gives its number."""
+        """Stores the chart of a panel and returns its number."""
         self.all.append(charts.chart(panel))
         return len(self.all) - 1
 
     def groups(self, figure: Figure) -> list[Group]:
-        """The panels of a figure, those together that a heading of the figure has in common."""
+        """The panels of a figure, grouped by the headings of its rows."""
         found: list[Group] = []
         for block in (block for row in figure.rows for block in row):
             for row in block.rows:
@@ -75,7 +76,7 @@ class _Charts:
         return found
 
     def script(self) -> str:
-        """All charts as JSON that can stand in a script element."""
+        """All charts as JSON that is safe in a script element."""
         text = json.dumps(self.all, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
         for character, written in HARMLESS.items():
             text = text.replace(character, written)
@@ -164,12 +165,12 @@ def _equations(model: Model) -> list[tuple[str, str]]:
         ("Measured", mathml.observations(model)),
         ("Starts", mathml.starts(model)),
     )
-    # Every name in these was escaped by the printer, so they may stand as they are.
+    # The printer has escaped all names, so that these need no further escaping.
     return [(heading, Markup(mathml.equations(pairs))) for heading, pairs in blocks if pairs]
 
 
 def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
-    """A few numbers that are seen first."""
+    """The few numbers at the top of the page."""
     errors = [one.nrmse for one in found.validation.channels.values()]
     cards = [
         (str(run.fit.data.trajectories), "trajectories"),

@@ -20,7 +20,7 @@ class Table:
 
 
 def constants(run: Run) -> Table:
-    """Learned constants with intervals, starts and truths."""
+    """Learned constants with intervals, starting values and truths."""
     rows = []
     for one in collect.constants(run):
         between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
@@ -30,14 +30,14 @@ def constants(run: Run) -> Table:
 
 
 def correlations(run: Run) -> Table:
-    """Correlations of the learned constants; no rows where they are not known."""
+    """Correlations of the learned constants; no rows if they are not known."""
     known = run.fit.correlations
     rows = [(name, *(f"{value:.3f}" for value in row.values())) for name, row in known.items()]
     return Table(("correlation", *known), tuple(rows))
 
 
 def declared(model: Model) -> Table:
-    """What each name means."""
+    """The meaning of each declared name."""
     groups = (("state", model.states), ("condition", model.conditions), ("input", model.inputs),
               ("constant", model.constants), ("learned", model.learnables), ("unknown", model.unknowns),
               ("measured", model.channels))  # fmt: skip

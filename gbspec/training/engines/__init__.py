@@ -1,4 +1,5 @@
-"""Engines: what a fit needs of a problem at a vector, by the torch graph or by the native kernel."""
+"""Engines: solutions of a problem and their derivatives at a trainable vector, by the torch graph or the native
+kernel."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Which engine solves a problem: the one place where engines are chosen."""
+"""The choice of the engine that solves a problem; engines are chosen only here."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, Problem
 
 LEAST_SUBSTEPS = 1500
-"""With fewer sub-steps in the data, `--backend auto` does not wait for the compiler: it takes two seconds or so, and at
-2,500 sub-steps a fit of urp_gb2 takes 15 instead of 29."""
+"""With fewer sub-steps in the data, `--backend auto` does not compile the kernel: compilation takes about two seconds;
+at 2,500 sub-steps the kernel reduces the time of a fit of urp_gb2 from 29 s to 15 s."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """The engine of a fit: with a kernel the native one, else the torch graph on `device`; `unable` says why it is not
-    the native one though it might have served."""
+    """The engine of a fit: with a kernel the native engine, else the torch graph on `device`; `unable` gives the reason
+    if the native engine was considered but cannot be used."""
 
     kernel: Kernel | None = None
     device: str = "cpu"
@@ -32,7 +32,7 @@ class Choice:
 
     @property
     def remark(self) -> str:
-        """What a user is told of the choice; nothing where it is the expected one."""
+        """A remark on the choice for the user; empty if the choice is the expected one."""
         return f"the torch graph is used: {self.unable.reason}" if self.unable is not None else ""
 
     def engine(self, problem: Problem, parameters: Parameters) -> Engine:
@@ -43,9 +43,9 @@ class Choice:
 
 
 def choose(model: Model, module: type[GeneratedModule], options: TrainOptions, substeps: int) -> Choice:
-    """The choice of `--backend` for data of so many sub-steps; `module` is the model's generated class.
+    """The choice according to `--backend` for data with `substeps` sub-steps; `module` is the model's generated class.
 
-    Raises UserError (GB863) where the kernel was asked for and cannot be had.
+    Raises UserError (GB863) if the kernel was requested and is not available.
     """
     device, wanted = device_of(options.device), options.backend == "native"
     if options.backend == "torch" or not (wanted or substeps >= LEAST_SUBSTEPS):
@@ -67,7 +67,7 @@ def choose(model: Model, module: type[GeneratedModule], options: TrainOptions, s
 def native_engine(
     problem: Problem, parameters: Parameters, precision: Literal["float64", "float32"] = "float64"
 ) -> NativeEngine:
-    """The native engine of a problem. Raises ValueError where it cannot be had."""
+    """The native engine of a problem. Raises ValueError if it is not available."""
     kernel = kernel_of(problem.model, type(problem.module), precision)
     if isinstance(kernel, Unable):
         raise ValueError(kernel.reason)

@@ -1,9 +1,10 @@
-"""The parts of a Jacobian that do not depend on how states move: columns, starts, observations.
+"""The parts of a Jacobian that do not depend on the engine: columns, initial states, observations.
 
-Every engine with exact derivatives chains, interval by interval (between consecutive key rows of a trajectory), the
-sensitivity S of the state: with A = d end / d start and J = d end / d parameters of an interval it becomes `A S + J` at
-its end; resets by forcing scale its rows by `1 - weight`. A and J are the engine's; what stands here is S at the start,
-the derivatives of what is observed, and the columns to which derivatives by constants and weights belong.
+Every engine with exact derivatives propagates the sensitivity S of the state from interval to interval (an interval
+lies between consecutive key rows of a trajectory). With A = d end / d start and J = d end / d parameters of an
+interval, S becomes `A S + J` at its end; resets by forcing scale the rows of S by `1 - weight`. A and J are computed by
+the engine; this module computes S at the initial state, the derivatives of observed quantities, and the columns to
+which derivatives with respect to constants and weights belong.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Taped = list[tuple[int, int, Tensor, Tensor]]
 
 
 class Columns:
-    """The columns of one Jacobian at `theta`; with `only_local` there are no shared ones."""
+    """The columns of one Jacobian at `theta`; with `only_local` there are no shared columns."""
 
     def __init__(
         self, problem: Problem, parameters: Parameters, theta: Array, only_local: bool, device: str = "cpu"
@@ -36,7 +37,7 @@ class Columns:
             self.weights = {name: value.detach().clone() for name, value in parameters.weights(self.vector).items()}
             self.constants = parameters.constants(self.vector)
         for name in parameters.weight_shapes:
-            # Only so that every pre-activation is part of the graph; the gradients of the weights are never asked for.
+            # This only makes every pre-activation part of the graph; gradients of the weights are never computed.
             self.weights[name].requires_grad_()
         self.n_states = len(problem.model.states)
         self.shared = 0 if only_local else parameters.n_shared
@@ -51,7 +52,8 @@ class Columns:
         return torch.zeros(shape, dtype=self.vector.dtype, device=self.device)
 
     def of_trained_weights(self, shared: Tensor) -> Tensor:
-        """Columns of the weights in use as those of the trained ones (they differ where contracts need signs)."""
+        """Columns of the trained weights from those of the effective weights (they differ if contracts require
+        signs)."""
         weights = self.parameters.weights(torch.from_numpy(self.theta))
         arrays = {name: value.numpy() for name, value in weights.items()}
         slopes = {} if self.only_local else self.problem.module.weight_slopes(arrays)
@@ -76,7 +78,7 @@ class Columns:
 
     @cached_property
     def _start_derivatives(self) -> list[Tensor]:
-        """Of the initial states, by what is learned of them [N, n, n] and by each constant [N, n]."""
+        """Derivatives of the initial states with respect to their learned values [N, n, n] and each constant [N, n]."""
         problem = self.problem
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
@@ -85,7 +87,8 @@ class Columns:
         return [torch.stack([row[j] for row in rows], 1) for j in range(1 + len(k))]
 
     def add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:
-        """Adds d/d constants (one [B, n] a constant, natural) to the columns of their trainable values."""
+        """Adds derivatives by constants ([B, n] per constant, natural units) to the columns of their trainable
+        values."""
         parameters = self.parameters
         known = len(parameters.model.constants)
         if parameters.shared and not self.only_local:
@@ -100,7 +103,7 @@ class Columns:
                 local[..., column] += derivatives[known + index] * slope[owner, column][:, None]
 
     def observed(self, before: Array, scale: Array) -> Observed:
-        """Derivatives of the measured values at the states `before` [R, n_states], each times its `scale` [R, C]."""
+        """Derivatives of the measured channels at the states `before` [R, n_states], each times its `scale` [R, C]."""
         problem, packed = self.problem, self.problem.packed
         seen = np.nonzero(problem.seen)
         row, channel = (self.tensor(places) for places in seen)
@@ -137,7 +140,7 @@ class Columns:
         )
 
     def _add_weights(self, target: Tensor, tape: Taped, cotangents: list[Tensor]) -> None:
-        """Adds the weights' columns [B, columns] of one output, every tape entry covering the whole batch B."""
+        """Adds the weights' columns [B, columns] of one output; every tape entry covers the whole batch B."""
         for (network, layer, a, _), dz in zip(tape, cotangents, strict=True):
             begin, rows, width = self.offsets[network, layer]
             a, dz = a.detach().reshape(len(target), -1, width), dz.reshape(len(target), -1, rows)
@@ -146,7 +149,7 @@ class Columns:
 
 
 def gradients(output: Tensor, inputs: list[Tensor]) -> list[Tensor]:
-    """Gradients of a scalar, zero where it does not depend on an input; the graph is kept."""
+    """Gradients of a scalar, zero for inputs that it does not depend on; the graph is kept."""
     if not output.requires_grad:
         return [torch.zeros_like(x) for x in inputs]
     found = torch.autograd.grad(output, inputs, retain_graph=True, allow_unused=True)

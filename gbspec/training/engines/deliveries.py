@@ -1,4 +1,4 @@
-"""Doses as functions of the trainable vector: how much of each arrives, and when."""
+"""Doses as functions of the trainable vector: the amount of each that arrives, and the time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ Terms = list[tuple[Tensor | float, Tensor | float]]
 
 def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Terms:
     """Fraction and lag of each of the model's doses for B trajectories, from their conditions [B, n_conditions] and
-    constants ([B] or [] each). Where conditions leave a lag undefined no gradient passes, which would not be finite."""
+    constants ([B] or [] each). A lag that is undefined under the conditions has no gradient, which would not be
+    finite."""
     terms: Terms = list(problem.module.equations.doses(problem.ops, condition, k))
     for kind, (fraction, lag) in enumerate(terms):
         if not isinstance(lag, Tensor) or not lag.requires_grad or not lag.ndim:
@@ -31,7 +32,7 @@ def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Terms:
 
 
 def delivered(problem: Problem, constants: Tensor) -> tuple[Tensor, Tensor]:
-    """How much of each dose would arrive and when [E], at the constants [N, n_constants]; differentiable in them."""
+    """Amount and time of arrival of each dose [E] at the constants [N, n_constants]; differentiable in them."""
     doses = problem.packed.doses
     if not len(doses.time):
         return constants.new_zeros(0), constants.new_zeros(0)
@@ -43,7 +44,7 @@ def delivered(problem: Problem, constants: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Paths:
-    """The paths of a problem; the one last asked for is kept."""
+    """The paths of a problem; the most recent one is kept."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem

@@ -1,4 +1,4 @@
-"""Where the torch graph works: the processor, or a GPU."""
+"""The device of the torch graph: the processor, or a GPU."""
 
 from __future__ import annotations
 

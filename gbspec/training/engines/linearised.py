@@ -1,4 +1,4 @@
-"""What a Jacobian consists of, and the parts that it is put together from."""
+"""Jacobians and the parts from which they are assembled."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from gbspec.training.problem import Integers, Parameters
 class Jacobian:
     """Derivatives of m measured values.
 
-    `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of the block of the
-    trajectory `owner` [m] that the value belongs to (all its other columns are zero).
+    `shared` [m, n_shared]: columns of weights and shared constants; `local` [m, n_local]: columns of the local block of
+    the trajectory `owner` [m] of the value (entries in other local blocks are zero).
     """
 
     shared: Tensor
@@ -43,7 +43,7 @@ class Linearised(Jacobian):
 
 @dataclass(frozen=True)
 class Batch:
-    """Rows of sub-steps sorted by falling number: owner, first sub-step, number of sub-steps (each [B])."""
+    """Sequences of sub-steps, longest first: their trajectory, first sub-step and number of sub-steps (each [B])."""
 
     owner: Integers
     first: Integers
@@ -51,16 +51,16 @@ class Batch:
 
     @property
     def depth(self) -> int:
-        """The most sub-steps of a row."""
+        """The largest number of sub-steps of a row."""
         return int(self.length.max(initial=0))
 
     def live(self, step: int) -> int:
-        """How many rows take more than `step` sub-steps: the live prefix."""
+        """The number of rows with more than `step` sub-steps: the length of the live prefix."""
         return int(np.searchsorted(-self.length, -step, side="left"))
 
     @property
     def groups(self) -> list[tuple[int, int, int]]:
-        """(length, begin, end) of each run of rows of equal positive length."""
+        """(length, begin, end) of each group of successive rows of equal positive length."""
         out = []
         for length in sorted({int(n) for n in self.length if n > 0}, reverse=True):
             begin = int(np.searchsorted(-self.length, -length, side="left"))
@@ -71,10 +71,10 @@ class Batch:
 
 @dataclass(frozen=True)
 class Observed:
-    """Derivatives of the m measured values: of the state [m, n], and directly of the shared and local columns (or
-    None).
+    """Derivatives of the m measured values with respect to the state [m, n], and direct ones in the shared and local
+    columns (or None).
 
-    `row` [m] is each value's key row; `bounds` [R + 1] where each row's values begin.
+    `row` [m] is the key row of each value; `bounds` [R + 1] the index at which each row's values begin.
     """
 
     row: Tensor

@@ -1,4 +1,4 @@
-"""What optimisers ask: residuals, their Jacobian, the loss and its gradient, by whatever engine solves the problem."""
+"""The functions that optimisers evaluate with any engine: residuals, their Jacobian, the loss and its gradient."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from gbspec.training.problem import Integers, Parameters, Problem, measured_only
 
 
 def predicted(engine: Engine, theta: Array) -> Moments:
-    """What the model predicts at a vector."""
+    """The model's predictions at a vector."""
     return engine.moments(theta, engine.plan(theta))
 
 
 def residual_table(engine: Engine, theta: Array) -> Array:
-    """Residuals [R, C] at a vector, 0 where nothing was measured; NaN or infinite where the solution blew up."""
+    """Residuals [R, C] at a vector, 0 where nothing was measured; NaN or infinite where the solution is not finite."""
     return residuals_of(engine.problem, predicted(engine, theta).mean)
 
 
 def residual_vector(engine: Engine, theta: Array) -> Array:
-    """Residuals of the m measured values, row by row; NaN or infinite where the solution blew up."""
+    """Residuals of the m measured values, row by row; NaN or infinite where the solution is not finite."""
     return measured_only(engine.problem, residual_table(engine, theta))
 
 
 def linearise(engine: Engine, theta: Array, only_local: bool = False) -> Linearised:
-    """Residuals and their exact Jacobian at `theta`; with `only_local` the columns of the shared part stay empty.
+    """Residuals and their exact Jacobian at `theta`; with `only_local` the shared columns stay empty.
 
-    The residuals may hold NaN or infinities where the solution blew up, and then there is no Jacobian; the caller
-    decides what that means.
+    If the solution is not finite, the residuals contain NaN or infinities and there is no Jacobian; the caller must
+    check for this.
     """
     problem, path = engine.problem, engine.plan(theta)
     moments = engine.moments(theta, path)
@@ -71,7 +71,7 @@ def objective(
     The loss is the mean of half squared residuals over all measured values; vector and gradient are float64 arrays.
     `backend="native"` compiles the kernel on the first call for a model (seconds, kept in the user's cache) and runs it
     on `torch.get_num_threads()` threads. `backend="torch"` unrolls the torch graph, at most `batch` trajectories at a
-    time. Both work in the precision that is asked for. Raises ValueError where the native kernel cannot be had.
+    time. Both work in the requested precision. Raises ValueError if the native kernel is not available.
 
         f = objective(problem, parameters, "native")
         loss, gradient = f(theta)

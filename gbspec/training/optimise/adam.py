@@ -16,10 +16,11 @@ from gbspec.training.problem import mean_loss
 
 
 class Adam:
-    """Adam (Kingma and Ba 2015); a step of the stage is an epoch.
+    """Adam (Kingma and Ba 2015); each step of the stage is an epoch.
 
     The learning rate rises over the first tenth and falls as a cosine (one cycle); gradients are clipped to norm 1.
-    Minibatches are drawn from the seed and the epoch's number, so that a resumed stage draws the same ones.
+    The draw of minibatches depends only on the seed and the epoch's number, so that a resumed stage draws the same
+    ones.
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class Adam:
         self.options, self.seed = options, seed
 
     def begin(self, theta: Array) -> State:
-        """The vector, both moments, and the number of updates."""
+        """The initial state: the vector, both moments, and the number of updates."""
         return {
             "theta": theta,
             "first": np.zeros_like(theta),

@@ -1,4 +1,4 @@
-"""Adam's update (Kingma and Ba 2015), as a function of arrays, so that its state can be kept and taken up again.
+"""Adam's update (Kingma and Ba 2015), as a function of arrays, so that its state can be saved and restored.
 
 torch's own optimiser is not used: importing it takes longer than many fits.
 """
@@ -24,11 +24,11 @@ class Moments:
 
     @staticmethod
     def zero(size: int) -> Moments:
-        """Before the first update."""
+        """The moments before the first update."""
         return Moments(np.zeros(size), np.zeros(size))
 
     def advance(self, gradient: Array, rate: float) -> tuple[Moments, Array]:
-        """The moments after a gradient (clipped to norm 1), and the step to take at a learning rate."""
+        """The moments after a gradient (clipped to norm 1), and the step at a learning rate."""
         gradient = gradient * min(1.0, CLIP / max(float(np.linalg.norm(gradient)), 1e-300))
         n = self.updates + 1
         first = BETAS[0] * self.first + (1 - BETAS[0]) * gradient

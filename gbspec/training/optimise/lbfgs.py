@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from gbspec.arrays import Array
 
 MEMORY = 20
-"""Pairs of steps and gradient changes that are kept."""
+"""Number of pairs of steps and gradient changes that are kept."""
 
 Pair = tuple[Array, Array]
 """A step [n] and the change of the gradient [n] along it; their inner product is positive."""
@@ -16,7 +16,7 @@ Pair = tuple[Array, Array]
 def inverse_times(gradient: Array, pairs: Sequence[Pair], first: Callable[[Array], Array]) -> Array:
     """The approximate inverse Hessian times a gradient [n], by the two loops of Nocedal and Wright (algorithm 7.4).
 
-    `pairs` come from the oldest to the newest; `first` applies the matrix that they update.
+    `pairs` come from the oldest to the newest; `first` applies the initial inverse Hessian.
     """
     rest, factors = gradient.copy(), []
     for moved, changed in reversed(pairs):
@@ -30,7 +30,7 @@ def inverse_times(gradient: Array, pairs: Sequence[Pair], first: Callable[[Array
 
 
 def of_newest_curvature(pairs: Sequence[Pair]) -> Callable[[Array], Array]:
-    """The multiple of the unit matrix that has the newest pair's curvature; the unit matrix where there is no pair."""
+    """The multiple of the identity with the newest pair's curvature; the identity if there is no pair."""
     if not pairs:
         return lambda vector: vector
     moved, changed = pairs[-1]

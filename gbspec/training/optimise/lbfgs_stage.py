@@ -15,13 +15,13 @@ from gbspec.training.problem import mean_loss
 
 
 class LimitedMemory:
-    """L-BFGS (Nocedal 1980) with backtracking to Armijo's condition; a step of the stage is an iteration."""
+    """L-BFGS (Nocedal 1980) with backtracking to Armijo's condition; each step of the stage is an iteration."""
 
     def __init__(self, name: str, total: int, engine_at: Callable[[int], Engine]) -> None:
         self.name, self.total, self.engine_at = name, total, engine_at
 
     def begin(self, theta: Array) -> State:
-        """The vector and an empty memory."""
+        """The initial state: the vector and an empty memory."""
         return {"theta": theta, "steps": np.zeros((0, len(theta))), "changes": np.zeros((0, len(theta)))}
 
     def step(self, state: State, iteration: int) -> Outcome:

@@ -1,4 +1,4 @@
-"""The Levenberg-Marquardt stage: robust, damped, regularised where asked, resumable after every iteration."""
+"""The Levenberg-Marquardt stage: robust, damped, optionally regularised, resumable after every iteration."""
 
 from __future__ import annotations
 
@@ -15,29 +15,30 @@ from gbspec.training.optimise.stage import Outcome, State, require_finite, scala
 from gbspec.training.problem import mean_loss
 
 DELTA_HIGH, DELTA_LOW = 0.1, 0.003
-"""Huber's threshold, in deviations of the data: four times the median residual, within these bounds."""
+"""Bounds on Huber's threshold, in standard deviations of the data; it is four times the median residual."""
 ATTEMPTS = 10
-"""Dampings tried in one iteration before the stage gives up."""
+"""Number of dampings tried in one iteration before the stage gives up."""
 LESS, MORE, GOOD = 0.2, 2.0, 0.9
-"""Factors from one damping to the next, and the part of a foretold decrease above which less damping is tried."""
+"""Factors from one damping to the next, and the ratio of actual to predicted decrease above which less damping is
+tried."""
 LEAST = 1e-12
 """The smallest damping."""
 DIFFERENCE, BEND = 0.1, 0.75
-"""The part of a step at which its curvature is taken, and how large the correction may be beside the step."""
+"""The fraction of a step used to estimate its curvature, and the largest correction relative to the step."""
 CORRECTIONS, WORTHWHILE = 8, 0.02
-"""Most corrections of a step, and by which part of the objective each must lower it for another."""
+"""Largest number of corrections of a step, and the relative decrease of the objective that each must achieve."""
 WEAK = 1e-2
-"""Prior precision of what has no prior, relative to the noise, in the count of degrees of freedom."""
+"""Prior precision assumed for entries without a prior, relative to the noise, in the count of degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class LevenbergOptions:
-    """How a stage steps and when it ends.
+    """Settings of a stage and its criteria of termination.
 
     `robust`: Huber's function, else least squares; `tolerance`: relative decrease below which (twice in a row) the
-    stage ends; `enough`: mean loss below which it ends at once, or what gives it for a vector and its residuals;
-    `damping`: the first one; `ridge`: precision of the weights' prior in units of squared residuals; `evidence`: let
-    the data set it anew after each iteration.
+    stage ends; `enough`: mean loss below which it ends at once, or a function of a vector and its residuals that
+    returns this loss; `damping`: the initial one; `ridge`: precision of the weights' prior in units of squared
+    residuals; `evidence`: re-estimate the ridge from the data after each iteration.
     """
 
     robust: bool = True
@@ -49,8 +50,8 @@ class LevenbergOptions:
 
 
 class LevenbergMarquardt:
-    """Minimises the problem of the engine that `engine_at(iteration)` gives (always the same one unless sub-steps are
-    random)."""
+    """Minimises the objective of the engine that `engine_at(iteration)` returns (always the same one unless sub-steps
+    are random)."""
 
     def __init__(
         self,
@@ -63,7 +64,7 @@ class LevenbergMarquardt:
         self.options = options
 
     def begin(self, theta: Array) -> State:
-        """The vector, the damping, the ridge, and how often in a row the decrease was small."""
+        """The initial state: the vector, damping, ridge, and the number of successive small decreases."""
         return {
             "theta": theta,
             "damping": np.array(self.options.damping),
@@ -78,7 +79,7 @@ class LevenbergMarquardt:
         return float(np.clip(4 * np.median(np.abs(residuals)), DELTA_LOW, DELTA_HIGH))
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """One Jacobian, and as many dampings as it takes to improve."""
+        """One iteration: a Jacobian, and as many dampings as are needed for a decrease."""
         engine, theta = self.engine_at(iteration), state["theta"]
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
         system = linearise(engine, theta)
@@ -91,7 +92,7 @@ class LevenbergMarquardt:
         before, after, trial = fit.start.value, found.after, theta + found.move
         if self.options.evidence:
             ridge = evidence(fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
-        # The better the linear model foretold the decrease, the less damping it needs (Nielsen 1999).
+        # The better the linear model predicted the decrease, the less damping is needed (Nielsen 1999).
         damping = found.damping * float(np.clip(1 - (2 * found.gain - 1) ** 3, 0.2, 2.0))
         small = small + 1 if (before - after.value) < self.options.tolerance * max(before, 1e-300) else 0.0
         new: State = {
@@ -107,15 +108,16 @@ class LevenbergMarquardt:
         )
 
     def certainty(self, state: State) -> Certainty:
-        """What the curvature says of a converged state; nothing where the equations are singular to rounding.
+        """Standard deviations from the curvature at a converged state; unknown if the equations are numerically
+        singular.
 
         The covariance (Gauss-Newton, Laplace) is the noise variance times the inverse of the normal matrix, priors and
-        ridge included. How far the next undamped step would move a constant is added to its deviation (in squares), NaN
-        where that is more than the deviation itself: the stage had not come to rest.
+        ridge included. The change of a constant in the next undamped step is added in quadrature to its standard
+        deviation, which is NaN if the change is larger than the deviation: the stage has not converged.
         """
         try:
             return self._certainty(state)
-        except np.linalg.LinAlgError:  # as those of a fit without any residual are
+        except np.linalg.LinAlgError:  # for example if all residuals are zero
             return Certainty.unknown(len(self.engine_at(0).parameters.shared))
 
     def _certainty(self, state: State) -> Certainty:
@@ -146,8 +148,8 @@ class LevenbergMarquardt:
 
 @dataclass(frozen=True)
 class Certainty:
-    """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and how many degrees of
-    freedom the fit used, priors and ridge taken into account; NaN where it is not known, correlations then empty."""
+    """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and the degrees of
+    freedom that the fit used, with priors and ridge taken into account; NaN, and no correlations, if not known."""
 
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -155,22 +157,22 @@ class Certainty:
 
     @classmethod
     def unknown(cls, count: int) -> Certainty:
-        """Of `count` constants of which nothing can be said."""
+        """The result for `count` constants if nothing is known."""
         return cls(np.full(count, np.nan), np.full((count, count), np.nan))
 
 
 @dataclass(frozen=True)
 class _Solved:
-    """All rows of residuals at a vector, and the objective there."""
+    """All rows of residuals at a vector, and the value of the objective."""
 
     residuals: Array
     value: float
 
 
 class _Fit:
-    """One linearisation: the residuals of the `count` measured values and, below them, the rows of the priors.
+    """One linearisation: the residuals of the `count` measured values, followed by the rows of the priors.
 
-    Where Huber's function weighs measurements down, priors count for as much less as the measurements do on average.
+    Where Huber's function reduces the weights of measurements, priors are reduced by the average of these weights.
     """
 
     def __init__(self, engine: Engine, system: Linearised, theta: Array, delta: float, ridge: float) -> None:
@@ -187,23 +189,23 @@ class _Fit:
         self.start = self._with_value(residuals, theta)
 
     def solved(self, move: Array) -> _Solved:
-        """All rows at another vector, so far from the first."""
+        """All rows at the vector displaced by `move`."""
         at = self.theta + move
         rows = [residual_vector(self.engine, at), self.priors.rows(at)]
         return self._with_value(np.concatenate(rows), at)
 
     def _with_value(self, residuals: Array, at: Array) -> _Solved:
         priors = residuals[self.count :]
-        with np.errstate(over="ignore", invalid="ignore"):  # corrections that run away
+        with np.errstate(over="ignore", invalid="ignore"):  # diverging corrections
             penalty = self.ridge * float(self.equations.penalised @ at**2) + self.balance * float(priors @ priors)
         return _Solved(residuals, huber(residuals[: self.count], self.delta) + 0.5 * penalty)
 
     def step(self, damping: float) -> Array:
-        """The damped step; NaN (which no objective accepts) where the equations are singular to rounding."""
+        """The damped step; NaN, which is never accepted, if the equations are numerically singular."""
         return self._found(lambda: self.equations.step(damping))
 
     def correction(self, target: Array, damping: float) -> Array:
-        """What undoes a change of all (weighted) rows as well as the damping allows; NaN as above."""
+        """The damped least-squares step that cancels the change `target` of all (weighted) rows; NaN as above."""
         return self._found(lambda: self.equations.respond(target, damping))
 
     def _found(self, solve: Callable[[], Array]) -> Array:
@@ -219,8 +221,7 @@ class _Fit:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A damping, how far it moves, what is solved there, and which part of the decrease that was foretold came true (0:
-    there was none)."""
+    """A damping, its displacement, the rows there, and the ratio of actual to predicted decrease (0: no decrease)."""
 
     damping: float
     move: Array
@@ -234,17 +235,18 @@ class _Trial:
         move, after = _followed(fit, step, damping)
         if not after.value < fit.start.value:
             return cls(damping, move, after, 0.0)
-        foretold = fit.equations.predicted_decrease(step)  # at rest nothing but rounding, of either sign
+        foretold = fit.equations.predicted_decrease(step)  # at convergence only rounding error, of either sign
         gain = min((fit.start.value - after.value) / foretold, 1.0) if foretold > 0 else 1.0
         return cls(damping, move, after, gain)
 
 
 def _searched(fit: _Fit, damping: float) -> _Trial:
-    """The best of a few dampings, since a Jacobian costs more than several of them.
+    """The best of a few dampings, since a Jacobian costs more than several trials.
 
-    From the one at hand it goes up until the objective falls, in growing strides; else down as long as it falls as was
-    foretold: not under a ridge, whose strength the data set only step by step, so that a long step would follow the
-    noise (hare and lynx, foretold by fits of the other years: errors of logarithms 0.330 instead of 0.303).
+    The damping is increased from the current one, by growing factors, until the objective decreases. If the first trial
+    succeeds it is reduced as long as the decrease is as predicted, but not under a ridge: its strength is estimated
+    only step by step, so that a long step would fit the noise (hare and lynx, predicted by fits of the other years:
+    errors of logarithms 0.330 instead of 0.303).
     """
     best = _Trial.of(fit, damping)
     factor = MORE
@@ -262,12 +264,12 @@ def _searched(fit: _Fit, damping: float) -> _Trial:
 
 
 def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
-    """Where the path leads of which `step` is the beginning: how far to move, and what is solved there.
+    """The displacement along the curved path that begins with `step`, and the rows there.
 
-    A fit lies in a narrow curved valley of the objective. On a straight step of useful length the residuals leave what
-    the linear model foretells by many times their size, and nearly all of that is undone by corrections which the
-    equations at hand give: first half the geodesic acceleration, then chord steps towards the residuals foretold. They
-    cost one solution each, and a half to a quarter of the damping works before the next Jacobian.
+    A minimum lies in a narrow curved valley of the objective. On a straight step of useful length the residuals deviate
+    from the linear model by many times their size. Corrections with the present equations remove nearly all of this:
+    first half the geodesic acceleration, then chord steps towards the predicted residuals. Each costs one solution, and
+    allows a half to a quarter of the damping before the next Jacobian.
     """
     best = step, fit.solved(step)
     bend = _bend(fit, step, damping)
@@ -289,9 +291,9 @@ def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
 
 
 def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
-    """Half the geodesic acceleration along a step (Transtrum and Sethna 2012); None where it is not a correction.
+    """Half the geodesic acceleration along a step (Transtrum and Sethna 2012); None if it is too large.
 
-    The second derivative of the residuals along the step is taken by a difference.
+    The second derivative of the residuals along the step is approximated by a finite difference.
     """
     ahead = fit.solved(DIFFERENCE * step).residuals
     if not np.isfinite(ahead).all():
@@ -305,7 +307,7 @@ def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
 
 
 def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:
-    """Residual variance with the degrees of freedom that the fit used taken off."""
+    """Residual variance, corrected for the degrees of freedom that the fit used."""
     weights = huber_weights(residuals, delta)
     return float(np.sum(weights * residuals**2)) / max(len(residuals) - freedom, 0.1 * len(residuals), 1.0)
 
@@ -313,10 +315,11 @@ def noise_variance(equations: NormalEquations, residuals: Array, delta: float, f
 def evidence(
     equations: NormalEquations, residuals: Array, delta: float, theta: Array, ridge: float, seed: int
 ) -> float:
-    """The ridge that maximises the evidence at the present linearisation (MacKay 1992), approached by half (in logs).
+    """The ridge that maximises the evidence at the present linearisation (MacKay 1992), averaged with the present one
+    (in logarithms).
 
-    With gamma effective weights the prior's precision is gamma / |w|^2 and the noise variance is that of the
-    residuals with all used degrees of freedom taken off; the ridge is their product.
+    With gamma effective weights the prior's precision is gamma / |w|^2; the noise variance is that of the residuals,
+    corrected for all used degrees of freedom. The ridge is the product of the two.
     """
     parameters = equations.parameters
     weights = theta[: parameters.n_weights]
@@ -326,7 +329,7 @@ def evidence(
     scale = max(float(np.mean(residuals**2)), 1e-300)
     try:
         freedom = equations.degrees_of_freedom(WEAK * scale, seed)
-    except np.linalg.LinAlgError:  # singular to rounding: so little damping says nothing
+    except np.linalg.LinAlgError:  # numerically singular: the damping is too small for an estimate
         return ridge
     unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
     effective = max(freedom - unpenalised, 1.0)

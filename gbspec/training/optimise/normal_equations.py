@@ -1,10 +1,10 @@
 """Damped least-squares steps from the exact Jacobian, with Huber's weights and a ridge on the network weights.
 
 The damped normal equations `(J^T W J + D) s = -(J^T W r + ridge * w)` (w the network weights, D = damping, plus the
-ridge at the weights) are solved in the smaller of their two forms. With fewer residuals than shared columns: the dual,
-of the residuals' size. Else the primal, whose blocks of single trajectories (own constants, initial states) are
-eliminated first, so that its size is the number of shared columns whatever the number of trajectories. Where both are
-large (`sketch.LEAST`), neither matrix is formed if a sketch of it does.
+ridge at the weights) are solved in the smaller of their two forms. With fewer residuals than shared columns this is the
+dual form, whose size is the number of residuals; otherwise the primal form. In the latter the blocks of single
+trajectories (own constants, initial states) are eliminated first, so that its size is the number of shared columns for
+any number of trajectories. If both sizes are large (`nystrom.LEAST`), neither matrix is formed if a sketch suffices.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PROBES = 12
 
 
 class _Threads:
-    """How many threads factor large matrices in this process."""
+    """The number of threads that factor large matrices in this process."""
 
     large = 1
 
@@ -45,13 +45,13 @@ def huber(residuals: Array, delta: float) -> float:
     if not np.isfinite(residuals).all():
         return float("inf")
     if np.isinf(delta):
-        with np.errstate(over="ignore"):  # the residuals of a solution that runs away: their sum is infinite
+        with np.errstate(over="ignore"):  # residuals of a diverging solution: their sum is infinite
             return 0.5 * float(residuals @ residuals)
     return float(huber_each(residuals, delta).sum())
 
 
 def huber_each(residuals: Array, delta: float) -> Array:
-    """Huber's function of each residual; what is beyond `delta` is never squared, however large it is."""
+    """Huber's function of each residual; residuals beyond `delta` are never squared, so that they cannot overflow."""
     size = np.abs(residuals)
     inside = np.minimum(size, delta)
     return np.asarray(inside * (size - 0.5 * inside), dtype=np.float64)
@@ -66,7 +66,7 @@ def huber_weights(residuals: Array, delta: float) -> Array:
 class Cholesky:
     """A factored symmetric positive definite matrix [n, n] (torch's LAPACK is several times faster than scipy's).
 
-    Raises LinAlgError where the matrix is not positive definite to rounding.
+    Raises LinAlgError if the matrix is not numerically positive definite.
     """
 
     def __init__(self, matrix: Array) -> None:
@@ -93,7 +93,7 @@ _Primal = tuple[Cholesky, list[Array], list[Array]]
 
 
 class NormalEquations:
-    """The linearised problem at one vector, solved for any damping; it takes the system over and scales it in place.
+    """The linearised problem at one vector, solved for any damping; the arrays of `system` are scaled in place.
 
     `weights` [m] are those of the residuals; `ridge` is the precision of the prior on network weights around zero, in
     units of the residuals.
@@ -141,7 +141,7 @@ class NormalEquations:
         return self.transposed(self.residuals) + self.ridge * self.penalised * self.theta
 
     def predicted_decrease(self, step: Array) -> float:
-        """By how much the linear model says that a step lowers the objective."""
+        """The decrease of the objective that the linear model predicts for a step."""
         change = self.times(step)
         quadratic = 0.5 * float(change @ change) + 0.5 * self.ridge * float(np.sum(self.penalised * step**2))
         return -float(self.gradient() @ step) - quadratic
@@ -219,7 +219,7 @@ class NormalEquations:
         return self._dual_kept[0]
 
     def _form_grams(self) -> tuple[Array, Array]:
-        """Gram matrices of the weights' columns and of all others; their sum and nothing where there is no ridge."""
+        """Gram matrices of the weights' columns and of all others; without a ridge, their sum and an empty matrix."""
         weights = self.shared[:, : self.parameters.n_weights]
         constants = self.shared[:, self.parameters.n_weights :]
         rest = constants @ constants.T
@@ -233,7 +233,7 @@ class NormalEquations:
         return gram, np.zeros((0, 0))
 
     def _primal(self, gradient: Array, damping: float) -> Array:
-        """(J^T J + D)^-1 g, the trajectories' blocks eliminated."""
+        """(J^T J + D)^-1 g, by elimination of the trajectories' blocks."""
         ns, nl = self.parameters.n_shared, self.parameters.n_local
         factor, inverses, crosses = self._primal_factor(damping)
         g_shared, g_local = gradient[:ns].copy(), gradient[ns:].reshape(-1, nl)

@@ -1,7 +1,7 @@
 """Damped normal equations of a large network, solved through a sketch of their few large eigenvalues.
 
 A network's residuals depend strongly on few combinations of its weights: of the 4,483 shared columns of URP_GB2 the
-normal matrix has about 160 eigenvalues above the damping, and three quarters vanish to rounding. So the equations
+normal matrix has about 160 eigenvalues above the damping, and three quarters are numerically zero. The equations
 `(K + D) x = g` are solved by conjugate gradients, whose products with `K = A^T (I - P) A` cost no more than reading the
 Jacobian, preconditioned by Nystroem's approximation of K from its products with random vectors (Frangella, Tropp and
 Udell 2023, "Randomized Nystroem preconditioning", SIAM J. Matrix Anal. Appl. 44(2)); a few iterations make the
@@ -20,19 +20,21 @@ from gbspec.arrays import Array
 from gbspec.training.problem import Integers
 
 LEAST = 2000
-"""With fewer residuals or shared columns, factored matrices are as fast."""
+"""With fewer residuals or shared columns, factorising the matrices is as fast."""
 FIRST_RANK, SHARE = 256, 0.25
-"""Random vectors of the first sketch, doubled up to this share of the columns until they reach below the damping."""
+"""Random vectors of the first sketch; doubled, up to this share of the columns, until its spectrum reaches the
+damping."""
 BELOW = 10.0
-"""The smallest eigenvalue of a sketch must lie below this multiple of the damping: the number of iterations follows."""
+"""The smallest eigenvalue of a sketch must lie below this multiple of the damping, which bounds the number of
+iterations."""
 TOLERANCE, ITERATIONS = 1e-10, 60
 """Relative size of the last residual, in the preconditioner's norm, and the most iterations."""
 TRUE = 1e-6
-"""Relative size, in the plain norm, that the residual of what is returned has at most."""
+"""Largest relative residual of a returned solution, in the Euclidean norm."""
 
 
 class TooSlowError(Exception):
-    """The sketch does not pay: the spectrum falls too slowly for this damping, or the equations are near singular."""
+    """The sketch is too slow: the spectrum decays too slowly for this damping, or the equations are nearly singular."""
 
 
 @dataclass(frozen=True)
@@ -45,27 +47,27 @@ class Blocks:
 
     @classmethod
     def of(cls, values: Array, owner: Integers, trajectories: int) -> Blocks:
-        """From arrays."""
+        """The blocks of given arrays."""
         return cls(torch.from_numpy(values), torch.from_numpy(owner), trajectories)
 
     def transposed(self, rows: Tensor) -> Tensor:
-        """Their transpose times [m, k]: [N, n_local, k]."""
+        """The product [N, n_local, k] of the blocks' transpose with `rows` [m, k]."""
         out = rows.new_zeros((self.trajectories, self.values.shape[1], rows.shape[1]))
-        for i in range(self.values.shape[1]):  # a column at a time: the products of all would be too large
+        for i in range(self.values.shape[1]):  # one column at a time: all products together would be too large
             out[:, i].index_add_(0, self.owner, self.values[:, i : i + 1] * rows)
         return out
 
     def times(self, columns: Tensor) -> Tensor:
-        """They times [N, n_local, k]: [m, k]."""
+        """The product [m, k] of the blocks with `columns` [N, n_local, k]."""
         out = self.values.new_zeros((len(self.values), columns.shape[2]))
         for i in range(self.values.shape[1]):
             out += self.values[:, i : i + 1] * columns[:, i][self.owner]
         return out
 
     def inverses(self, damping: Tensor) -> Tensor:
-        """Inverses of their normal matrices with the diagonals `damping` [N, n_local] added: [N, n_local, n_local].
+        """Inverses [N, n_local, n_local] of the blocks' normal matrices with diagonals `damping` [N, n_local] added.
 
-        Raises TooSlowError where one is singular to rounding.
+        Raises TooSlowError if one of them is numerically singular.
         """
         n = self.values.shape[1]
         grams = self.values.new_zeros((self.trajectories, n, n))
@@ -91,7 +93,7 @@ class Sketch:
     def solve(self, gradient: Array, damping: Array) -> Array:
         """(J^T J + D)^-1 g [size], shared entries first, then trajectory by trajectory.
 
-        Raises TooSlowError where another method should be taken.
+        Raises TooSlowError if another method should be used.
         """
         n, count = self.shared.shape[1], self.blocks.trajectories
         g = torch.from_numpy(gradient)
@@ -106,7 +108,7 @@ class Sketch:
         return float((shared * x_shared).sum() + (local * x_local).sum())
 
     def _solve(self, shared: Tensor, local: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
-        """For k right-hand sides: [n, k] and [N, n_local, k]."""
+        """The solutions [n, k] and [N, n_local, k] for k right-hand sides."""
         n, blocks = self.shared.shape[1], self.blocks
         inverse, precondition = self._prepare(damping)
         right = shared - self.shared.T @ blocks.times(torch.bmm(inverse, local))
@@ -115,7 +117,7 @@ class Sketch:
 
     # ---------------------------------------------------------------- the operator
     def _apply(self, columns: Tensor, inverse: Tensor) -> Tensor:
-        """K times [n, k]."""
+        """The product of K with `columns` [n, k]."""
         rows = self.shared @ columns
         rows -= self.blocks.times(torch.bmm(inverse, self.blocks.transposed(rows)))
         return self.shared.T @ rows
@@ -123,9 +125,10 @@ class Sketch:
     def _conjugate_gradients(
         self, right: Tensor, damping: Tensor, inverse: Tensor, precondition: _Preconditioner
     ) -> Tensor:
-        """All columns side by side, each with its own lengths, until the last one is done.
+        """Conjugate gradients for all columns simultaneously, with separate step lengths, until all have converged.
 
-        Raises TooSlowError where they do not get there, or only by the recurrence: near rounding it drifts away.
+        Raises TooSlowError if they do not converge, or if only the recursively updated residual does, which deviates
+        from the true one near rounding.
         """
         x, residual = torch.zeros_like(right), right.clone()
         z = precondition(residual)
@@ -169,7 +172,7 @@ class Sketch:
         return _Preconditioner(self._vectors, self._values, damping)
 
     def _nystroem(self, rank: int, inverse: Tensor) -> tuple[Tensor, Tensor]:
-        """Eigenvectors [n, rank] and eigenvalues, falling, of the approximation (the paper's algorithm 2.1)."""
+        """Eigenvectors [n, rank] and eigenvalues, decreasing, of the approximation (the paper's algorithm 2.1)."""
         random = np.random.default_rng([59, rank])
         test = torch.from_numpy(random.standard_normal((self.shared.shape[1], rank)))
         test = torch.linalg.qr(test)[0]
@@ -189,7 +192,7 @@ class Sketch:
 
 
 class _Preconditioner:
-    """The inverse of `U S U^T + D` (Woodbury), D any positive diagonal."""
+    """The inverse of `U S U^T + D` (Woodbury), with any positive diagonal D."""
 
     def __init__(self, vectors: Tensor, values: Tensor, damping: Tensor) -> None:
         self.inverse_damping = 1.0 / damping
@@ -201,11 +204,11 @@ class _Preconditioner:
             raise TooSlowError
 
     def __call__(self, vector: Tensor) -> Tensor:
-        """Of the columns of [n, k]."""
+        """The inverse times `vector` [n, k]."""
         inner = torch.cholesky_solve(self.scaled.T @ vector, self.factor)
         return self.inverse_damping[:, None] * vector - self.scaled @ inner
 
 
 def _ratio(above: Tensor, below: Tensor) -> Tensor:
-    """Quotients; 0 of columns that are solved exactly."""
+    """Quotients; 0 for columns that are solved exactly."""
     return torch.where(below > 0, above / below, torch.zeros_like(above))

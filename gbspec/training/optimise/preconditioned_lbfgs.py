@@ -1,8 +1,8 @@
-"""Minimisation of a penalised sum of squares from one factored Gauss-Newton Hessian, with an entry held where asked.
+"""Minimisation of a penalised sum of squares from one factored Gauss-Newton Hessian; an entry may be held fixed.
 
-The limited-memory BFGS iteration (Nocedal and Wright 2006, algorithm 7.4) whose first matrix is the inverse of the
-normal matrix at the anchor: an iteration costs one gradient, no Jacobian, and its pairs hold what the anchor does not
-know, the curvature of the residuals. It is at rest where the decrease that the quadratic model still promises is small.
+The limited-memory BFGS iteration (Nocedal and Wright 2006, algorithm 7.4) whose initial matrix is the inverse of the
+normal matrix at the anchor. An iteration costs one gradient and no Jacobian; its pairs represent the curvature of the
+residuals, which the anchor lacks. It has converged when the decrease predicted by the quadratic model is small.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from gbspec.training.optimise.priors import Priors
 from gbspec.training.problem import Parameters
 
 SUFFICIENT = 1e-4
-"""The part of the promised decrease that a step must bring (Armijo)."""
+"""The fraction of the predicted decrease that a step must achieve (Armijo)."""
 HALVINGS = 8
-"""How often a step is shortened before the anchor is given up."""
+"""Largest number of reductions of a step before the anchor is abandoned."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Where a minimisation ended: the vector, the objective, how far it still promised to fall, and the steps made."""
+    """The end of a minimisation: the vector, the objective, the decrease still predicted, and the number of steps."""
 
     theta: Array
     objective: float
@@ -39,7 +39,7 @@ class Penalised:
     """Phi = half of the sum of squared residuals, of the priors' rows and of `ridge` times the weights' squared
     distance from `center` [n_weights].
 
-    The problem's `scaling.noise` must be set: it is what priors are measured by.
+    The problem's `scaling.noise` must be set, since the priors' rows are in this unit.
     """
 
     engine: Engine
@@ -57,7 +57,7 @@ class Penalised:
         return Priors.of(self.engine.problem, self.parameters, np.zeros(0))
 
     def value(self, theta: Array) -> float:
-        """Phi at a vector [size]; infinite where the solution blows up."""
+        """Phi at a vector [size]; infinite if the solution is not finite."""
         residuals = residual_vector(self.engine, theta)
         with np.errstate(over="ignore"):
             found = 0.5 * float(residuals @ residuals) + self._penalty(theta)
@@ -77,7 +77,7 @@ class Penalised:
         return self.priors.penalty(theta) + 0.5 * self.ridge * float(moved @ moved)
 
     def _displaced(self, theta: Array) -> Array:
-        """How far the weights are from the centre of their prior [n_weights]."""
+        """The weights minus the centre of their prior [n_weights]."""
         return np.asarray(theta[: self.parameters.n_weights] - self.center, dtype=np.float64)
 
     def equations(self, theta: Array) -> NormalEquations:
@@ -89,7 +89,7 @@ class Penalised:
 
 
 class Anchor:
-    """The factored normal matrix at one vector, damped by `damping`; steps leave the entry `held` where it is."""
+    """The factored normal matrix at one vector, damped by `damping`; steps do not change the entry `held`."""
 
     def __init__(self, equations: NormalEquations, damping: float, held: int | None) -> None:
         self.equations, self.damping, self.held = equations, damping, held
@@ -99,18 +99,18 @@ class Anchor:
             column = equations.invert(unit, damping)
             self.variance = float(column[held])
             self.path: Array = column / column[held]
-            """How everything else moves, to first order, when the held entry moves by one."""
+            """The derivative of all other entries with respect to the held one, to first order."""
 
     def solve(self, vector: Array) -> Array:
-        """The inverse of the normal matrix, bordered by the held entry, times a vector."""
+        """The inverse of the normal matrix, constrained by the held entry, times a vector."""
         found = self.equations.invert(vector, self.damping)
         return found if self.held is None else found - found[self.held] * self.path
 
 
 def minimise(target: Penalised, anchor: Anchor, theta: Array, enough: float, most: int) -> Rest:
-    """Follows the descent from `theta` until the promised decrease of Phi is below `enough`, or for `most` steps.
+    """Minimises Phi from `theta` until the predicted decrease is below `enough`, or for `most` steps.
 
-    It also ends where no step along the direction brings a decrease: the anchor is then too far away.
+    It also ends if no step along the direction gives a decrease: the anchor is then too far away.
     """
     pairs: list[Pair] = []
     value, slope = target.gradient(theta)
@@ -134,7 +134,7 @@ def minimise(target: Penalised, anchor: Anchor, theta: Array, enough: float, mos
 def _search(
     target: Penalised, theta: Array, value: float, direction: Array, promised: float
 ) -> tuple[Array, float, Array] | None:
-    """The first sufficient decrease along a direction, its value and gradient; None where there is none."""
+    """The first sufficient decrease along a direction, its value and gradient; None if there is none."""
     length = 1.0
     for _ in range(HALVINGS):
         trial = theta + length * direction

@@ -1,10 +1,10 @@
-"""What is known of constants beforehand: `prior normal(mean, sd)` and `prior lognormal(median, cv)` in the fit.
+"""Prior distributions of constants in the fit: `prior normal(mean, sd)` and `prior lognormal(median, cv)`.
 
 Each prior is a row of the sum of squares, `noise * (k - mean) / sd`, or of logarithms under a lognormal prior, whose
-deviation is then sqrt(log(1 + cv^2)). `noise` is the standard deviation of the measurements' noise in units of the
-residuals: so the least sum is the most probable vector, and the inverse of the normal matrix, times the noise's
-variance, the covariance of the posterior where the model is linear (Gelman et al., Bayesian Data Analysis, 14.8). The
-noise is known where every channel states its own; else the residuals at hand tell it.
+standard deviation is then sqrt(log(1 + cv^2)). `noise` is the standard deviation of the measurements' noise in units of
+the residuals. The minimum of the sum is then the most probable vector, and the inverse of the normal matrix, times the
+variance of the noise, the covariance of the posterior of a linear model (Gelman et al., Bayesian Data Analysis, 14.8).
+The noise is known if every channel states its own; otherwise it is estimated from the current residuals.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from gbspec.training.engines import Engine, Linearised, residual_vector
 from gbspec.training.problem import Integers, Parameters, Problem, typical
 
 LEAST_NOISE = 1e-6
-"""Exact data leave nothing to a prior but what they do not tell; this keeps that much of it."""
+"""Lower bound of the noise: with exact data a prior matters only for what they do not determine, but must not
+vanish."""
 
 
 def spread_of(prior: Prior) -> float:
@@ -30,7 +31,7 @@ def spread_of(prior: Prior) -> float:
 
 
 def standardised(prior: Prior, value: Tensor) -> Tensor:
-    """By how many of the prior's standard deviations values differ from its centre."""
+    """The difference of values from the prior's centre, in units of its standard deviation."""
     if prior.kind == "normal":
         return (value - prior.location) / prior.scale
     return (torch.log(value) - float(np.log(prior.location))) / spread_of(prior)
@@ -38,7 +39,7 @@ def standardised(prior: Prior, value: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Priors:
-    """The P rows of all priors: one for a shared constant, one a trajectory for a constant that each has for itself.
+    """The P rows of all priors: one for each shared constant, one per trajectory for each constant per trajectory.
 
     `column` [P] is the entry of the trainable vector that a row depends on, `owner` [P] its trajectory (0: shared).
     """
@@ -50,7 +51,7 @@ class Priors:
 
     @staticmethod
     def of(problem: Problem, parameters: Parameters, residuals: Array) -> Priors:
-        """The priors of a model's learnables; `residuals` tell the noise where no channel states it."""
+        """The priors of a model's learnables; the noise is estimated from `residuals` if not stated."""
         count, local = parameters.trajectories, parameters.n_local
         columns, owners = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         for i in _with_prior(parameters):
@@ -115,7 +116,7 @@ class Priors:
         return torch.cat(found)
 
     def _slopes(self, theta: Array) -> Array:
-        """The derivative of each row by the one entry that it depends on [P]."""
+        """The derivative of each row with respect to the one entry that it depends on [P]."""
         vector = torch.from_numpy(theta.copy()).requires_grad_()
         rows = self._rows(vector)
         if not rows.requires_grad:
@@ -125,7 +126,7 @@ class Priors:
 
 
 def priors_at(engine: Engine, theta: Array) -> Priors:
-    """The priors beside the residuals at a vector, which are computed only where they give the noise."""
+    """The priors at a vector; its residuals are computed only if the noise is estimated from them."""
     stated = engine.problem.scaling.noise is not None or not _with_prior(engine.parameters)
     return Priors.of(engine.problem, engine.parameters, np.zeros(0) if stated else residual_vector(engine, theta))
 

@@ -1,7 +1,7 @@
-"""What a stage of an estimation is: it takes the trainable vector somewhere better, one resumable step at a time.
+"""The interface of a stage of the estimation, which improves the trainable vector in resumable steps.
 
-A stage's whole state between two steps is a dictionary of arrays, so that a checkpoint is that dictionary and a resumed
-stage goes on exactly as it would have gone on.
+The complete state of a stage between two steps is a dictionary of arrays, which is also its checkpoint: a resumed stage
+continues exactly as if it had not been interrupted.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ State = dict[str, Array]
 
 @dataclass(frozen=True)
 class Outcome:
-    """The state after a step, the loss there (mean of half squared residuals), and whether the stage is at its end.
+    """The state after a step, the loss there (mean of half squared residuals), and whether the stage has ended.
 
-    `note` is a remark for the user that belongs to the fit.
+    `note` is a remark for the user that is kept with the fit.
     """
 
     state: State
@@ -38,18 +38,18 @@ class Stage(Protocol):
     total: int
 
     def begin(self, theta: Array) -> State:
-        """The state before the first step; it has the vector under `theta`."""
+        """The state before the first step; its entry `theta` is the vector."""
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """One step from a state (which it does not change). Raises ComputationError where there is no way on."""
+        """One step from a state (which it does not change). Raises ComputationError if it is impossible."""
 
 
 def require_finite(engine: Engine, theta: Array, residuals: Array, stage: str) -> None:
-    """Raises ComputationError that says where a solution blew up, if it did."""
+    """Raises ComputationError, with trajectory and time, if a residual is not finite."""
     if not np.isfinite(residuals).all():
         raise explain_failure(engine.problem, engine.parameters, theta, stage)
 
 
 def scalar(state: Mapping[str, Array], name: str) -> float:
-    """A number kept in a state."""
+    """A number stored in a state."""
     return float(state[name])

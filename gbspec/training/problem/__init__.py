@@ -1,4 +1,4 @@
-"""What is fitted: data packed for stepping, the trainable vector, and the definition of the residual."""
+"""The training problem: data packed for the solver, the trainable vector, and its residuals."""
 
 import lazy_loader
 

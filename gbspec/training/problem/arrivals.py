@@ -1,11 +1,11 @@
-"""Arrivals: what happens to a trajectory between two sub-steps of the solver.
+"""Arrivals: events of a trajectory between two sub-steps of the solver.
 
 A measurement (which may reset states), a change of an input and a dose are arrivals: each has a time, and no sub-step
-of the solver crosses one. At one time they come in this order: measurement, change of an input, dose.
+of the solver crosses one. Simultaneous arrivals are processed in this order: measurement, change of an input, dose.
 
 Times that follow from the data alone are boundaries of sub-steps when the data are packed (`boundaries`). The time of
-a dose whose lag is learned moves through the sub-steps while the fit proceeds; `path` cuts the sub-steps that such
-doses fall into, for the vector at hand.
+a dose whose lag is learned changes during the fit; `path` cuts the sub-steps into which such doses fall, for a given
+vector.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class DoseTable:
-    """All doses of a batch [E]: the trajectory, which of the model's doses it is, when it is given, and how much.
+    """All doses of a batch [E]: the trajectory, the index among the model's doses, the time given, and the amount.
 
-    `known`: for each of the model's doses whether its lag depends on nothing that is learned, so that sub-steps begin
-    where it arrives.
+    `known`: for each of the model's doses, whether its lag does not depend on learned quantities, so that a sub-step
+    begins at its arrival.
     """
 
     owner: Integers
@@ -56,9 +56,9 @@ def known_lags(trajectories: Trajectories, model: Model) -> list[Lags]:
 
 
 def _lags(item: Trajectory, model: Model, terms: Sequence[Expr | None]) -> Lags:
-    """The lags of a trajectory's doses from their terms over the conditions; None where they are learned.
+    """The lags of a trajectory's doses from their terms over the conditions; None if they are learned.
 
-    NaN where the conditions leave one undefined: such a dose never arrives.
+    A lag that is undefined under the conditions is NaN: such a dose never arrives.
     """
     given = {each.symbol: float(value) for each, value in zip(model.conditions, item.condition, strict=True)}
     found = [term if term is None or term.is_number else term.subs(given) for term in terms]
@@ -66,7 +66,7 @@ def _lags(item: Trajectory, model: Model, terms: Sequence[Expr | None]) -> Lags:
 
 
 def _known(dose: Dose, model: Model) -> bool:
-    """Whether the lag of a dose depends on nothing that is learned."""
+    """Whether the lag of a dose does not depend on learned quantities."""
     return not dose.lag.free_symbols & {learnable.symbol for learnable in model.learnables}
 
 
@@ -84,12 +84,12 @@ def dose_table(trajectories: Trajectories, model: Model) -> DoseTable:
 
 
 def boundaries(item: Trajectory, keys: Array, lags: Lags) -> Array:
-    """Times at which sub-steps of a trajectory begin or end whatever their length: its start, its key rows `keys`, and
-    the arrivals between them whose times are known."""
+    """The prescribed boundaries of a trajectory's sub-steps: its start, its key rows `keys`, and the arrivals between
+    them whose times are known."""
     times = [signal.times for signal in item.inputs]
     times += [doses.times + lag for doses, lag in zip(item.doses, lags, strict=True) if lag is not None]
     inside = [s[(s > item.start) & (s < item.end)] for s in times]
-    # An arrival within rounding of a key row is at that row: no step may be as short as an error of the clock.
+    # An arrival within rounding of a key row is moved to that row: no step may be as short as a rounding error.
     distinct = _distinct(np.concatenate([keys, *inside]), keys, item)
     return np.concatenate([[item.start], distinct[distinct > item.start]])
 

@@ -1,8 +1,9 @@
-"""Smooth bijections between a constant's allowed range and the whole line, so that bounds hold by construction.
+"""Smooth bijections between a constant's allowed range and the real line, so that bounds hold by construction.
 
-Two-sided bounds use the logistic function, one-sided ones the exponential, none the identity scaled by the start. The
-optimiser sees `u`, whose value is that of the bijection at `STRETCH * u`: a unit step of `u` is about a factor of e^3,
-because constants are few and start far off more often than weights do.
+Two-sided bounds use the logistic function, one-sided bounds the exponential function, and no bounds the identity scaled
+by the starting value. The optimiser works with `u`, and the constant is the bijection at `STRETCH * u`: a unit step of
+`u` is about a factor of e^3, because constants are few and their starting values are more often far off than those of
+weights.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from gbspec.ir import Learnable
 
 STRETCH = 3.0
 MARGIN = 1e-3
-"""A start on a bound is moved inside by this fraction of the range (the exact bound lies at infinity)."""
+"""A starting value on a bound is moved inside by this fraction of the range (the exact bound is at infinite `u`)."""
 
 
 @dataclass(frozen=True)
 class Bijections:
-    """One bijection a learnable, evaluated together. Arrays are [n_learnables]."""
+    """One bijection per learnable, evaluated together. Arrays are [n_learnables]."""
 
     low: Array
     high: Array
@@ -40,7 +41,7 @@ class Bijections:
         )
 
     def kind(self, i: int) -> str:
-        """`both`, `low`, `high` or `none`: which ends of constant i are bounded."""
+        """`both`, `low`, `high` or `none`: the bounds that constant i has."""
         low, high = math.isfinite(self.low[i]), math.isfinite(self.high[i])
         return "both" if low and high else "low" if low else "high" if high else "none"
 

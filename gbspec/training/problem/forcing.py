@@ -1,4 +1,4 @@
-"""Forcing: where states are replaced by values at key rows while a fit predicts from row to row."""
+"""Forcing: the replacement of states by given values at key rows during a fit."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from gbspec.training.problem.packing import Packed
 
 @dataclass(frozen=True)
 class Forcing:
-    """Where states are replaced at key rows, and by how much.
+    """The values and strengths with which states are replaced at key rows.
 
-    `value` [R, n_states] and `weight` [R, n_states] in [0, 1]: after the row's residual is taken,
-    `x <- x - weight * (x - value)`. Teacher forcing has weight 1 at measured states, a blend less, autoregressive 0;
-    imputed teacher forcing has weight 1 at every state, with values from splines.
+    `value` [R, n_states] and `weight` [R, n_states] in [0, 1]: after the row's residual is computed,
+    `x <- x - weight * (x - value)`. Teacher forcing has weight 1 at measured states, a blend a smaller one,
+    autoregressive 0; imputed teacher forcing has weight 1 at every state, with values from splines.
     """
 
     value: Array
     weight: Array
 
     def reset(self, before: Array) -> Array:
-        """The states at the key rows [R, n_states] after what is measured there has replaced them."""
-        with np.errstate(invalid="ignore", over="ignore"):  # of a solution that blew up
+        """The states at the key rows [R, n_states] after the replacement."""
+        with np.errstate(invalid="ignore", over="ignore"):  # of a solution that is not finite
             blended = before - self.weight * (before - self.value)
         return np.where(self.weight == 1.0, self.value, blended)
 
 
 def measured_states(model: Model, packed: Packed) -> tuple[Array, Mask]:
-    """Measured values of states [R, n_states] (NaN: not measured) and where there is one.
+    """Measured values of states [R, n_states] (NaN: not measured) and the mask of measured ones.
 
-    Where two channels measure the same state, the later one in the model's order counts.
+    If two channels measure the same state, the later one in the model's order is used.
     """
     values = np.full((packed.rows, len(model.states)), np.nan)
     for index, channel in enumerate(model.channels):

@@ -1,11 +1,10 @@
-"""Trajectories as arrays to step through: key rows, solver sub-steps packed back to back, resets and doses.
+"""Trajectories as arrays for the solver: key rows, contiguous sub-steps, resets and doses.
 
-A *key row* is a time at which something is known of a trajectory: a measurement. Between key rows the solver takes
-*sub-steps* no longer than the largest step allowed; they begin anew where an input breaks or a dose arrives (where its
-lag is learned: see `path`). Each trajectory's sub-steps follow each other
-without gaps, so that in step `s` of the batch every trajectory takes its own `s`-th sub-step, whatever its length;
-trajectories that are done take steps of length zero, at the end only. (Waiting for the longest interval of the batch
-at every key row would cost about three times as many steps on irregular data.)
+A *key row* is a measurement time of a trajectory. Between key rows the solver takes *sub-steps* that are not longer
+than the largest step allowed; a discontinuity of an input or the arrival of a dose is always a boundary of sub-steps
+(for learned lags see `path`). Each trajectory's sub-steps are stored without gaps, so that in step `s` of the batch
+every trajectory takes its own `s`-th sub-step; completed trajectories take steps of length zero, only at the end.
+(Synchronising the batch at every key row would require about three times as many steps on irregular data.)
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundari
 class Packed:
     """A batch of N trajectories of at most T sub-steps, with R key rows in all.
 
-    `t`, `h` [T, N]: start and length of each sub-step; `inputs` [T, N, nodes, n_inputs]: inputs at `nodes`, which the
-    method has as parts of a step (the right limit at its start, the left limit at its end); `condition`
+    `t`, `h` [T, N]: start and length of each sub-step; `inputs` [T, N, nodes, n_inputs]: inputs at `nodes`, the
+    method's nodes as fractions of a step (the right limit at its start, the left limit at its end); `condition`
     [N, n_conditions]; `start` [N].
     Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
     trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
@@ -72,7 +71,7 @@ class Packed:
 
     @property
     def substeps(self) -> int:
-        """Number of true sub-steps (of positive length)."""
+        """Number of sub-steps of positive length."""
         return int(self.steps.sum())
 
     @cached_property
@@ -94,7 +93,7 @@ class Packed:
         return np.asarray(begins, dtype=np.int64)
 
     def take(self, indices: Sequence[int] | Integers) -> Packed:
-        """The same packing with some of its trajectories, in the order given (repeats allowed)."""
+        """The packing of some of the trajectories, in the order given (repeats allowed)."""
         index = np.asarray(indices, dtype=np.int64)
         order = np.concatenate(
             [np.zeros(0, dtype=np.int64), *(np.flatnonzero(self.row_trajectory == i) for i in index)]
@@ -127,8 +126,9 @@ class Packed:
 def default_max_step(trajectories: Trajectories) -> float:
     """A fifth of the typical interval between two measurements of the same channel, rounded to 1, 2 or 5 x 10^n.
 
-    Intervals are taken channel by channel, because channels on clocks of their own make the rows of a table dense
-    without the dynamics being any faster. Whether the step is short enough is checked after every fit, at half of it.
+    Intervals are evaluated for each channel separately, because channels with different measurement times make the rows
+    of a table dense although the dynamics are not faster. Whether the step is small enough is checked after every fit
+    by solving with half the step.
     """
     gaps = [
         np.diff(item.times[np.isfinite(item.values[:, channel])])
@@ -153,10 +153,10 @@ def pack(
     rng: np.random.Generator | None = None,
     method: Method = RK4,
 ) -> Packed:
-    """Packs a data set for steps of a method, of at most `max_step` (in the unit of time).
+    """Packs a data set for a Runge-Kutta method with sub-steps of at most `max_step` (in the unit of time).
 
-    With `rng`, the sub-steps of an interval are of random lengths (none above `max_step`): a learned right-hand side
-    then cannot come to rely on one particular step.
+    With `rng`, the sub-steps of an interval have random lengths (at most `max_step`), so that a learned right-hand side
+    cannot become dependent on one particular step.
     """
     lags = known_lags(trajectories, model)
     nodes = tuple(map(float, method.nodes))
@@ -265,7 +265,7 @@ def _step_inputs(item: Trajectory, model: Model, t: Array, h: Array, nodes: Sequ
         middle = evaluate(signal, spec.interpolation, t + h / 2)
         for k, node in enumerate(nodes):
             if spec.interpolation == "held":
-                # Breakpoints are step boundaries, so a held input is constant within a step: its value at the middle.
+                # Breakpoints are step boundaries: a piecewise constant input equals its value at the middle.
                 out[:, k, j] = middle
             else:
                 out[:, k, j] = evaluate(signal, "linear", t + node * h)

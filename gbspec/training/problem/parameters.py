@@ -1,7 +1,8 @@
-"""The vector of everything that is trained, and what it stands for.
+"""The trainable vector and its conversion to and from weights, constants and initial states.
 
 Order: network weights (network by network, layer by layer, weight row by row, then bias), shared constants, then one
-block a trajectory: its own constants and its initial state. All of it is float64 and scaled so that a unit is large.
+block per trajectory: its own constants and its initial state. All entries are float64 and scaled such that a change by
+1 is large.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ class Parameters:
     """Layout and scales of the trainable vector for N trajectories of a model.
 
     `start_value` [N, n_states] and `start_scale` [n_states]: a learned initial state is
-    `start_value + STRETCH * start_scale * u`; `start_free` [N, n_states] says which are learned. `fixed` holds what
-    the weights file contains and training does not change (the networks' scales).
+    `start_value + STRETCH * start_scale * u`; `start_free` [N, n_states] is 1 for learned ones. `fixed` are the
+    arrays of the weights file that training does not change (the networks' scales).
     """
 
     model: Model
@@ -88,7 +89,7 @@ class Parameters:
 
     @property
     def free(self) -> Array:
-        """1 where an entry of the vector may move, 0 where it may not [size]."""
+        """1 for entries of the vector that are trained, 0 for fixed ones [size]."""
         out = np.ones(self.size)
         local = out[self.n_shared :].reshape(self.trajectories, self.n_local)
         local[:, len(self.own) :] = self.start_free
@@ -104,11 +105,11 @@ class Parameters:
         return theta[self.n_shared :].reshape(self.trajectories, self.n_local)
 
     def weights(self, theta: Tensor) -> dict[str, Tensor]:
-        """What the module's networks take: trained arrays as views of `theta`, and the fixed scales."""
+        """The arrays of the module's networks: trained ones as views of `theta`, and the fixed scales."""
         out: dict[str, Tensor] = {
             k: torch.as_tensor(v, dtype=theta.dtype, device=theta.device) for k, v in self.fixed.items()
         }
-        # Cut in one operation: on the way back of one cut each, every piece is a vector of full length.
+        # One split operation: the backward pass of separate slices would create a vector of full length for each.
         shapes = self.weight_shapes
         parts = torch.split(theta[: self.n_weights], [math.prod(shape) for shape in shapes.values()])
         out |= {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
@@ -126,7 +127,7 @@ class Parameters:
         return torch.cat([same, own], 1)[:, torch.from_numpy(order)]
 
     def starts(self, theta: Tensor) -> Tensor:
-        """Initial states before expressed ones are put in [N, n_states]."""
+        """Initial states [N, n_states], before those given by expressions are substituted."""
         u = self.local(theta)[:, len(self.own) :]
         value = torch.as_tensor(self.start_value, dtype=theta.dtype, device=theta.device)
         scale = torch.as_tensor(STRETCH * self.start_scale * self.start_free, dtype=theta.dtype, device=theta.device)
@@ -134,7 +135,8 @@ class Parameters:
 
     # ---------------------------------------------------------------- the vector from natural values
     def vector(self, weights: Mapping[str, Array], constants: Array | None = None) -> Array:
-        """The vector for given weights, learnable constants ([n] or [N, n], natural) and starts at `start_value`."""
+        """The vector for given weights, learnable constants ([n] or [N, n], natural) and initial states
+        `start_value`."""
         theta = np.zeros(self.size)
         parts = [np.asarray(weights[name], dtype=np.float64).ravel() for name in self.weight_shapes]
         theta[: self.n_weights] = np.concatenate([*parts, np.zeros(0)])
@@ -151,7 +153,7 @@ class Parameters:
         return theta
 
     def with_starts(self, theta: Array, starts: Array) -> Array:
-        """The vector with the learned initial states set to `starts` [N, n_states] (fixed ones stay)."""
+        """The vector with the learned initial states set to `starts` [N, n_states] (fixed ones are unchanged)."""
         out = theta.copy()
         local = out[self.n_shared :].reshape(self.trajectories, self.n_local)
         scale = STRETCH * self.start_scale
@@ -163,7 +165,7 @@ class Parameters:
         return replace(self, start_value=self.start_value[indices], start_free=self.start_free[indices])
 
     def take_vector(self, theta: Array, indices: Integers) -> Array:
-        """The part of the vector that belongs to some of the trajectories: shared columns and their blocks."""
+        """The vector for some of the trajectories: the shared part and their blocks."""
         local = theta[self.n_shared :].reshape(self.trajectories, self.n_local)
         return np.concatenate([theta[: self.n_shared], local[indices].ravel()])
 
@@ -175,7 +177,7 @@ class Parameters:
         constants = self.constants(vector).numpy()
         names = self.model.constant_names
         known = len(self.model.constants)
-        # A constant that each trajectory has for itself is kept in full; its entry in `constants` is their mean.
+        # A constant per trajectory is stored in full; its entry in `constants` is the mean over trajectories.
         out["constants"] = constants.mean(axis=0) if self.trajectories else np.zeros(len(names))
         for i in range(len(self.model.learnables)):
             column = constants[:, known + i]

@@ -1,8 +1,8 @@
-"""The sub-steps as they are taken at one vector: a packing in which every arrival lies between two sub-steps.
+"""The sub-steps at one vector: a packing in which every arrival lies between two sub-steps.
 
 A dose given at d arrives at d + lag. Where the lag is learned, the sub-step that the arrival falls into is cut there,
-and start and length of both parts depend on the lag. So the solution keeps the solver's order and is differentiable in
-the lag, and the other sub-steps stay where they are.
+and start and length of both parts depend on the lag. The solution then has the solver's full order and is
+differentiable in the lag; the other sub-steps are unchanged.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from gbspec.training.problem.packing import Packed
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A packing whose doses all arrive at the starts of sub-steps, some of which they have cut.
+    """A packing, with sub-steps cut where necessary, in which all doses arrive at the starts of sub-steps.
 
-    Of each dose [E]: `time`, when it arrives, `step`, the sub-step at whose start it does so (-1: it does not arrive),
-    `following`, the dose after it there (-1: none), and `cuts`, whether it moves that start. `slope` [T, N, n_inputs]:
-    the slopes in time of the inputs in sub-steps that were cut.
+    For each dose [E]: `time`, the time of arrival, `step`, the sub-step at whose start it arrives (-1: it does not),
+    `following`, the next dose there (-1: none), and `cuts`, whether that start is its time of arrival. `slope` [T, N,
+    n_inputs]: the slopes in time of the inputs in sub-steps that were cut.
     """
 
     packed: Packed
@@ -36,7 +36,7 @@ class Path:
 
     @cached_property
     def doses(self) -> Integers:
-        """Which doses arrive at the start of which sub-step [L, T, N], in the order of time and -1 for none."""
+        """The doses that arrive at the start of each sub-step [L, T, N], in the order of time; -1: none."""
         packed, owner = self.packed, self.packed.doses.owner
         order = _in_time(owner, self.step, self.time)
         cell = owner[order] * (packed.depth + 1) + self.step[order]
@@ -47,7 +47,7 @@ class Path:
 
     @cached_property
     def cutting(self) -> Integers:
-        """Which dose moves the start of each sub-step, the end of the last one included [T + 1, N]; -1: none."""
+        """The dose that determines the start of each sub-step and the end of the last one [T + 1, N]; -1: none."""
         out = np.full((self.packed.depth + 1, self.packed.trajectories), -1, dtype=np.int64)
         cutting = np.flatnonzero(self.cuts)
         out[self.step[cutting], self.packed.doses.owner[cutting]] = cutting
@@ -63,7 +63,7 @@ def path_of(packed: Packed, time: Array) -> Path:
     parts = np.where(np.arange(packed.depth) < packed.steps[:, None], 1, 0)
     np.add.at(parts, (doses.owner[cuts], whole[cuts]), 1)
     first = np.concatenate([np.zeros((packed.trajectories, 1), dtype=np.int64), np.cumsum(parts, 1)], 1)
-    # A dose that cuts begins a part, others arrive in the one that has begun.
+    # A dose that cuts begins a new part; the others arrive in the current part.
     begun = np.concatenate([[0], np.cumsum(cuts[order])])
     part = begun[1:] - begun[np.searchsorted(cell, cell)]
     step, following = (np.full(len(time), -1, dtype=np.int64) for _ in range(2))
@@ -77,16 +77,16 @@ def path_of(packed: Packed, time: Array) -> Path:
 
 
 def _sub_step_of(packed: Packed, time: Array) -> Integers:
-    """The sub-step in which each dose arrives that would do so at `time` [E]; -1: in none.
+    """The sub-step that contains the time of arrival `time` [E] of each dose; -1: none.
 
-    A time within rounding of a boundary is in the later one. Doses that would arrive before a trajectory's start count
-    as given already; those at its end have no effect.
+    A time within rounding of a boundary belongs to the later sub-step. Doses that would arrive before a trajectory's
+    start are ignored as already given; those at its end have no effect.
     """
     owner, out = packed.doses.owner, np.full(len(time), -1, dtype=np.int64)
     given = np.flatnonzero(np.isfinite(time) & (packed.steps[owner] > 0))
     given = given[np.argsort(owner[given], kind="stable")]
     whose, first = np.unique(owner[given], return_index=True)
-    # Of no doses at all there is one part too, and no trajectory.
+    # Without doses there is still one part, without trajectories.
     for i, mine in zip(whose, np.split(given, first[1:]), strict=False):
         n = packed.steps[i]
         begins, end = packed.t[:n, i], packed.t[n - 1, i] + packed.h[n - 1, i]
@@ -112,7 +112,7 @@ def _cut(
     owner, old = (np.repeat(index.ravel(), parts.ravel()) for index in np.indices(parts.shape))
     new = np.arange(len(owner)) - np.repeat(np.cumsum(steps) - steps, steps)
     shape = (int(steps.max()), packed.trajectories)
-    start, begin, end = (np.zeros(shape) for _ in range(3))  # of a whole sub-step; of a part, counted from there
+    start, begin, end = (np.zeros(shape) for _ in range(3))  # of the whole sub-step; of the part, relative to its start
     start[new, owner], end[new, owner] = packed.t[old, owner], packed.h[old, owner]
     who = packed.doses.owner[cuts]
     moved = time[cuts] - start[step[cuts], who]

@@ -1,7 +1,7 @@
 """A training problem: the model, its generated module, packed data, scales and forcing.
 
-The loss is the mean over all measured values of rho(residual), with rho(r) = r^2 / 2, or Huber's function where a stage
-says so; `gbspec.ir.residual` defines the residual.
+The loss is the mean over all measured values of rho(residual), with rho(r) = r^2 / 2, or Huber's function in stages
+that use it; `gbspec.ir.residual` defines the residual.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gbspec.training.problem.scaling import Scaling
 
 @dataclass(frozen=True)
 class Problem:
-    """What is fitted, whatever engine solves it. `module` is an instance of the generated class."""
+    """A training problem, independent of the engine. `module` is an instance of the generated class."""
 
     model: Model
     module: GeneratedModule
@@ -37,12 +37,12 @@ class Problem:
 
     @property
     def ops(self) -> Arithmetic:
-        """The arithmetic that the module's expressions are evaluated in (torch)."""
+        """The arithmetic in which the module's expressions are evaluated (torch)."""
         return torch_arithmetic(self.module)
 
     @cached_property
     def seen(self) -> Mask:
-        """Where there is a measured value [R, C]."""
+        """The mask of measured values [R, C]."""
         return np.asarray(self.packed.weights > 0, dtype=np.bool_)
 
     @cached_property
@@ -63,7 +63,7 @@ class Problem:
         """The same problem with some of its trajectories; with all of them in their order it is the problem itself."""
         index = np.asarray(indices, dtype=np.int64)
         if np.array_equal(index, np.arange(self.packed.trajectories)):
-            return self  # keeps what was prepared for it
+            return self  # keeps cached values
         packed = self.packed.take(index)
         rows = matching_rows(self.packed, packed, index)
         return replace(
@@ -75,7 +75,7 @@ class Problem:
 
 
 def matching_rows(whole: Packed, part: Packed, index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """For each row of `part = whole.take(index)`, the row of `whole` that it is."""
+    """The row of `whole` for each row of `part = whole.take(index)`."""
     return np.asarray(whole.row_table[index[part.row_trajectory], part.row_index], dtype=np.int64)
 
 

@@ -1,6 +1,6 @@
-"""The residuals of a problem from what an engine predicts, and the losses that are made of them.
+"""The residuals of a problem from an engine's predictions, and losses of residuals.
 
-`gbspec.ir.residual` defines the residual; here stand the numbers of a problem that it needs.
+`gbspec.ir.residual` defines the residual; this module supplies it with the data of a problem.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gbspec.training.problem.problem import Problem
 
 def residuals_of(problem: Problem, predicted: Array) -> Array:
     """Residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
-    with np.errstate(over="ignore", invalid="ignore"):  # predictions of a solution that blew up
+    with np.errstate(over="ignore", invalid="ignore"):  # predictions of a solution that is not finite
         return np.asarray(residuals(predicted, problem.measured, problem.factor, problem.scaling.log))
 
 
@@ -37,7 +37,7 @@ def mean_loss(residuals: Array) -> float:
 
 
 def typical(residuals: Array) -> float:
-    """1.4826 times the median absolute residual (the deviation, if they were normal); infinite if one is not finite."""
+    """1.4826 times the median absolute residual (the standard deviation if normal); infinite if one is not finite."""
     if not np.isfinite(residuals).all():
         return float("inf")
     return 1.4826 * float(np.median(np.abs(residuals))) if len(residuals) else 0.0

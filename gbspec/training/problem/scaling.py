@@ -3,9 +3,10 @@
 `scale` is
 
 - for a channel without a stated noise: the standard deviation of its data over all trajectories;
-- for a channel with `noise normal(sd)`, `noise lognormal(cv)` or a column of standard deviations: that deviation,
-  divided by the channels' common noise level (the mean of stated noise / standard deviation of the data), so that all
-  residuals are in units of the data's deviation and the stated noises set the channels' relative weights.
+- for a channel with `noise normal(sd)`, `noise lognormal(cv)` or a column of standard deviations: the stated
+  standard deviation, divided by the channels' common noise level (the mean of stated noise / standard deviation of the
+  data), so that all residuals are in units of the data's standard deviation and the stated noises determine the
+  channels' relative weights.
 
 In a model whose functions are all known, channels that have the same unit and no stated noise share one scale: the fit
 is then the ordinary least squares of textbooks.
@@ -25,10 +26,10 @@ from gbspec.training.problem.packing import Packed
 
 @dataclass(frozen=True)
 class Scaling:
-    """How residuals are formed: `log` [C] (of logarithms), `row_scale` [R, C], `channel` [C] (the channel's scale).
+    """The form of residuals: `log` [C] (of logarithms), `row_scale` [R, C], `channel` [C] (the channel's scale).
 
-    `noise` is the standard deviation of the noise in units of the residuals; None where a channel does not state its
-    own.
+    `noise` is the standard deviation of the noise in units of the residuals; None if a channel does not state its
+    noise.
     """
 
     log: Mask

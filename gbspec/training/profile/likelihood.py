@@ -1,14 +1,14 @@
-"""The profile likelihood of a learned constant: how well everything else can make up for another value of it.
+"""The profile likelihood of a learned constant: how well all other parameters can compensate for a change of it.
 
-The constant is held at one value after the other, outwards from its estimate, and the weights, the other constants and
-the initial states are fitted anew each time (Raue et al. 2009, Bioinformatics 25, 1923). What is fitted are whole
-solutions from the initial states. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
+The constant is fixed at successive values, outwards from its estimate, and the weights, the other constants and the
+initial states are refitted each time (Raue et al. 2009, Bioinformatics 25, 1923). Whole solutions from the initial
+states are fitted. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
 deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval.
 
 The weights' prior is centred on the weights of the run, with the precision that the evidence gives there. A network has
-far more weights than the data tell apart, and whole solutions bend along the rest: where the fit does not come to rest
-under that precision, it is raised until it does, and how much the interval shrinks by it is said. Each fit begins
-where the linearised fit expects it, and every fit is kept beside the run, to be used again.
+far more weights than the data determine, and whole solutions are nonlinear in the others: if the fit does not converge
+under that precision, the precision is raised until it does, and the resulting decrease of the interval is reported.
+Each fit starts from the prediction of the linearised fit, and every fit is stored in the run directory for reuse.
 """
 
 from __future__ import annotations
@@ -45,32 +45,34 @@ from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
 FIRST, BEYOND = 0.6, 1.05
-"""Where the deviance's root is looked for, as parts of the threshold's: once well inside, then just outside."""
+"""Target values of the deviance's root, relative to the threshold's root: first well inside, then just outside."""
 NEAR = 0.75, 1.25
-"""A side is done with a point outside, when it or the last one inside is within these parts of the threshold's root."""
+"""A side is complete with a point outside if it or the last one inside is within these fractions of the
+threshold's root."""
 WIDEST = 0.5
-"""The most that a first step changes the entry of the trainable vector (half of it is a factor of e^0.75)."""
+"""Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
 ACCURACY = 0.01
-"""A fit is at rest when its deviance is not expected to fall by more than this."""
+"""A fit has converged if its deviance is not predicted to decrease by more than this."""
 AGAIN = 12
-"""Steps from one Jacobian before the next is made."""
+"""Number of steps with one Jacobian before the next is computed."""
 TIGHTER, MOST_TIGHTER = 10.0, 6
-"""The factor by which the weights' prior is made tighter, and how often."""
+"""The factor by which the precision of the weights' prior is raised, and the largest number of times."""
 ROUNDS = 8
 """Iterations of the evidence at one linearisation."""
 WEAK = 1e-2
-"""Damping, as a multiple of the noise's variance: that of directions of which nothing is known."""
+"""Damping, as a multiple of the noise's variance, for directions that are undetermined."""
 CLEAN = 1e-6
-"""The least standard deviation of noise, in deviations of the data, that a deviance is measured by."""
+"""The smallest standard deviation of the noise used for the deviance, in standard deviations of the data."""
 
 Report = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
 class ProfilePoint:
-    """The constant held at `value`; `deviance` above the best point; `others`: the other constants there.
+    """The fit with the constant at `value`: `deviance` relative to the best point, and the `others`, that is, the other
+    constants.
 
-    `converged` is False where the fit had not come to rest after the iterations allowed: the deviance is too large.
+    `converged` is False if the fit had not converged after the iterations allowed: the deviance is then too large.
     """
 
     value: float
@@ -81,8 +83,8 @@ class ProfilePoint:
 
 @dataclass(frozen=True)
 class Profile:
-    """A profile, by value. `low` and `high` end the 90 % interval; None where it was not left on that side, or
-    where some fit had not come to rest."""
+    """A profile, ordered by value. `low` and `high` are the ends of the 90 % interval; None if the threshold was not
+    reached on that side, or if some fit has not converged."""
 
     name: str
     member: int
@@ -96,11 +98,11 @@ class Profile:
 
     @property
     def settled(self) -> bool:
-        """Whether every fit came to rest, so that the deviances mean something."""
+        """Whether every fit has converged, so that the deviances are meaningful."""
         return all(point.converged for point in self.points)
 
     def to_json(self) -> dict[str, object]:
-        """The document of `profile --json`."""
+        """The content of `profile --json`."""
         return {
             "constant": self.name,
             "member": self.member,
@@ -140,7 +142,7 @@ def profile_constant(
 ) -> Profile:
     """The profile of a constant that all trajectories share, at most `points` values to either side.
 
-    Raises UserError (GB858) where there is no such constant, ComputationError where the fit cannot be started.
+    Raises UserError (GB858) if there is no such constant, ComputationError if the fit cannot be started.
     """
     _check(run.model, name)
     number = run.best if member is None else member
@@ -172,7 +174,7 @@ class _Fitted:
 
 
 class _Profiler:
-    """Fits with the constant free, then held, all around one linearisation."""
+    """Fits with the constant free, then fixed, all based on one linearisation."""
 
     def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
         options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
@@ -188,7 +190,7 @@ class _Profiler:
         self.variance, self.deviation = 1.0, 0.0
 
     def estimate(self) -> _Fitted:
-        """The fit with everything free; sets the noise, the prior, and the path to follow from there."""
+        """The fit with all parameters free; sets the noise, the prior, and the linear path of the later fits."""
         theta, parameters = self.begin, self.parameters
         engine = self.free.engine(parameters, 0.0)
         residuals = residual_vector(engine, theta)
@@ -210,7 +212,7 @@ class _Profiler:
         return self._fitted(rest)
 
     def _freedom(self, equations: NormalEquations, residuals: Array) -> float:
-        """Degrees of freedom that the fit has used; leaves the ridge of the greatest evidence in the equations."""
+        """Degrees of freedom that the fit has used; sets the equations' ridge to that of greatest evidence."""
         parameters = self.parameters
         own = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
         if not parameters.n_weights:
@@ -222,7 +224,8 @@ class _Profiler:
         return equations.degrees_of_freedom(weak, self.free.seed)
 
     def _settled(self, theta: Array) -> Rest:
-        """The fit with everything free, under the weakest prior around the run's weights that lets it come to rest."""
+        """The fit with all parameters free, under the weakest prior around the run's weights with which it
+        converges."""
         enough = 0.5 * ACCURACY * self.variance
         ridges = [self.target.ridge * TIGHTER**k for k in range(MOST_TIGHTER if self.parameters.n_weights else 1)]
         for ridge in ridges:
@@ -240,14 +243,14 @@ class _Profiler:
         return self._followed(theta, None, None)
 
     def _compare(self, first: Penalised, theta: Array) -> None:
-        """Says what a tighter prior does to the interval, by the linearised fits."""
+        """Notes the effect of a tighter prior on the interval, according to the linearised fits."""
         before = self.deviation
         weaker = replace(first, engine=self.target.engine)
         wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, self.column).variance * self.variance)
         factor = self.target.ridge / first.ridge
         self.notes.append(
-            f"the weights' prior was made {factor:g} times tighter than the evidence asks, for the fits to come to "
-            f"rest: by the linearised fit this makes the interval {100 * (1 - before / wide):.1f} % narrower"
+            f"the precision of the weights' prior was raised to {factor:g} times that of the evidence so that the fits "
+            f"converge: according to the linearised fit the interval is {100 * (1 - before / wide):.1f} % narrower"
         )
 
     def _penalised(self, ridge: float, variance: float) -> Penalised:
@@ -272,7 +275,8 @@ class _Profiler:
         return self._fitted(rest)
 
     def _followed(self, theta: Array, anchor: Anchor | None, held: int | None) -> Rest:
-        """Steps to rest, or as many as are allowed, from a new Jacobian wherever the last one is far."""
+        """Iterates until convergence, or as often as allowed, with a new Jacobian whenever the last one is too far
+        away."""
         enough, left = 0.5 * ACCURACY * self.variance, self.iterations
         while True:
             anchor = anchor or Anchor(self.target.equations(theta), WEAK * self.variance, held)
@@ -294,7 +298,7 @@ class _Profiler:
         return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
 
     def others(self, one: _Fitted) -> dict[str, float]:
-        """The other learned constants of a fit (of those that each trajectory has, the mean)."""
+        """The other learned constants of a fit (for a constant per trajectory the mean)."""
         known = len(self.model.constants)
         values = self.parameters.constants(torch.from_numpy(one.theta)).numpy().mean(axis=0)[known:]
         named = zip(self.model.learnables, values, strict=True)
@@ -302,18 +306,19 @@ class _Profiler:
 
     # ---------------------------------------------------------------- vectors
     def _moved_measured_starts(self) -> bool:
-        """Whether the run's fit took measured starts for measurements, as whole solutions of noisy data do."""
+        """Whether the run's fit treated measured initial values as measurements, as fits of whole solutions to noisy
+        data do."""
         starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
         kept = (self.free.start_free == 0) & [state.initial.kind != "expression" for state in self.model.states]
         return starts.shape == kept.shape and not np.allclose(starts[kept], self.free.start_value[kept], rtol=1e-9)
 
     def _fixed(self) -> dict[str, Array]:
-        """What the weights file holds of the networks beside what is trained."""
+        """The arrays of the networks in the weights file that are not trained."""
         trained = self.free.parameters({}).weight_shapes
         return {k: v for k, v in self.weights.items() if k.startswith("network.") and k not in trained}
 
     def _vector(self, parameters: Parameters, context: Context) -> Array:
-        """The run's own vector."""
+        """The vector of the run's weights file."""
         known = len(context.model.constants)
         table = np.tile(np.asarray(self.weights["constants"])[known:], (parameters.trajectories, 1))
         for i, learnable in enumerate(context.model.learnables):
@@ -326,9 +331,9 @@ class _Profiler:
 
 
 def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progress: Report | None) -> list[_Fitted]:
-    """The fits to one side of the estimate, until the threshold lies between two of them or `most` are made.
+    """The fits on one side of the estimate, until the threshold lies between two of them or `most` are made.
 
-    Each is where the deviance's root, straight for a parabola, is expected to be a little above the threshold's.
+    Each value is where the root of the deviance, which is linear for a parabola, is predicted to have its target.
     """
     found: list[_Fitted] = []
     stride = direction * min(math.sqrt(THRESHOLD) * profiler.deviation, WIDEST)
@@ -362,7 +367,7 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
 
 
 def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler) -> Profile:
-    """Deviances above the best of all fits, and where they cross the threshold."""
+    """The profile: deviances relative to the best of all fits, and where they cross the threshold."""
     least = min(fits, key=lambda one: one.objective)
     points = tuple(
         ProfilePoint(one.value, 2.0 * (one.objective - least.objective) / profiler.variance, profiler.others(one),
@@ -382,12 +387,12 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     if np.any(profiler.free.start_free == 0) and any(s.initial.kind == "measured" for s in profiler.model.states):
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:
-        notes.append("the data are followed to rounding, so the deviance is measured by the least noise allowed")
+        notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
     return Profile(name, member, least.value, points, low, high, math.sqrt(profiler.variance), tuple(notes))
 
 
 def _crossing(points: tuple[ProfilePoint, ...]) -> float | None:
-    """Where the deviance first crosses the threshold outwards; its root, straight for a parabola, is interpolated."""
+    """Where the deviance first crosses the threshold outwards, by interpolation of its root, linear for a parabola."""
     level = math.sqrt(THRESHOLD)
     for a, b in pairwise(points):
         first, second = (math.sqrt(max(p.deviance, 0.0)) for p in (a, b))

@@ -1,4 +1,4 @@
-"""The fits of profiles, kept in the run directory: one that was broken off goes on, one repeated is soon there."""
+"""The fits of profiles, stored in the run directory, so that an interrupted or repeated profile reuses them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from gbspec.runs import Run, files
 from gbspec.training.optimise import Rest
 
 FORMAT = "1"
-"""To be changed with what a fit means, so that older ones are not taken for new."""
+"""To be changed with the definition of a fit, so that older fits are not reused."""
 
 
 @dataclass
 class Kept:
-    """The fits of one constant and one member that came to rest, by the constant's entry and the weights' prior.
+    """The converged fits of one constant and one member, by the constant's entry and the weights' prior.
 
-    The file is `members/K/profile.NAME.safetensors`; `mark` tells the weights and the data that it belongs to.
+    The file is `members/K/profile.NAME.safetensors`; `mark` identifies the weights and the data that it belongs to.
     """
 
     path: Path
@@ -30,7 +30,7 @@ class Kept:
 
     @staticmethod
     def of(run: Run, member: int, name: str, trajectories: Trajectories) -> Kept:
-        """Reads what was kept; nothing where the file is missing, damaged or of other weights or data."""
+        """Reads the stored fits; there are none if the file is missing, damaged or belongs to other weights or data."""
         folder = files.member_directory(run.path, member)
         told = hashlib.sha256(f"{FORMAT} {trajectories.sha256} ".encode())
         for key, value in sorted(run.member(member).weights.items()):
@@ -44,7 +44,7 @@ class Kept:
         return self.fits.get(_key(entry, ridge))
 
     def add(self, entry: float | None, ridge: float, rest: Rest) -> None:
-        """Keeps a fit, at once on disk."""
+        """Stores a fit and writes the file immediately."""
         self.fits[_key(entry, ridge)] = rest
         arrays: dict[str, Array] = {f"theta.{key}": one.theta for key, one in self.fits.items()}
         numbers = {key: [one.objective.hex(), one.promised.hex(), one.steps] for key, one in self.fits.items()}

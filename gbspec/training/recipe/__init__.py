@@ -1,4 +1,4 @@
-"""Which stages run, in which order, and what they work with."""
+"""The recipe of training: the stages, their order, and the data that they work with."""
 
 import lazy_loader
 

@@ -1,9 +1,10 @@
-"""Bred initial states: starts that lie on the slow manifold, because the dynamics themselves brought them there.
+"""Bred initial states: initial states on the slow manifold, to which the dynamics themselves have brought them.
 
-Many starts differ only along directions that die out before the first measurement, so the data cannot choose among
-them. What has run for a while has lost such parts. Each trajectory is therefore begun `AGE` mean intervals earlier,
-with inputs as they are at its start; that earlier state is fitted, everything shared being frozen, and the solution
-from there gives the start ("breeding": Gear and others 2005; Balmaseda and others 2009).
+Many initial states differ only along directions that decay before the first measurement, so that the data cannot
+distinguish them. In a solution that has run for some time these components have decayed. Each trajectory is therefore
+begun `AGE` mean intervals earlier, with the inputs that it has at its start. That earlier state is fitted with all
+shared parameters fixed, and the solution from there gives the initial state ("breeding": Gear and others 2005;
+Balmaseda and others 2009).
 """
 
 from __future__ import annotations
@@ -23,16 +24,17 @@ from gbspec.training.stages import StageName
 from gbspec.training.starts import refit_starts
 
 AGE = 9.0
-"""How much earlier the fitted state lies, in the trajectory's mean interval between rows."""
+"""How much earlier the fitted state is, in units of the trajectory's mean interval between rows."""
 
 
 def expressed(context: Context) -> list[str]:
-    """The states whose start the model expresses: with one of them, nothing is known of the time before."""
+    """The states whose initial value is an expression of the model; the time before it is then undefined."""
     return [state.name for state in context.model.states if state.initial.kind == "expression"]
 
 
 def bred_starts(context: Context, parameters: Parameters, theta: Array, blend: float) -> Array:
-    """The vector with every learned start bred; measured ones, and those without a finite number, stay as they were."""
+    """The vector with every learned initial state bred; measured ones, and results that are not finite, are not
+    changed."""
     early = _early_problem(context, blend)
     earlier = context.choice.engine(early, replace(parameters, start_free=np.ones_like(parameters.start_free)))
     fitted = refit_starts(earlier, theta, context.seed)
@@ -47,7 +49,7 @@ def bred_starts(context: Context, parameters: Parameters, theta: Array, blend: f
 
 
 def _early_problem(context: Context, blend: float) -> Problem:
-    """The problem of trajectories that begin earlier, each with a row at its present start."""
+    """The problem of trajectories that begin earlier, each with a row at its present initial time."""
     items = tuple(_begun_earlier(item) for item in context.trajectories.items)
     data: Trajectories = replace(context.trajectories, items=items)
     packed = pack(data, context.model, context.max_step, method=context.method)
@@ -74,7 +76,7 @@ def _begun_earlier(item: Trajectory) -> Trajectory:
 
 
 class Breeding:
-    """Breeds all learned starts: one step."""
+    """The stage that breeds all learned initial states, in one step."""
 
     name = StageName.BREEDING.value
     total = 1
@@ -83,11 +85,11 @@ class Breeding:
         self.context, self.parameters, self.blend = context, parameters, blend
 
     def begin(self, theta: Array) -> State:
-        """Nothing but the vector."""
+        """The initial state: only the vector."""
         return {"theta": theta}
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """Breeds; with expressed starts it leaves everything as it is, and says so."""
+        """Breeds; if an initial value is an expression of the model, changes nothing and adds a note."""
         engine, theta, note = self.context.engine(self.parameters, self.blend), state["theta"], ""
         known = expressed(self.context)
         if known:

@@ -1,4 +1,4 @@
-"""What the stages of one member work with: data, curves, packings, and the layout of the trainable vector."""
+"""The context of one member's stages: data, curves, packings, and the layout of the trainable vector."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from gbspec.training.starts import Curves, Points, collocate, fit_curves
 
 @dataclass
 class Context:
-    """The data of one member and everything derived from them; built anew on resume, always the same.
+    """The data of one member and everything derived from them; rebuilt identically on resume.
 
-    `held` are the trajectories (or a single trajectory's last rows) kept out by `--holdout`; they are fitted with their
-    own initial states but without influence on what is shared.
+    `held` are the trajectories (or a single trajectory's last rows) excluded by `--holdout`; their own initial states
+    are fitted, but they have no influence on shared parameters.
     """
 
     model: Model
@@ -52,11 +52,11 @@ class Context:
 
     @property
     def method(self) -> Method:
-        """The method that takes the steps."""
+        """The Runge-Kutta method of the solver."""
         return METHODS[self.module.solver]
 
     def packed(self, fraction: float = 1.0, draw: int | None = None) -> Packed:
-        """The packing at `fraction` of the largest step; with random sub-steps `draw` numbers the drawing."""
+        """The packing at `fraction` of the largest step; with random sub-steps, `draw` is the number of the draw."""
         draw = draw if self.options.random_substeps else None
         key = (fraction, draw)
         if key not in self._packed:
@@ -82,7 +82,7 @@ class Context:
     def parameters(self, fixed: Weights, *, released: bool = False) -> Parameters:
         """The layout of the trainable vector, with the networks' scales `fixed`.
 
-        `released`: starts that are measured values are learned too, the values counting as measurements like others.
+        `released`: measured initial values are learned too, and the measurements treated like all others.
         """
         free = released_starts(self.model, self.start_free) if released else self.start_free
         return Parameters(self.model, self.start_value, self.state_scale, free, fixed)
@@ -96,7 +96,7 @@ def build_context(
     seed: int,
     smooth: bool = False,
 ) -> Context:
-    """Splits off what is held out and prepares the rest; `smooth` chooses smoothing curves."""
+    """The context: splits off the held-out data and prepares the rest; `smooth` selects smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)
     max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
     curves = fit_curves(model, kept, smooth)
@@ -141,7 +141,8 @@ def split(trajectories: Trajectories, fraction: float, seed: int) -> tuple[Traje
 
 
 def state_scales(model: Model, packed: Packed, trajectories: Trajectories) -> Array:
-    """Typical deviation of each state: of its data, else from its range, else from its start."""
+    """Typical size of each state: the standard deviation of its data, else from its range, else from its initial
+    value."""
     values, _ = measured_states(model, packed)
     out = np.ones(len(model.states))
     for i, state in enumerate(model.states):
@@ -156,10 +157,11 @@ def state_scales(model: Model, packed: Packed, trajectories: Trajectories) -> Ar
 
 
 def start_states(model: Model, trajectories: Trajectories, curves: Curves, packed: Packed) -> tuple[Array, Array]:
-    """Where each trajectory starts and which of these numbers are learned: [N, n_states] each.
+    """Initial states of the trajectories, and a mask of the learned ones: [N, n_states] each.
 
-    A state measured at a trajectory's start starts there and is not learned (unless `initial X learn` asks for it);
-    otherwise the guess is the end of its curve, its declared start, or the middle of its range.
+    A state that is measured at the initial time has the measured initial value, which is not learned (unless
+    `initial X learn` requests it). Otherwise the guess is the end of its curve, its declared initial value, or the
+    middle of its range.
     """
     measured, seen = measured_states(model, packed)
     n = len(trajectories)
@@ -180,7 +182,7 @@ def start_states(model: Model, trajectories: Trajectories, curves: Curves, packe
 
 
 def released_starts(model: Model, free: Array) -> Array:
-    """Which starts are learned [N, n_states] where a measured start counts as a measurement: all but expressed ones."""
+    """The mask of learned initial states [N, n_states] if measured ones are released: all except expressions."""
     expressed = np.array([state.initial.kind == "expression" for state in model.states], dtype=bool)
     return np.where(expressed, free, 1.0)
 

@@ -1,4 +1,4 @@
-"""How well a vector predicts held-out data: the shared part as it is, what belongs to a trajectory fitted to it."""
+"""The error of a vector on held-out data, with shared parameters fixed and each trajectory's own ones fitted to it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from gbspec.training.starts import fit_curves, refit_starts
 
 
 def held_out_score(context: Context, parameters: Parameters, theta: Array) -> float:
-    """Mean of half squared residuals of the held-out trajectories under teacher forcing (infinite after a blow-up).
+    """Mean of half squared residuals of the held-out trajectories under teacher forcing (infinite if not finite).
 
-    A single trajectory held out in time is predicted whole from its fitted start; only its later rows count.
+    A single trajectory of which the last rows are held out is solved from its fitted initial state; only these rows
+    count.
     """
     held, model = context.held, context.model
     packed = pack(held, model, context.max_step, method=context.method)
@@ -39,6 +40,6 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
 
 
 def _of_rows(problem: Problem, rows: Mask) -> Mask:
-    """Which of the measured residuals belong to the given rows."""
+    """The mask of the measured residuals that belong to the given rows."""
     where = np.nonzero(problem.packed.weights > 0)[0]
     return np.asarray(rows[where], dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""Which stages run, in which order. Decisions depend on the data and on results so far, never on the clock."""
+"""The choice and order of stages. Decisions depend on the data and on previous results, never on elapsed time."""
 
 from __future__ import annotations
 
@@ -19,29 +19,30 @@ from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import Search
 
 ENOUGH: Mapping[Effort, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
-"""Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the deviations)."""
+"""Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the standard
+deviations)."""
 STEADY = 1e-2
-"""First damping where an earlier stage has come close already."""
+"""Initial damping if an earlier stage has already come close to the minimum."""
 LARGEST = 4 * 1024**3
-"""Above this size of the Jacobian in bytes the second-order stages give way to Adam on minibatches of trajectories."""
+"""Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
 PASSES = 128
-"""Above this number of states, each a backward pass of a Jacobian (arrays), the networks are fitted by L-BFGS."""
+"""Above this number of states (each needs a backward pass of the Jacobian) the networks are fitted by L-BFGS."""
 NOISE = 0.01
-"""Above this typical residual after teacher forcing (in deviations of the data) the data count as noisy."""
+"""Above this typical residual after teacher forcing (in standard deviations) the data are treated as noisy."""
 FEW = 600
-"""Below this number of measured values the weights have a prior from the first."""
+"""Below this number of measured values the weights have a prior from the first iteration."""
 WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
-"""Most iterations of `autoregressive` with few data."""
+"""Largest numbers of iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
-"""The ridge before the data have set it, as a multiple of the squared typical residual (at least 1e-4)."""
+"""The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
 
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
-"""Most epochs of Adam and iterations of L-BFGS where they fit the networks alone."""
+"""Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
 
 @dataclass(frozen=True)
 class Reached:
-    """Where a fit has come to: the vector, and the vectors at the ends of the stages so far, by their names."""
+    """The progress of a fit: the vector, and the vectors at the ends of the previous stages, by their names."""
 
     theta: Array
     marks: Mapping[str, Array] = field(default_factory=dict)
@@ -52,16 +53,16 @@ At = Callable[[int], Engine]
 
 
 def always(reached: Reached) -> bool:
-    """For stages that run whatever the data are like."""
+    """The decision of stages that run for all data."""
     return True
 
 
 @dataclass(frozen=True)
 class Planned:
-    """A stage that may run: `make` builds it when its turn comes.
+    """A stage that may run: `make` builds it when its predecessors have ended.
 
-    Both decisions are made then too: `wanted`, whether the data call for the stage, `possible`, whether there is
-    anything for it to do.
+    Two decisions are made at the same time: `wanted`, whether the data call for the stage, and `possible`, whether the
+    stage has anything to do.
     """
 
     name: StageName
@@ -71,14 +72,14 @@ class Planned:
     possible: Decision = always
 
     def due(self, reached: Reached) -> bool:
-        """Whether it runs."""
+        """Whether the stage runs."""
         return self.possible(reached) and self.wanted(reached)
 
 
 def plan(context: Context, parameters: Parameters) -> list[Planned]:
     """The stages for these data and options, in order.
 
-    Raises UserError (GB850) where a stage is asked for that such a model, such data or such options do not have.
+    Raises UserError (GB850) if a requested stage does not exist for this model, these data and these options.
     """
     stages = [stage for stage in _Planner(context, parameters).stages() if stage.total > 0]
     named = context.options.named_stages
@@ -91,7 +92,7 @@ def plan(context: Context, parameters: Parameters) -> list[Planned]:
 
 
 def step_fraction(begun: Collection[str]) -> float:
-    """The fraction of the largest step at which the last of the stages that were begun fits."""
+    """The fraction of the largest step that the last of the begun stages uses."""
     return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
 
 
@@ -101,14 +102,14 @@ class _Planner:
         self.blend = context.options.blend
         self.values = int((context.packed().weights > 0).sum())
         self.enough = ENOUGH[context.options.effort]
-        # Whole solutions of noisy data must not start from one noisy value each: the vector's layout stays the same.
+        # Whole solutions of noisy data must not start from single noisy values; the vector's layout stays the same.
         self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
 
     def stages(self) -> list[Planned]:
         return self._estimation() + ([self._breeding()] if self.options.initial == "bred" else [])
 
     def _estimation(self) -> list[Planned]:
-        """The stages that estimate everything."""
+        """The stages of the estimation, without breeding."""
         if self.options.method == "gradient-matching":
             return [self._starts(StageName.STARTS, 1.0)]
         if self.options.method == "auto":
@@ -117,7 +118,7 @@ class _Planner:
 
     def _breeding(self) -> Planned:
         def make(reached: Reached) -> Stage:
-            # Starts matter throughout a noisy fit's whole solutions, and for the first rows under teacher forcing.
+            # Initial states affect whole solutions of a noisy fit, and only the first rows under teacher forcing.
             blend = 0.0 if StageName.AUTOREGRESSIVE in reached.marks else self.blend
             return Breeding(self.context, self.released, blend)
 
@@ -125,7 +126,7 @@ class _Planner:
         return Planned(StageName.BREEDING, 1, make, possible=lambda reached: free)
 
     def _chosen(self) -> Planned:
-        """The one optimiser that was asked for."""
+        """The one requested optimiser."""
         epochs = self.options.epochs
         if self.options.method == "adam":
             return self._adam(epochs or ALONE[self.options.effort])
@@ -135,7 +136,8 @@ class _Planner:
         return self._newton(name, self._at(self.blend), LevenbergOptions(tolerance=1e-6), total=epochs)
 
     def _constants_alone(self) -> list[Planned]:
-        """A model whose functions are all known: least squares of the whole solution, from several starts."""
+        """The stages of a model whose functions are all known: least squares of whole solutions, from several
+        points."""
         blend = self.blend if self.options.forcing != "teacher" else 0.0
         plain = LevenbergOptions(robust=False, tolerance=1e-9, damping=1e-2)
         context, parameters = self.context, self.parameters
@@ -144,7 +146,7 @@ class _Planner:
             return Search(context.engine(parameters, blend), context.seed)
 
         def believed(reached: Reached) -> bool:
-            """Whether starts stand at single values of noisy data."""
+            """Whether initial values are single measurements of noisy data."""
             measured = not np.array_equal(self.released.start_free, parameters.start_free)
             return (
                 measured
@@ -160,7 +162,7 @@ class _Planner:
         ]
 
     def _automatic(self) -> list[Planned]:
-        """The recipe: see the module's documentation of the stages."""
+        """The stages of the recipe for unknown functions: see docs/training.md."""
         if 8 * self.values * self.parameters.n_shared > LARGEST:
             return [self._starts(StageName.STARTS, self.blend), self._adam(ALONE[self.options.effort])]
         if len(self.context.model.states) > PASSES:
@@ -201,12 +203,14 @@ class _Planner:
         return most_iterations(stage, self.options.effort)
 
     def _teacher_limit(self) -> int:
-        """Few iterations where smoothing curves have shown noise, under which teacher forcing is inconsistent."""
+        """The limit of teacher forcing: few iterations if smoothing curves have shown noise, since it is inconsistent
+        then."""
         limit = self._most(StageName.TEACHER)
         return min(limit, 4) if self.context.smooth else limit
 
     def _whole_limit(self) -> int:
-        """With few data the ridge matters and comes to rest slowly; there an iteration costs little."""
+        """The limit of whole solutions: with few data the ridge matters and converges slowly, and an iteration is
+        cheap."""
         return WITH_FEW_DATA[self.options.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
 
     def _both_fits(self, reached: Reached) -> bool:
@@ -214,11 +218,11 @@ class _Planner:
         return {StageName.TEACHER, StageName.AUTOREGRESSIVE} <= set(reached.marks)
 
     def _hidden(self, reached: Reached) -> bool:
-        """Whether gradient matching could not reach the networks, so that they must be approached by small steps."""
+        """Whether gradient matching could not determine the networks, so that small gradient steps must come first."""
         return not self.context.points.equations or not self.options.warm_start
 
     def _needs_imputing(self, reached: Reached) -> bool:
-        """Whether plain teacher forcing starts far worse than with every state imputed."""
+        """Whether the initial residuals of plain teacher forcing are far larger than with every state imputed."""
         if not self.context.points.equations:
             return False
         plain = residual_vector(self.context.engine(self.parameters), reached.theta)
@@ -234,7 +238,7 @@ class _Planner:
         return self.options.half_step and not self._noisy(reached)
 
     def _prior(self, theta: Array) -> LevenbergOptions:
-        """Regularised where there are few data, else plain."""
+        """Options of the first stage: regularised if there are few data, else plain."""
         enough = self._above_step_error if self._half_step_follows() else self.enough
         return self._regular(theta) if self.values < FEW else LevenbergOptions(tolerance=0.02, enough=enough)
 
@@ -247,16 +251,16 @@ class _Planner:
         )
 
     def _close(self, theta: Array) -> LevenbergOptions:
-        """As before, from where an earlier stage came to."""
+        """The same options, with the damping for a vector that an earlier stage has improved."""
         return replace(self._prior(theta), damping=STEADY, enough=self.enough)
 
     def _above_step_error(self, theta: Array, residuals: Array) -> float:
-        """Mean loss that is enough at the whole step: what remains below the step's own error only fits that error."""
+        """The mean loss at which the whole step ends: a smaller loss would only fit the step's discretisation error."""
         half = residual_vector(self.context.engine(self.parameters, 1.0, 0.5), theta)
         return max(self.enough, mean_loss(half - residuals))
 
     def _regular(self, theta: Array) -> LevenbergOptions:
-        """With a ridge on the weights, from the noise, or as asked for."""
+        """Options with a ridge on the weights, derived from the noise or as requested."""
         noise = max(self._noise(theta), 0.01)
         noise = noise if np.isfinite(noise) else 1.0
         if self.options.ridge is None:

@@ -1,4 +1,4 @@
-"""The way to a first vector: scales of the networks, constants from elimination, weights from slope regression."""
+"""The initial vector: scales of the networks, constants from elimination, weights from slope regression."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.starts import eliminate, network_scales, regress_slopes
 
 SUSPECT = 0.03
-"""Smoothing is tried above this typical residual (in deviations of the data) of a start from interpolating curves."""
+"""Smoothing is tried above this typical residual (in standard deviations of the data) with interpolating curves."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Prepared:
 def prepare(
     model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
 ) -> Prepared:
-    """Builds the context and the first vector: from interpolating curves, or smoothing ones where these do better."""
+    """The context and the initial vector, from interpolating curves, or smoothing ones if these give a better fit."""
     first = _attempt(build_context(model, module, trajectories, options, seed))
     if not options.warm_start or not first.context.points.equations:
         return first
@@ -51,7 +51,7 @@ def _misfit(prepared: Prepared) -> float:
 
 
 def _imputed_residuals(context: Context, parameters: Parameters, theta: Array) -> Array:
-    """Residuals where every state with a curve is replaced by it at every key row."""
+    """Residuals under imputed forcing: every state is reset to its curve, if it has one, at every key row."""
     problem = context.problem()
     imputed = replace(problem, forcing=imputed_forcing(context, problem))
     return residual_vector(context.choice.engine(imputed, parameters), theta)
@@ -65,7 +65,7 @@ def _attempt(context: Context) -> Prepared:
 
 
 def _initial(context: Context) -> tuple[Parameters, Array]:
-    """Fresh weights, networks scaled by the data; constants as declared, or as elimination has them (warm start)."""
+    """Random weights and networks scaled by the data; constants as declared, or from elimination (warm start)."""
     model = context.model
     learnables = Bijections.of(model.learnables)
     start = learnables.from_natural(np.array([k.start for k in model.learnables], dtype=np.float64))

@@ -1,8 +1,8 @@
 """A recognition network: from a trajectory's first measurements to its initial state.
 
-It is trained when the dynamics are: every row of every training trajectory begins a window, whose measurements are the
-inputs and whose fitted state there is the target, so that few trajectories give many examples. New trajectories then
-have a guess of their hidden states, and an idea of its error, before anything is fitted to them.
+It is trained after the dynamics. Every row of every training trajectory begins a window; the measurements in the window
+are the inputs and the fitted state at its first row is the target, so that few trajectories give many examples. For a
+new trajectory the network then gives a guess of its unmeasured states, with an estimate of the error, before any fit.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ ROWS, WIDTH, STEPS, RATE = 6, 16, 600, 1e-2
 """Mean intervals that a window spans, hidden units, steps of Adam, and their size."""
 DECAY = 1e-3
 HELD = 5
-"""One trajectory in so many (of a single one, the last windows) tells the error and when to stop."""
+"""One trajectory in this many (of a single one, the last windows) is used for the error and for early stopping."""
 
 
 def recognition(context: Context, parameters: Parameters, theta: Array, blend: float) -> Weights:
     """The arrays of the network (see `gbspec.data.window`), fitted to the states of the solution at `theta`.
 
-    Empty where there are no windows to learn from.
+    Empty if there are no windows to learn from.
     """
     offsets = _offsets(context)
     x, y, owner = _examples(context, parameters, theta, blend, offsets)
@@ -72,7 +72,7 @@ def _spread(columns: Array) -> Array:
 
 
 def _fit(x: Array, y: Array, judge: Mask, seed: int) -> tuple[Weights, Array]:
-    """One hidden layer by Adam on all windows; the weights that predict the judging ones best, and their error."""
+    """One hidden layer by Adam on all windows; the weights that best predict the windows `judge`, and their error."""
     generator = torch.Generator().manual_seed(seed)
     shapes = {"hidden_weight": (WIDTH, x.shape[1]), "hidden_bias": (WIDTH,), "weight": (y.shape[1], WIDTH)}
     layers = {

@@ -1,4 +1,4 @@
-"""The stages of the recipe that are no optimiser: refits of initial states, and the choice between two fits."""
+"""The stages of the recipe other than optimisers: refits of initial states, and the choice between two fits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gbspec.training.starts import refit_starts
 
 
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:
-    """Every state replaced by its curve at every key row within the curve's span."""
+    """Imputed forcing: every state is replaced by its curve at every key row within the curve's span."""
     packed = problem.packed
     value, weight = np.zeros_like(problem.forcing.value), np.zeros_like(problem.forcing.weight)
     for row in range(packed.rows):
@@ -27,7 +27,7 @@ def imputed_forcing(context: Context, problem: Problem) -> Forcing:
 
 
 class InitialStates:
-    """The refit of initial states, trajectory by trajectory: one step."""
+    """The stage that refits the initial states, trajectory by trajectory, in one step."""
 
     total = 1
 
@@ -35,11 +35,11 @@ class InitialStates:
         self.name, self.engine, self.seed = name, engine, seed
 
     def begin(self, theta: Array) -> State:
-        """Nothing but the vector."""
+        """The initial state: only the vector."""
         return {"theta": theta}
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """Refits all starts at once."""
+        """Refits all initial states at once."""
         theta = refit_starts(self.engine, state["theta"], self.seed)
         return Outcome({"theta": theta}, mean_loss(residual_vector(self.engine, theta)), True)
 
@@ -47,10 +47,10 @@ class InitialStates:
 class ChoiceOfFit:
     """Chooses between the fit of single intervals (teacher forcing) and that of whole solutions (autoregressive).
 
-    Noise of measurement is treated rightly by the whole solution; where the system itself is disturbed, or the model
-    lacks something, whole solutions may be beyond any fit, and the intervals tell more of the dynamics. So both fits
-    are asked for both errors, initial states refitted for whole solutions, and the smaller product of the two wins:
-    neither error's size matters, only by what factor each fit is better. One step.
+    Fits of whole solutions treat measurement noise correctly. But if the system itself is disturbed, or the model is
+    incomplete, it may be impossible to fit whole solutions, and intervals are more informative about the dynamics.
+    Therefore both errors are computed for both fits (with initial states refitted for whole solutions), and the fit
+    with the smaller product of its errors is chosen: only ratios of errors matter, not their sizes. One step.
     """
 
     name = StageName.CHOICE.value
@@ -61,11 +61,11 @@ class ChoiceOfFit:
         self.earlier, self.seed = earlier, seed
 
     def begin(self, theta: Array) -> State:
-        """Nothing but the vector."""
+        """The initial state: only the vector."""
         return {"theta": theta}
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """Compares the two."""
+        """Compares the two fits."""
         late = state["theta"]
         interval, whole = self._losses(late, late)
         note = WHOLE_WORSE if whole > interval else ""
@@ -92,5 +92,5 @@ WHOLE_WORSE = (
 
 
 def _product(interval: float, whole: float) -> float:
-    """Of two losses; infinite if one of them is, whatever the other is."""
+    """The product of two losses; infinite if one of them is, even if the other is zero."""
     return interval * whole if np.isfinite([interval, whole]).all() else float("inf")

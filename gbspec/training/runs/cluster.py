@@ -1,8 +1,8 @@
 """Fitting members on the workers of a cluster, by dask.distributed (the extra `cluster`).
 
-Where a worker sees the run directory (a shared file system), it works in it: a member whose worker is lost goes on from
-its last checkpoint on another. Where it does not, the worker keeps its files to itself, and they come back with the
-result; a lost member then begins anew. Either way the numbers are those of a run in one process.
+A worker that can access the run directory (on a shared file system) uses it, and a member whose worker is lost
+continues from its last checkpoint on another worker. Otherwise the worker keeps its files locally and returns them with
+the result; a lost member is then restarted. In both cases the numbers are the same as those of a run in one process.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from gbspec.version import __version__
 PATIENCE = 10
 """Seconds to wait for the scheduler's answer."""
 TOKEN = ".shared"
-"""A file in `members/` by which a worker knows that it sees the run directory."""
+"""A file in `members/` by which a worker recognises the run directory."""
 
 Files = dict[str, bytes]
 
 
 @contextmanager
 def cluster(address: str, threads: int) -> Iterator[Workers]:
-    """The cluster of the scheduler at `address`. Raises UserError (GB860) where there is none, or dask is missing."""
+    """The cluster of the scheduler at `address`. Raises UserError (GB860) if there is none, or dask is missing."""
     try:
         distributed = _distributed()
     except ImportError:
@@ -59,7 +59,7 @@ def cluster(address: str, threads: int) -> Iterator[Workers]:
 
 
 Distributed: TypeAlias = Any
-"""The library `distributed`, which may be absent, and objects of it."""
+"""The library, an optional dependency."""
 
 
 def _distributed() -> Distributed:
@@ -68,7 +68,7 @@ def _distributed() -> Distributed:
 
 
 class _Cluster:
-    """The engine; a name of its own keeps several runs on one scheduler apart."""
+    """The workers of a scheduler; a unique name separates several runs on one scheduler."""
 
     def __init__(self, client: Distributed, threads: int) -> None:
         self.client, self.threads = client, threads
@@ -86,7 +86,7 @@ class _Cluster:
         token = job.place.parent / TOKEN
         files.write_bytes(token, self.name.encode())
         self.tokens.add(token)
-        # Whatever a member that this very run lost has written is there to be gone on from.
+        # A member that was lost in this same run continues from the files it has written.
         options = replace(job.options, resume=True)
         local = replace(job, options=options, run=job.run.resolve())
         kept = _contents(job.place) if job.options.resume else {}
@@ -107,7 +107,7 @@ class _Cluster:
             result, written = pending.result()
         except (ComputationError, UserError):
             raise
-        except Exception as error:  # whatever went wrong on the cluster or on the way to it
+        except Exception as error:  # any failure on the cluster or of the connection
             what = f"{job.name} was lost on the cluster: {type(error).__name__}: {error}"
             raise ComputationError(what, remedy="`--resume` continues the run, with or without a cluster") from None
         for name, content in written.items():
@@ -119,7 +119,7 @@ class _Cluster:
         self.stopped.set()
 
     def forget(self) -> None:
-        """Takes back what is on the scheduler and in the run directories only while jobs run."""
+        """Removes temporary data from the scheduler and the run directories."""
         self.client.unsubscribe_topic(self.name)
         for token in self.tokens:
             token.unlink(missing_ok=True)
@@ -127,7 +127,7 @@ class _Cluster:
 
 # -------------------------------------------------------------------------------------------------- on a worker
 def _work(job: Job, kept: Files, name: str, threads: int, version: str) -> tuple[MemberResult | None, Files]:
-    """One member; with its files, unless the caller sees them anyway. Raises ComputationError as training does."""
+    """The result of one member, with its files unless the caller has access to them. Raises ComputationError."""
     worker = _distributed().get_worker()
     if version != __version__:
         what = f"the worker has gbspec {__version__}, but {version} asked for the fit"
@@ -149,7 +149,7 @@ def _work(job: Job, kept: Files, name: str, threads: int, version: str) -> tuple
 
 
 def _stopped(name: str) -> Callable[[], bool]:
-    """Whether the caller has told all to stop, asked of the scheduler at most once a second."""
+    """A function that returns whether the caller has requested a stop; it asks the scheduler at most once a second."""
     event, asked, last = _distributed().Event(name), [float("-inf")], [False]
 
     def stopped() -> bool:
@@ -163,7 +163,7 @@ def _stopped(name: str) -> Callable[[], bool]:
 
 @contextmanager
 def _workplace(job: Job, kept: Files, name: str) -> Iterator[tuple[Path, bool]]:
-    """Where the worker keeps the member's files, and whether that is the caller's run directory."""
+    """The directory in which the worker keeps the member's files, and whether it is the caller's run directory."""
     token = job.place.parent / TOKEN
     if token.is_file() and token.read_text(encoding="utf-8") == name:
         yield job.place, True
@@ -175,7 +175,7 @@ def _workplace(job: Job, kept: Files, name: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _contents(place: Path) -> Files:
-    """The files of a member by name (none of them in a folder; half-written ones are hidden)."""
+    """The files of a member by name (none in a subfolder; names of incomplete ones begin with a dot)."""
     if not place.is_dir():
         return {}
     return {p.name: p.read_bytes() for p in place.iterdir() if p.is_file() and not p.name.startswith(".")}

@@ -30,7 +30,7 @@ from gbspec.version import __version__
 TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
 NEGLIGIBLE = 0.3
-"""Constants with smaller components are left out of the description of a direction."""
+"""Constants with smaller components are omitted from the description of a direction."""
 FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
 
 
@@ -44,9 +44,9 @@ def train(
     """Fits all members and writes the run directory.
 
     Raises UserError (GB850 options, GB855 the directory in use, GB856 nothing to learn from, GB860 no cluster, GB861 no
-    GPU, GB863 no native kernel), ComputationError where no member could be fitted (what was reached before stays in the
-    directory; members that failed beside others are told as messages), and KeyboardInterrupt on SIGINT after writing a
-    run that can be used and resumed.
+    GPU, GB863 no native kernel), ComputationError if no member could be fitted (earlier results stay in the directory;
+    if only some members fail, messages say so), and KeyboardInterrupt on SIGINT after writing a run that can be used
+    and resumed.
     """
     shown = progress or Silent()
     fitting = Fitting(model, trajectories, options, Path(directory), shown)
@@ -61,7 +61,7 @@ def train(
 class Fitting:
     """A run directory during training: its jobs and their results.
 
-    Raises UserError where the options, the data or the directory do not allow it.
+    Raises UserError if the options, the data or the directory are unsuitable.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Fitting:
             if options.backend == "native":
                 choose(model, module, options, 0)
         if options.named_stages:
-            anywhere = replace(options, backend="torch", device="cpu")  # what a worker has is not asked for here
+            anywhere = replace(options, backend="torch", device="cpu")  # a worker's resources are not checked here
             context = build_context(model, module, trajectories, anywhere, options.seed)
             plan(context, context.parameters({}))
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
@@ -87,11 +87,11 @@ class Fitting:
         self.failures: dict[int, ComputationError] = {}
 
     def begin(self) -> None:
-        """Makes the directory, or finds the run to resume. Raises UserError where that cannot be."""
+        """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
         _prepare(self.path, self.model, self.record, self.options)
 
     def jobs(self, first: int = 0) -> list[Job]:
-        """One job a member, numbered from `first` on."""
+        """One job per member, numbered from `first`."""
         return [
             Job(self.model, self.trajectories, self.options, member, self.path, first + member)
             for member in range(self.options.members)
@@ -127,7 +127,7 @@ def _check_data(trajectories: Trajectories, findings: Findings) -> None:
 
 
 def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> FitRecord:
-    """What is known before training."""
+    """The record before training."""
     packages = ("torch", "numpy", "scipy", "sympy", "casadi")
     rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
     counts = len(trajectories), rows, trajectories.measurements
@@ -148,7 +148,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
 
 # -------------------------------------------------------------------------------------------------- the directory
 def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions) -> None:
-    """Makes the directory, or finds the run to resume in it."""
+    """Creates the directory, or finds the run to resume in it."""
     if path.exists() and not path.is_dir():
         raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
     existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
@@ -174,7 +174,7 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
 
 
 def _check_resumable(path: Path, model: Model, record: FitRecord) -> None:
-    """Refuses to continue with another model, other data or other options than the run began with."""
+    """Raises UserError if model, data or options differ from those with which the run was begun."""
     findings = Findings()
     before = read_record(path, findings)
     if before is None:
@@ -204,10 +204,10 @@ _OTHER = "continue it with the original settings, or name another directory with
 
 # -------------------------------------------------------------------------------------------------- results
 def completed(record: FitRecord, model: Model, results: dict[int, MemberResult], options: TrainOptions) -> FitRecord:
-    """The record with what became of the members, of which there is at least one."""
+    """The record completed by the results of the members, of which there is at least one."""
     ordered = [results[k] for k in sorted(results)]
     ended = [(member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants)]
-    for member, name, _ in ended:  # the curvature says nothing of a constant that a bound stopped
+    for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     bounds = [
@@ -308,7 +308,7 @@ def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, f
 
 
 def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:
-    """What a user must know before trusting the fit."""
+    """Warnings that a user must know before relying on the fit."""
     out = []
     for member, result in sorted(results.items()):
         if result.failed:

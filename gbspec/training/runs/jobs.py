@@ -1,4 +1,4 @@
-"""Members to be fitted as jobs, and what workers that fit them side by side must offer."""
+"""Jobs, each of which fits one member, and the interface of workers that run them in parallel."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gbspec.training.runs.summary import MemberResult
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One member to fit, with all that another process needs: `run` is the run directory, `number` tells jobs apart."""
+    """One member to fit, with all data that another process needs; `run` is the run directory, `number` is unique."""
 
     model: Model
     trajectories: Trajectories
@@ -32,30 +32,30 @@ class Job:
 
     @property
     def name(self) -> str:
-        """How the job is called to the user."""
+        """The name of the job in messages."""
         return f"member {self.member} of `{self.run.name}`"
 
     @property
     def place(self) -> Path:
-        """Where the member's files are."""
+        """The directory of the member's files."""
         return files.member_directory(self.run, self.member)
 
 
 Take = Callable[[Job, MemberResult | ComputationError], None]
-"""Receives what became of a job, as soon as it is known."""
+"""Receives the outcome of a job as soon as it is known."""
 
 
 def fit(
     job: Job, progress: Progress, stop: Callable[[], bool] = lambda: False, place: Path | None = None
 ) -> MemberResult:
-    """Fits one member in this process, by default where its run wants the files; raises like `fit_member`."""
+    """Fits one member in this process, by default in its run directory; raises like `fit_member`."""
     module = load_module(job.model, METHODS[job.options.solver])
     numbered = _Numbered(progress, job.number)
     return fit_member(job.model, module, job.trajectories, job.options, job.member, place or job.place, numbered, stop)
 
 
 class _Numbered:
-    """Progress that calls members by the numbers of their jobs, which differ where a sweep has several runs."""
+    """Progress that identifies members by the numbers of their jobs, which differ if a sweep has several runs."""
 
     def __init__(self, progress: Progress, number: int) -> None:
         self.progress, self.number = progress, number
@@ -68,29 +68,29 @@ class _Numbered:
 
 
 class Pending(Protocol):
-    """A job that workers have been given."""
+    """A job that was submitted to workers."""
 
     def done(self) -> bool:
-        """Whether nothing more will come of it."""
+        """Whether the job has ended."""
 
 
 class Workers(Protocol):
-    """What fits jobs side by side: processes, or a cluster. `messages` brings updates and remarks while it does."""
+    """Processes, or a cluster, that fit jobs in parallel. The queue `messages` supplies updates and remarks."""
 
     messages: Queue[Update | str]
 
     def submit(self, job: Job) -> Pending:
-        """Hands over a job."""
+        """Submits a job."""
 
     def outcome(self, pending: Any, job: Job) -> MemberResult | None:
-        """What became of a job that is done: None if it was stopped before it began. Raises ComputationError."""
+        """The result of a job that has ended: None if it was stopped before it began. Raises ComputationError."""
 
     def stop(self) -> None:
-        """Tells every worker to end after its iteration, and to begin no other job."""
+        """Makes every worker end after its current iteration and begin no other job."""
 
 
 class Sender:
-    """Progress that goes elsewhere, item by item: an Update or a text."""
+    """Progress that passes each item, an Update or a text, to `send`."""
 
     def __init__(self, send: Callable[[Update | str], None]) -> None:
         self.send = send

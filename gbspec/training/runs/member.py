@@ -29,16 +29,16 @@ SAVE_EVERY = 5.0
 """Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
 
 TIGHT = 1e-3
-"""Stages whose tolerance is at most this are meant to converge; whether one has, its next step tells."""
+"""Stages whose tolerance is at most this are expected to converge; the size of the next step is the criterion."""
 
 
 @dataclass
 class Position:
-    """Where a member stands: the stage it is in, how many of its steps are done, its state, and what lies behind.
+    """The position of a member in its training: stage, number of completed steps, state, and history.
 
-    `entry` is the vector with which the present stage began, from which it is built again on resume; `marks` holds the
-    vectors at the ends of the stages so far, `notes` what the user should be told;
-    `best` and `best_score` are of the vector that predicts held-out data best (without held-out data: the last one).
+    `entry` is the vector at the beginning of the present stage, from which the stage is rebuilt on resume; `marks`
+    holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
+    belong to the vector that best predicts held-out data (without held-out data: the last one).
     """
 
     stage: int = 0
@@ -70,8 +70,8 @@ def fit_member(
 ) -> MemberResult:
     """Fits one member and writes its weights and checkpoints under `directory` (members/K).
 
-    Raises ComputationError where the estimation fails, and Interrupted, with the weights so far written, on SIGINT or
-    when `stop()`, asked after every iteration, says so.
+    Raises ComputationError if the estimation fails, and Interrupted, after writing the current weights, on SIGINT or
+    when `stop()`, which is called after every iteration, returns True.
     """
     torch.manual_seed(options.seed + member)
     seed = options.seed + member
@@ -94,7 +94,7 @@ def fit_member(
 
 
 class Interrupted(KeyboardInterrupt):
-    """Raised instead of KeyboardInterrupt once a member's work is safe; `result` is what it reached."""
+    """Raised instead of KeyboardInterrupt once a member's files are written; `result` is its intermediate result."""
 
     def __init__(self, result: MemberResult) -> None:
         self.result = result
@@ -115,14 +115,14 @@ class _Runner:
         self.directory, self.progress = directory, progress
         self.position = position
         self.plan = plan(context, parameters)
-        # Stages that keep measured starts leave their entries at zero, which stands for the measured value.
+        # Stages that keep measured initial values leave their entries at zero, which represents the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
         self._began = time.monotonic() - self.position.seconds
         self._saved = time.monotonic()
 
     # ---------------------------------------------------------------- running
     def record_preparation(self, seconds: float) -> None:
-        """Enters the warm start in the history, as if it were a stage."""
+        """Records the warm start in the history, as if it were a stage."""
         position = self.position
         position.seconds = seconds
         self._began = time.monotonic() - seconds
@@ -136,7 +136,7 @@ class _Runner:
         )
 
     def run(self, stop: Callable[[], bool]) -> MemberResult:
-        """All stages from the present position on; `stop` is asked after every iteration."""
+        """Runs all stages from the present position on; `stop` is called after every iteration."""
         position = self.position
         if position.finished:
             return self._result()
@@ -180,10 +180,10 @@ class _Runner:
         self._take_certainty(stage)
 
     def _take_certainty(self, stage: Stage) -> None:
-        """What the last stage that says any says of constants; another vector makes that void."""
+        """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
         position = self.position
         if isinstance(stage, LevenbergMarquardt):
-            # A stage that may end while the loss still falls by percents has no curvature to speak of.
+            # For a stage that may end while the loss still falls by a few percent the curvature is not meaningful.
             known = stage.options.tolerance <= TIGHT
             position.certainty = stage.certainty(position.state) if known else Certainty()
         elif not np.array_equal(position.theta, position.entry):
@@ -215,7 +215,7 @@ class _Runner:
         )
 
     def _score(self) -> None:
-        """Keeps the vector that predicts held-out data best; the last one where nothing is held out."""
+        """Keeps the vector that best predicts held-out data, or the last vector if nothing is held out."""
         position = self.position
         if not len(self.context.held):
             position.best, position.best_score = position.theta, position.loss
@@ -227,7 +227,7 @@ class _Runner:
             position.best, position.best_score = position.theta, score
 
     def _constants(self, theta: Array) -> tuple[float, ...]:
-        """Learned constants (of per-trajectory ones the mean), natural."""
+        """Learned constants (the mean of per-trajectory ones), in natural units."""
         values = self.parameters.constants(torch.from_numpy(theta)).numpy()
         known = len(self.parameters.model.constants)
         return tuple(float(x) for x in values[:, known:].mean(axis=0)) if len(values) else ()
@@ -236,7 +236,8 @@ class _Runner:
         return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
 
     def _seconds_left(self, stage: Stage, stage_seconds: float) -> float:
-        """At this stage's pace for all that may still come: an upper estimate, as stages end when they converge."""
+        """The estimated time left, at this stage's pace for all further iterations: an upper estimate, since stages may
+        converge earlier."""
         position = self.position
         pace = stage_seconds / max(position.iteration, 1)
         later = sum(p.total for p in self.plan[position.stage + 1 :])
@@ -254,12 +255,12 @@ class _Runner:
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
-            # The largest step that the weights were fitted with last.
+            # The largest step used in the last fit of the weights.
             "max_step": self.context.max_step * step_fraction([str(stage["name"]) for stage in position.stages]),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
-            # The learned initial states are found again by content, whatever table a trajectory comes in.
+            # Learned initial states are looked up by the content of a trajectory, in any table.
             "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
         }
         instance = type(self.context.module)(weights, info)
@@ -308,7 +309,7 @@ class _Runner:
 
 
 def _checkpoint(directory: Path) -> tuple[dict[str, Array], JsonObject] | None:
-    """The last checkpoint, if there is one. Raises `UserError` (GB852) where it is damaged."""
+    """The last checkpoint, if there is one. Raises `UserError` (GB852) if it is damaged."""
     path = directory / files.CHECKPOINT
     if not path.is_file():
         return None
@@ -320,7 +321,7 @@ def _checkpoint(directory: Path) -> tuple[dict[str, Array], JsonObject] | None:
 
 
 def restored(arrays: dict[str, Array], remarks: JsonObject) -> Position:
-    """The position that a checkpoint keeps."""
+    """The position stored in a checkpoint."""
     return Position(
         stage=remarks["stage"],
         iteration=remarks["iteration"],
@@ -344,7 +345,7 @@ def restored(arrays: dict[str, Array], remarks: JsonObject) -> Position:
 
 
 class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
-    """Within it SIGINT is noted instead of raised, so that an iteration ends whole; a second one is raised at once."""
+    """A context that records SIGINT, so that an iteration is completed; a second SIGINT is raised at once."""
 
     def __enter__(self) -> Callable[[], bool]:
         import signal

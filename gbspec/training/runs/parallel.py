@@ -1,4 +1,4 @@
-"""Fitting members: one after the other in this process, or side by side by workers (processes, a cluster)."""
+"""Fitting members: one after the other in this process, or in parallel by workers (processes, a cluster)."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def cores() -> int:
 
 
 def fit_jobs(jobs: Sequence[Job], options: TrainOptions, progress: Progress, take: Take) -> None:
-    """Fits all jobs, by the workers, threads and scheduler that `options` asks for.
+    """Fits all jobs with the workers, threads and scheduler that `options` specifies.
 
-    Raises KeyboardInterrupt on SIGINT, after every member under way has written what it reached and was taken.
+    Raises KeyboardInterrupt on SIGINT, after every running member has written its result and `take` has received it.
     """
     if options.scheduler is not None:
         with cluster(options.scheduler, options.threads or 1) as fitting:
@@ -51,9 +51,9 @@ def fit_jobs(jobs: Sequence[Job], options: TrainOptions, progress: Progress, tak
 
 
 def _collect(workers: Workers, jobs: Sequence[Job], progress: Progress, take: Take) -> None:
-    """Waits for all jobs. On SIGINT every worker is told to stop after its iteration, and is waited for.
+    """Waits for all jobs. On SIGINT, stops every worker after its current iteration and waits for it.
 
-    So they are where one of them raises UserError, which is then raised here.
+    The same is done if a job raises UserError, which is then raised here.
     """
     waiting = [(workers.submit(job), job) for job in jobs]
     stopped, wrong = False, None
@@ -68,7 +68,7 @@ def _collect(workers: Workers, jobs: Sequence[Job], progress: Progress, take: Ta
                 if pending.done():
                     try:
                         _take(workers, pending, job, take)
-                    except UserError as error:  # the others end after their iteration, and are kept
+                    except UserError as error:  # the others end after their iteration, and their results are kept
                         wrong = error
                         workers.stop()
                 else:
@@ -82,7 +82,7 @@ def _collect(workers: Workers, jobs: Sequence[Job], progress: Progress, take: Ta
 
 
 def _take(workers: Workers, pending: Pending, job: Job, take: Take) -> None:
-    """Hands on what became of a job that is done."""
+    """Passes the outcome of a completed job to `take`."""
     try:
         result = workers.outcome(pending, job)
     except ComputationError as error:
@@ -93,7 +93,7 @@ def _take(workers: Workers, pending: Pending, job: Job, take: Take) -> None:
 
 
 def _drain(queue: Queue[Update | str], progress: Progress) -> None:
-    """Passes on what workers told, waiting a moment for the first."""
+    """Passes on the messages of workers, with a short wait for the first."""
     try:
         item = queue.get(timeout=0.2)
         while True:

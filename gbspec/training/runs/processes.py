@@ -1,4 +1,4 @@
-"""Workers that are processes of this machine."""
+"""Workers that are processes on this machine."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def processes(workers: int, threads: int) -> Iterator[Workers]:
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Within it spawned processes do not run the main script again: a script that trains would train there too."""
+    """A context in which spawned processes do not run the main script, which might itself train."""
     main = sys.modules["__main__"]
     hidden: dict[str, object] = {name: vars(main).pop(name) for name in ["__file__", "__spec__"] if name in vars(main)}
     vars(main)["__spec__"] = None
@@ -76,7 +76,7 @@ class _Processes:
 
 
 def _work(job: Job, threads: int, messages: Queue[Update | str], stopped: Event) -> MemberResult | None:
-    """One member, in a worker. An interruption comes back as an unfinished result: the weights are written."""
+    """Fits one member in a worker. After an interruption returns an unfinished result; the weights are written."""
     use_threads(threads)
     if stopped.is_set():
         return None

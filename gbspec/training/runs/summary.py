@@ -21,10 +21,10 @@ from gbspec.training.stages import StageName
 class MemberResult:
     """A member's part of `fit.json`; arrays in natural units.
 
-    `rmse` and `noise` by channel: root mean square of prediction minus value of the autoregressive solution (NaN where
-    it blew up) and the estimated standard deviation of the noise; `constants` by name; `sd` by name (NaN: not known);
-    `correlations` [k, k] of the constants that all trajectories share, empty where not known;
-    `failed` names the trajectories whose autoregressive solution blew up.
+    `rmse` and `noise` by channel: root mean square of prediction minus value of the autoregressive solution (NaN if it
+    is not finite) and the estimated standard deviation of the noise; `constants` by name; `sd` by name (NaN: not
+    known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed` names
+    the trajectories whose autoregressive solution is not finite.
     """
 
     seed: int
@@ -53,7 +53,7 @@ def summarise(
     seconds: float,
     stages: list[JsonObject],
 ) -> MemberResult:
-    """Evaluates a member at `theta`; `freedom` is how many degrees of freedom its last stage used (NaN: not known)."""
+    """Evaluates a member at `theta`; `freedom`: the degrees of freedom that its last stage used (NaN: not known)."""
     model = context.model
     engine = context.engine(parameters, 0.0)
     problem, solution = engine.problem, predicted(engine, theta)
@@ -104,7 +104,7 @@ class _Noise:
     def of(
         cls, context: Context, parameters: Parameters, theta: Array, freedom: float, stages: Sequence[str]
     ) -> _Noise:
-        """From the residuals at `theta`, with the forcing that was trained with."""
+        """The noise from the residuals at `theta`, with the forcing of the training."""
         asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
         whole = asked and (not parameters.n_weights or StageName.AUTOREGRESSIVE in stages)
         residuals = residual_table(context.engine(parameters, 0.0 if whole else context.options.blend), theta)

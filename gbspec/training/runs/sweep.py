@@ -1,4 +1,5 @@
-"""A sweep: runs with different options on the same data, all their members fitted side by side, and a table of them."""
+"""A sweep: runs with different options on the same data, with all their members fitted in parallel, and a table of the
+results."""
 
 from __future__ import annotations
 
@@ -33,12 +34,12 @@ def sweep(
     directory: Path,
     progress: Progress | None = None,
 ) -> list[JsonObject]:
-    """Fits every point into a run directory of its own under `directory`; gives (and writes) a row for each.
+    """Fits every point in its own run directory under `directory`; returns (and writes) a row for each.
 
-    `options` say how the call goes: workers, threads, scheduler. A row has the run's name, what was varied, the
-    members that were fitted, the least loss of a member, and of that member the rmse of each channel and the constants;
-    a point of which no member could be fitted has none of these. Raises UserError like `train`, and KeyboardInterrupt
-    on SIGINT, after writing what can be resumed.
+    `options` are those of the call: workers, threads, scheduler. A row has the run's name, the varied options, the
+    members that were fitted, the smallest loss of a member, and that member's rmse of each channel and constants; these
+    are missing for a point of which no member could be fitted. Raises UserError like `train`, and KeyboardInterrupt on
+    SIGINT, after writing files from which the sweep can be resumed.
     """
     shown = progress or Silent()
     runs = [_fitting(model, trajectories, point, directory, shown) for point in points]
@@ -70,7 +71,7 @@ def sweep(
 
 
 def _fitting(model: Model, trajectories: Trajectories, point: Point, directory: Path, shown: Progress) -> Fitting:
-    """A point's run: resumed where it was begun, as a sweep that goes on may have new points."""
+    """A point's run, resumed if it was begun; a continued sweep may have new points."""
     path = directory / point.name
     resume = point.options.resume and (path / files.FIT).is_file()
     return Fitting(model, trajectories, replace(point.options, resume=resume), path, shown)
@@ -90,7 +91,7 @@ def _row(point: Point, run: Fitting) -> JsonObject:
 
 
 def _write(path: Path, rows: Sequence[JsonObject]) -> None:
-    """Writes the table; its columns are those of the fullest row."""
+    """Writes the table; its columns are those of the row with the most entries."""
     fullest: JsonObject = max(rows, key=len)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(fullest), lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Options crossed: what a sweep varies, and the runs that come of it."""
+"""The options that a sweep varies, and the runs of all their combinations."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Setting: TypeAlias = Any
 """The value of an option: of the type of the field that it names."""
 # A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
 FIXED = frozenset({"resume", "workers", "threads", "scheduler"})
-"""Options of a call, which a sweep has but does not vary."""
+"""Options of a call, which a sweep accepts but does not vary."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a sweep: its name, which is that of its directory too, what is varied in it, and all options."""
+    """One run of a sweep: its name, which is also that of its directory, its varied options, and all options."""
 
     name: str
     varied: dict[str, Setting]
@@ -31,7 +31,7 @@ class Point:
 def points(texts: Sequence[str], base: TrainOptions, findings: Findings) -> list[Point]:
     """Every combination of the variations `NAME=VALUE,VALUE,...`, the last one varying fastest, the rest from `base`.
 
-    What is wrong is recorded in `findings`: GB862 where a variation makes no sense, GB850 where a value does not.
+    Errors are recorded in `findings`: GB862 for an invalid variation, GB850 for an invalid value.
     """
     varied: dict[str, list[Setting]] = {}
     for text in texts:
@@ -56,7 +56,7 @@ def points(texts: Sequence[str], base: TrainOptions, findings: Findings) -> list
 
 
 def _variation(text: str, findings: Findings) -> tuple[str, list[Setting]]:
-    """The option and its values; what is wrong is recorded, and left out."""
+    """The option and its valid values; invalid ones are recorded and omitted."""
     before, _, after = text.partition("=")
     name = before.strip().replace("-", "_")
     if name not in _types():
@@ -87,7 +87,8 @@ def _types() -> dict[str, Any]:
 
 
 def _read(text: str, kind: Any) -> Setting:
-    """A value of a type from its text; raises ValueError. What else it must satisfy, the options check."""
+    """The value of type `kind` that a text represents; raises ValueError. Further conditions are checked by the
+    options."""
     if get_origin(kind) is types.UnionType:
         kind = next(part for part in get_args(kind) if part is not types.NoneType)
     if kind is bool:
@@ -100,5 +101,5 @@ def _read(text: str, kind: Any) -> Setting:
 
 
 def _text(value: Setting) -> str:
-    """A value as a directory's name has it."""
+    """A value as written in the name of a directory."""
     return f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)

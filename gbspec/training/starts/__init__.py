@@ -1,4 +1,4 @@
-"""Where a fit starts from: curves, slopes, gradient matching, search, initial states."""
+"""The starting point of a fit: curves, slopes, gradient matching, search, initial states."""
 
 import lazy_loader
 

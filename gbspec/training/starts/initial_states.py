@@ -1,7 +1,7 @@
-"""Refits the initial states (and own constants) trajectory by trajectory, everything shared being frozen.
+"""Refits the initial states (and own constants) trajectory by trajectory, with all shared parameters fixed.
 
-Candidates around the current start are tried for all trajectories in one batch; the best of each is polished by
-Levenberg-Marquardt steps on the trajectories' own blocks, each with its own damping.
+Candidates around the current initial state are tried for all trajectories in one batch; the best one of each is
+improved by Levenberg-Marquardt steps on the trajectories' own blocks, each with its own damping.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from gbspec.training.problem import Forcing, Integers, Packed, Parameters, Probl
 
 POLISH_STEPS = 12
 FLAT = 1e-12
-"""The least damping of a step, beside the trace of its Hessian."""
+"""The smallest damping of a step, relative to the trace of its Hessian."""
 HUBER = 0.3
-"""Residuals beyond this many deviations of the data count linearly: one bad value must not set a start."""
+"""Residuals beyond this many standard deviations count linearly, so that no single outlier determines the result."""
 
 
 def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, radius: float = 1.0) -> Array:
-    """The vector with better starts: no trajectory's own loss over its first rows increases.
+    """The vector with improved initial states: no trajectory's own loss over its first rows increases.
 
-    `radius` is the size of the box of candidates in units of the states' deviations.
+    `radius` is the size of the box of candidates in units of the states' standard deviations.
     """
     parameters = engine.parameters
     if not parameters.start_free.any():
@@ -34,7 +34,7 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
     problem = first_rows(engine.problem, _influence(engine.problem))
     window = engine.rebound(problem, parameters)
     if problem.scaling.noise is None:
-        # One noise throughout, so that losses with priors can be compared.
+        # The same noise throughout, so that losses with priors are comparable.
         noise = max(typical(residual_vector(window, theta)), LEAST_NOISE)
         problem = replace(problem, scaling=replace(problem.scaling, noise=noise if np.isfinite(noise) else 0.0))
         window = engine.rebound(problem, parameters)
@@ -78,7 +78,8 @@ def first_rows(problem: Problem, count: int) -> Problem:
 
 
 def _influence(problem: Problem) -> int:
-    """After how many rows a start no longer matters: every state reset once, and a few rows more for what is hidden."""
+    """The number of rows after which the initial state no longer matters: until every state has been reset once, and a
+    few more if there are unmeasured states."""
     packed, weight = problem.packed, problem.forcing.weight
     resettable = weight.max(axis=0, initial=0.0) >= 1.0
     if not resettable.all():
@@ -96,7 +97,7 @@ def _starts(parameters: Parameters, theta: Array) -> Array:
 
 
 def _trajectory_losses(engine: Engine, theta: Array) -> Array:
-    """Huber loss of each trajectory; infinite where it blew up [N]."""
+    """Huber loss of each trajectory [N]; infinite if its solution is not finite."""
     problem = engine.problem
     rho = huber_each(residual_table(engine, theta), HUBER).sum(axis=1)
     rho = np.where(np.isfinite(rho), rho, np.inf)
@@ -109,7 +110,7 @@ def _trajectory_losses(engine: Engine, theta: Array) -> Array:
 
 
 def _best_candidates(engine: Engine, theta: Array, starts: Array, points: Array, width: Array) -> Array:
-    """Each trajectory's best start among `starts + width * points` [N, n_states]."""
+    """Each trajectory's best initial state among `starts + width * points` [N, n_states]."""
     parameters = engine.parameters
     count, n = len(points), parameters.trajectories
     index: Integers = np.repeat(np.arange(n, dtype=np.int64), count)
@@ -125,7 +126,7 @@ def _keep_better(engine: Engine, theta: Array, starts: Array, losses: Array) -> 
 
 
 def _keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple[Array, Array]:
-    """Takes each trajectory's block from `new` where its loss fell."""
+    """The vector with each trajectory's block from `new` if its loss is smaller, and the losses."""
     trial, parameters = _trajectory_losses(engine, new), engine.parameters
     better = trial < losses
     out = old.copy()
@@ -164,8 +165,8 @@ def _polish(engine: Engine, theta: Array, losses: Array) -> Array:
 def damped_steps(hessian: Array, gradient: Array, damping: Array) -> Array:
     """Steps [N, k] from Hessians [N, k, k] (positive semidefinite), gradients [N, k] and dampings [N].
 
-    Each damping is at least FLAT times its Hessian's trace: it falls with every success, and the equations of a
-    direction along which the data say nothing must not become singular by that.
+    Each damping is at least FLAT times its Hessian's trace: it decreases with every success, and the equations
+    must not become singular in directions that the data do not determine.
     """
     least = FLAT * np.trace(hessian, axis1=1, axis2=2)
     diagonal = np.maximum(np.maximum(damping, least), np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""The search for a start of constants: many values within their bounds, the most promising improved a little."""
+"""The search for starting values of constants: many candidates within their bounds, of which the best are improved."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SPREAD = 1.0
 
 
 class Search:
-    """Chooses among the vector it is given, the declared starts and draws around both: one step."""
+    """Chooses among the given vector, the declared starting values and random points around both, in one step."""
 
     name = StageName.SEARCH.value
     total = 1
@@ -26,7 +26,7 @@ class Search:
         self.engine, self.parameters, self.seed = engine, engine.parameters, seed
 
     def begin(self, theta: Array) -> State:
-        """Nothing but the vector."""
+        """The initial state: only the vector."""
         return {"theta": theta}
 
     def step(self, state: State, iteration: int) -> Outcome:
@@ -61,7 +61,7 @@ class Search:
         return huber(residuals, 1.0) + self._penalty(theta, residuals)
 
     def _penalty(self, theta: Array, residuals: Array) -> float:
-        """What the priors add to half the sum of squares."""
+        """The contribution of the priors to half the sum of squares."""
         return (
             Priors.of(self.engine.problem, self.parameters, residuals).penalty(theta)
             if np.isfinite(residuals).all()

@@ -1,4 +1,4 @@
-"""Points of the splines at which balances are compared with slopes, and what the networks see and should say there."""
+"""Points of the splines at which balances are compared with slopes, with the networks' arguments and outputs there."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from gbspec.training.problem import Integers, torch_arithmetic
 from gbspec.training.starts.splines import Curves
 
 POINTS = 6000
-"""About how many points are used at most, whatever the amount of data."""
+"""Approximate upper limit on the number of points, for any amount of data."""
 LEAST = 400
-"""A trajectory has four points for each of its rows up to this number, then as many as it has rows."""
+"""A trajectory has four points per row up to this number of points, and otherwise as many points as rows."""
 
 
 @dataclass(frozen=True)
 class Points:
     """M points of the curves: `t` [M], `x` and `slope` [M, n_states], `condition`, `inputs`, `trajectory` [M].
 
-    `equations`: indices of the balances that can be compared: their states have curves, and so has all that they
-    contain. `rough`: balances whose own state has a curve, hidden states in them standing at a guess: enough for an
-    order of magnitude. `scale` [n_states]: size of the slopes; `measurements`: how many values the curves rest on.
+    `equations`: indices of the balances that can be compared: their states, and all states that they contain, have
+    curves. `rough`: balances whose own state has a curve, with unmeasured states at a guess, which suffices for orders
+    of magnitude. `scale` [n_states]: size of the slopes; `measurements`: number of values that the curves are fitted
+    to.
     """
 
     t: Array
@@ -52,7 +53,7 @@ class Points:
 
 
 def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
-    """Balances of which every state, the left side's included, has curves."""
+    """Balances in which every state, including that on the left side, has curves."""
     hidden = {s.symbol for i, s in enumerate(model.states) if not curves.covers(i)}
     balances = model.inlined(model.balances)
     return tuple(
@@ -61,9 +62,9 @@ def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
 
 
 def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: Array) -> Points:
-    """Evenly spaced points within the span that all of a trajectory's needed states have in common.
+    """Evenly spaced points within the common span of the curves of a trajectory's required states.
 
-    States without curves stand at `guess` [N, n_states].
+    States without curves have the values `guess` [N, n_states].
     """
     equations = comparable_balances(model, curves)
     covered = [i for i in range(len(model.states)) if curves.covers(i)]
@@ -118,8 +119,8 @@ def _inputs_at(model: Model, signals: Sequence[Signal], t: Array) -> Array:
 class FreeOutputs:
     """Networks whose outputs are free numbers at each point, one for each application; records their arguments.
 
-    In place of the module's networks: `values` [M, Q] are the outputs in the order in which a right-hand side asks for
-    them, `arguments` the recorded arguments, one (network, [M, E, n_arguments]) an application; E is 1, or the number
+    They replace the module's networks: `values` [M, Q] are the outputs in the order in which a right-hand side uses
+    them, `arguments` the recorded arguments, one (network, [M, E, n_arguments]) per application; E is 1, or the number
     of elements where a network is applied to whole arrays.
     """
 
@@ -131,7 +132,7 @@ class FreeOutputs:
         self._position = 0
 
     def functions(self) -> Networks:
-        """What `rhs` of the equations takes as its networks."""
+        """The functions to pass to `rhs` in place of networks."""
         self._position = 0
         self.arguments = []
         return tuple(self._function(index) for index in range(len(self.model.networks)))

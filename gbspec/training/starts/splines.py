@@ -1,8 +1,8 @@
 """A curve through each measured state of each trajectory, for warm starts and imputed values.
 
 Either interpolating (cubic; shape preserving where the data are monotone, so that a curve does not wiggle between
-sparse points) or smoothed by generalised cross-validation. Which of them suits the data the warm start finds out by
-trying: cross-validation alone takes sparsely sampled oscillations for noise.
+sparse points) or smoothed by generalised cross-validation. The warm start tries both: cross-validation alone would
+treat sparsely sampled oscillations as noise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Curve = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class StateCurve:
-    """One state of one trajectory over [low, high], where it was measured; linear beyond, in the values' range."""
+    """One state of one trajectory over its measured span [low, high]; linear beyond, within the range of the values."""
 
     value: Curve
     slope: Curve
@@ -33,7 +33,8 @@ class StateCurve:
     top: float
 
     def extended(self, times: Array) -> Array:
-        """Values at any times: beyond the measured span along the end's tangent, within the span of the data."""
+        """Values at any times; beyond the measured span along the tangent at its end, limited to the range of the
+        data."""
         inside = np.clip(times, self.low, self.high)
         tangent = self.value(inside) + self.slope(inside) * (times - inside)
         margin = 0.25 * (self.top - self.bottom)
@@ -66,7 +67,7 @@ def fit_curves(model: Model, trajectories: Trajectories, smooth: bool = False) -
 
 
 def _series(times: Array, values: Array) -> tuple[Array, Array]:
-    """Times and values of what was measured (`values` [R, 0 or 1])."""
+    """Times and values of the measurements (`values` [R, 0 or 1])."""
     if values.shape[1] == 0:
         return np.zeros(0), np.zeros(0)
     seen = np.isfinite(values[:, 0])
@@ -88,7 +89,7 @@ def _smooth(t: Array, y: Array) -> Curve | None:
 
 @dataclass(frozen=True)
 class _Rescaled:
-    """A spline of scaled time and value, in natural units."""
+    """A spline of scaled time and value, evaluated in natural units."""
 
     spline: Curve
     origin: float

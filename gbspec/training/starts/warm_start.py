@@ -2,9 +2,9 @@
 
 1. *Elimination*: the networks' outputs are free numbers at each point; constants (and these numbers) minimise the
    robust distance of balances and slopes. Where there are more balances than outputs, this determines the constants
-   without any assumption on the unknown functions; elsewhere damping keeps them where they started.
-2. *Scales*: the networks' inputs are scaled by what they see at the points, outputs by the free numbers.
-3. *Slope regression*: networks and constants together, Adam on minibatches of points.
+   without any assumption on the unknown functions; otherwise damping keeps them at their starting values.
+2. *Scales*: the networks' inputs are scaled by their values at the points, outputs by the free numbers.
+3. *Slope regression*: networks and constants together, by Adam on minibatches of points.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 ELIMINATION_STEPS = 30
 REGRESSION_STEPS = 1000
 BATCH, EVALUATIONS = 256, 8192
-"""Points of a minibatch: this many, fewer where unknowns are then evaluated more often than that (arrays)."""
+"""Points of a minibatch; fewer if unknowns would be evaluated more often than this (arrays)."""
 ELIMINATION_WORK = 2e9
-"""Multiplications in one step of the elimination; fewer points are used where it would take more."""
+"""Limit on the multiplications in one step of the elimination; if necessary fewer points are used."""
 PEAK_RATE = 5e-3
 PRIOR = 0.5
-"""Deviation of the constants' prior around their starts, in trainable units: a factor of about e^1.5 either way."""
+"""Standard deviation of the constants' prior around their starting values, in trainable units: a factor of e^1.5."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,11 @@ def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
 
 
 class _Mismatch:
-    """Balances less slopes at M points, in units of the balances' scales [M, E], at trainable constants [n] and free
+    """Balances minus slopes at M points, in units of the balances' scales [M, E], at trainable constants [n] and free
     outputs [M, Q].
 
-    Where no balance can be compared, the rough ones serve, and constants do not count. Of many points some are taken.
+    If no balance can be compared, the rough ones are used, and constants are not estimated. If there are too many
+    points, a subset is used.
     """
 
     def __init__(self, model: Model, module: GeneratedModule, points: Points, start: Array) -> None:
@@ -78,7 +79,7 @@ class _Mismatch:
         return np.asarray(self._of(u, outputs, False)[0].detach().numpy())
 
     def linear(self, u: Array, outputs: Array) -> tuple[Array, Array, Array]:
-        """The mismatch and its derivatives by outputs [M, E, Q] and constants [M, E, n]."""
+        """The mismatch and its derivatives with respect to outputs [M, E, Q] and constants [M, E, n]."""
         r, o, k = self._of(u, outputs, True)
         by_outputs, by_constants = [], []
         for i in range(len(self.equations)):
@@ -95,7 +96,7 @@ class _Mismatch:
 def eliminate(model: Model, module: GeneratedModule, points: Points, start: Array) -> Eliminated:
     """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights.
 
-    Where no balance can be compared, the rough ones serve, and the constants stay at `start`.
+    If no balance can be compared, the rough ones are used, and the constants stay at `start`.
     """
     mismatch = _Mismatch(model, module, points, start)
     points, count = mismatch.points, len(mismatch.points)
@@ -110,7 +111,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
         spread = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
         w = 1.0 / (1.0 + (r / (3 * spread)) ** 2)
         value = float(np.log1p((r / (3 * spread)) ** 2).sum())
-        # Points of one curve are not independent: the prior counts against the measurements that lie behind them.
+        # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
         prior = count / points.measurements * (spread / deviation) ** 2
         du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - centre)
         new_r = mismatch.values(u + du, outputs + do)
@@ -128,7 +129,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
 
 
 def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
-    """Centres and deviations of the constants in trainable units [n]: as declared, else `PRIOR` around `start`."""
+    """Prior means and standard deviations of the constants in trainable units [n]: as declared, else around `start`."""
     centre, deviation = start.copy(), np.full(len(start), PRIOR)
     bijections = Bijections.of(model.learnables)
     declared = np.array([0.0 if k.prior is None else k.prior.location for k in model.learnables])
@@ -142,7 +143,7 @@ def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
 
 
 def _free_outputs(model: Model, module: GeneratedModule, points: Points, start: Array) -> FreeOutputs:
-    """Free outputs for some points, once evaluated, so that they know how many they are."""
+    """Free outputs for some points, after one evaluation that determines their number."""
     free = FreeOutputs(model, len(points))
     with torch.no_grad():
         constants = _constants_at(model, torch.from_numpy(start), len(points))
@@ -212,9 +213,9 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
 
 
 def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
-    """Mean and deviation of the free outputs, robustly; with a postulate the centre is its neutral value."""
+    """Robust centre and scale of the free outputs; with a postulate the centre is its neutral value."""
     unknowns = sorted((u for u in model.unknowns if u.network == network), key=lambda u: u.output)
-    width = model.networks[network].sizes[-1]  # the last, beyond the unknowns, are extra outputs that contracts need
+    width = model.networks[network].sizes[-1]  # outputs beyond those of the unknowns are required by contracts
     center, scale = np.zeros(width), np.ones(width)
     for i, unknown in enumerate(unknowns):
         column = outputs[:, i]

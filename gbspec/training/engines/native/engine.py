@@ -23,7 +23,7 @@ from gbspec.training.problem import Integers, Parameters, Path, Problem, residua
 
 
 class NativeEngine:
-    """Works with one compiled kernel; Jacobians need one in double precision."""
+    """An engine with one compiled kernel; Jacobians need a kernel in double precision."""
 
     def __init__(self, problem: Problem, parameters: Parameters, kernel: Kernel) -> None:
         self.problem, self.parameters, self.kernel = problem, parameters, kernel
@@ -39,13 +39,13 @@ class NativeEngine:
         return self._paths.at(self.parameters, theta)
 
     def tables(self, path: Path) -> Tables:
-        """The data on a path as the kernel reads them; those last asked for are kept."""
+        """The data on a path in the kernel's format; the most recent ones are kept."""
         if self._tables is None or self._tables.path is not path:
             self._tables = Tables(self.problem, path)
         return self._tables
 
     def moments(self, theta: Array, path: Path) -> Moments:
-        """What is predicted at a vector."""
+        """The predictions at a vector."""
         vector = torch.from_numpy(theta)
         with torch.no_grad():
             inputs = KernelInputs.of(self.problem, self.parameters, vector)
@@ -54,7 +54,7 @@ class NativeEngine:
         return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())
 
     def kernel_residuals(self, theta: Array, path: Path) -> Array:
-        """The residuals [R, C] as the kernel computes them for its own gradients (for tests of their definition)."""
+        """The residuals [R, C] that the kernel computes for its own gradients (for tests of their definition)."""
         with torch.no_grad():
             inputs = KernelInputs.of(self.problem, self.parameters, torch.from_numpy(theta))
         return self.kernel.sweep(self.tables(path), inputs, False).residuals
@@ -79,7 +79,7 @@ class NativeEngine:
         """The product of a cotangent with the Jacobian of the means."""
         if by is not None:
             return by_group(self, theta, path, cotangent, by)
-        # The kernel's cotangents are of residuals.
+        # The kernel expects cotangents of residuals.
         slopes = residual_slopes(self.problem, self.moments(theta, path).mean)
         seen = slopes != 0
         of_residuals = np.where(seen, cotangent / np.where(seen, slopes, 1.0), 0.0)
@@ -90,8 +90,8 @@ class NativeEngine:
         return self._swept(theta, path, index, None)
 
     def _swept(self, theta: Array, path: Path, index: Integers | None, cotangent: Array | None) -> tuple[float, Array]:
-        """One call of the kernel, forward and back: half the sum of squared residuals, and the product of `cotangent`
-        (None: the residuals) with the residuals' Jacobian."""
+        """One call of the kernel, forward and backward: half the sum of squared residuals, and the product of
+        `cotangent` (None: the residuals) with the residuals' Jacobian."""
         vector = torch.from_numpy(theta).requires_grad_()
         n = KernelInputs.of(self.problem, self.parameters, vector)
 
@@ -105,5 +105,5 @@ class NativeEngine:
         return float(loss.detach()), np.zeros_like(theta) if gradient is None else gradient.numpy()
 
     def second(self, theta: Array, path: Path, direction: Array, cotangent: Array) -> Array:
-        """Not offered: the kernel has first derivatives alone."""
+        """Raises UnableError: the kernel has only first derivatives."""
         raise UnableError(Unable(Lack.SECOND, "the native kernel has no second derivatives; the torch engine has them"))

@@ -1,8 +1,8 @@
 """Half the sum of squared residuals by the native kernel.
 
-The kernel takes what the right-hand side uses (layers' weights, constants, initial states) and gives residuals and the
-gradient of half their squares in one call; how these come from the trainable vector is left to torch, whose automatic
-differentiation takes the kernel as one node (`HalfSquares`).
+The kernel takes the quantities that the right-hand side uses (layers' weights, constants, initial states) and returns
+residuals and the gradient of half their squared sum in one call. The dependence of these quantities on the trainable
+vector is left to torch, whose automatic differentiation treats the kernel as one node (`HalfSquares`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Context: TypeAlias = Any
 
 
 class HalfSquares(torch.autograd.Function):
-    """Half the sum of squared residuals; its gradient is found in the same call of the kernel as its value."""
+    """Half the sum of squared residuals; the kernel computes its gradient in the same call as its value."""
 
     @staticmethod
     def forward(
@@ -33,7 +33,7 @@ class HalfSquares(torch.autograd.Function):
         amounts: Tensor,
         times: Tensor,
     ) -> Tensor:
-        """`call` sweeps at the values of the other arguments."""
+        """The value; `call` runs the kernel at the values of the other arguments."""
         swept = call()
         known = constants.shape[1] - swept.d_constants.shape[1]
         d_constants = np.concatenate([np.zeros((len(constants), known)), swept.d_constants], 1)
@@ -43,5 +43,5 @@ class HalfSquares(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Context, scale: Tensor) -> tuple[Tensor | None, ...]:
-        """The gradient found with the value."""
+        """The gradient that was computed with the value."""
         return (None, *(scale * saved for saved in ctx.saved_tensors))

@@ -1,4 +1,4 @@
-"""What the native kernel takes as functions of the trainable vector."""
+"""The inputs of the native kernel as functions of the trainable vector."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gbspec.training.problem import Parameters, Problem
 
 @dataclass(frozen=True)
 class KernelInputs:
-    """What the kernel takes, as functions of the trainable vector.
+    """The kernel's inputs, as functions of the trainable vector.
 
-    `weights` [W], all layers as they are used; `constants` [N, n_constants]; `initial` [N, n_states]; `amounts` [E],
-    how much of each dose arrives, and `times` [E], when; `numbers`: scales that the forms of contracts use.
+    `weights` [W], the effective weights of all layers; `constants` [N, n_constants]; `initial` [N, n_states]; `amounts`
+    and `times` [E] of the doses that arrive; `numbers`: scales that the forms of contracts use.
     """
 
     weights: Tensor
@@ -42,20 +42,20 @@ class KernelInputs:
         return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))
 
     def struct(self, library: Library) -> Struct:
-        """What a call of the kernel is given: all but the times, which are in the tables."""
+        """The kernel's argument: all inputs except the times, which are in the tables."""
         tensors = {name: getattr(self, name) for name in ("weights", "constants", "initial", "amounts")}
         arrays = {name: np.ascontiguousarray(x.detach().numpy()) for name, x in tensors.items()}
         return library.struct("Inputs", numbers=self.numbers, **arrays)
 
 
 def _layer_weights(networks: list[NetworkLayers], like: Tensor) -> Tensor:
-    """All layers' weights and biases as the kernel takes them, the networks' scales multiplied in."""
+    """All layers' weights and biases in the kernel's order, multiplied by the networks' scales."""
     parts = [part.reshape(-1) for network in networks for layer in network.folded for part in layer]
     return torch.cat(parts) if parts else like.new_zeros(0)
 
 
 def _numbers(networks: list[NetworkLayers]) -> Array:
-    """Centres and scales of outputs, scales of arguments, network by network."""
+    """Centres and scales of outputs and scales of arguments, network by network."""
     names = {"center": "output_center", "scale": "output_scale", "spread": "input_scale"}
     parts = [getattr(network, names[word]).detach().numpy() for network in networks for word in NUMBER_WORDS]
     return np.concatenate([*(part.ravel() for part in parts), np.zeros(0)])

@@ -1,7 +1,7 @@
-"""The Jacobian through the native kernel: derivatives of the intervals between key rows, and their chain.
+"""The Jacobian by the native kernel: derivatives of the intervals between key rows, and their chain product.
 
-What `engines.columns` says of intervals holds here; the kernel does the work for some trajectories at a time,
-so that neither the derivatives of intervals nor the sums that they are chained to leave the processor's cache.
+For the method see `engines.columns`. The kernel processes some trajectories at a time, so that the derivatives of
+intervals and the accumulated sensitivities stay in the processor's cache.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from gbspec.training.engines.native.threads import workspace
 from gbspec.training.problem import Integers, Parameters, Problem
 
 BLOCK_BYTES = 8 * 2**20
-"""Derivatives of about this size are made before they are chained."""
+"""Approximate size of the derivatives that are computed before they are chained."""
 
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Of the states at the ends of B intervals: by their first states [B, n, n], by trained weights [B, n, columns]
-    (columns beyond the weights' are zero) and by learnable constants, natural [B, n, n_learnables]."""
+    """Derivatives of the states at the ends of B intervals with respect to the states at their starts [B, n, n], the
+    trained weights [B, n, columns] (further columns are zero) and learnable constants in natural units
+    [B, n, n_learnables]."""
 
     start: Array
     weights: Array
@@ -39,7 +40,7 @@ class Derivatives:
 
 
 class Intervals:
-    """The intervals that end at the key rows of a problem, at one vector whose `moments` are these."""
+    """The intervals that end at the key rows of a problem, at one vector with the given `moments`."""
 
     def __init__(
         self, problem: Problem, kernel: Kernel, parameters: Parameters, theta: Array, tables: Tables, moments: Moments
@@ -58,7 +59,7 @@ class Intervals:
         self.doses = _Doses(problem, parameters, vector, self.tables) if len(packed.doses.time) else None
 
     def derivatives(self, rows: Integers, columns: int) -> Derivatives:
-        """Of the intervals that end at some rows; none by weights with `columns` 0."""
+        """Derivatives of the intervals that end at some rows; without those by weights if `columns` is 0."""
         n, count = len(self.problem.model.states), len(rows)
         order = np.argsort(-self.steps[rows], kind="stable")
         chosen, back = rows[order], np.argsort(order, kind="stable")
@@ -95,7 +96,7 @@ class Intervals:
         return Derivatives(d_start[back], d_weights[back], found)
 
     def blocks(self, columns: int) -> Iterator[tuple[Integers, list[Integers]]]:
-        """Trajectories that are done together, and their key rows in turn: trajectory by trajectory, in time."""
+        """Trajectories that are processed together, and their key rows by trajectory, in order of time."""
         packed = self.problem.packed
         most = max(1, BLOCK_BYTES // (8 * len(self.problem.model.states) * max(columns, 64)))
         order = np.lexsort((packed.row_index, packed.row_trajectory))
@@ -111,10 +112,10 @@ class Intervals:
 
 
 def jacobian(columns: Columns, kernel: Kernel, tables: Tables, moments: Moments, observed: Observed) -> Jacobian:
-    """Derivatives of the measured values, the intervals' and their chain from the native kernel."""
+    """Derivatives of the measured values; the native kernel computes those of intervals and chains them."""
     problem, parameters, packed = columns.problem, columns.parameters, columns.problem.packed
     intervals = Intervals(problem, kernel, parameters, columns.theta, tables, moments)
-    # Every row is written once; for much data this is by far the largest array.
+    # Every row is written once; for large data sets this is by far the largest array.
     shared = np.empty((len(observed.row), columns.shared))
     local = np.empty((len(observed.row), parameters.n_local))
     unused = [columns.zeros(())] * len(problem.model.constants)
@@ -148,9 +149,12 @@ def chain(
     total: Array,
     out: Array,
 ) -> None:
-    """Takes the sums `total` [.., n, columns] of owners on by their intervals, `d_start` [B, n, n] and `own`
-    [B, n, columns], and writes rows `places[0][b]` to `places[1][b] - 1` of the Jacobian `out` [m, columns], which
-    `d_state` [m, n] gives; `release` [B, n] is left over by resets."""
+    """Propagates the sensitivities `total` [.., n, columns] of the trajectories through B intervals in place.
+
+    `d_start` [B, n, n] and `own` [B, n, columns] are the intervals' derivatives. Interval b writes the rows
+    `places[0][b]` to `places[1][b] - 1` of the Jacobian `out` [m, columns] by means of `d_state` [m, n]; `release` [B,
+    n] is the fraction of a state that a reset retains.
+    """
     if not own.shape[-1]:
         return
     links = kernel.library.struct(
@@ -171,10 +175,10 @@ def chain(
 
 
 def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Array, Array]:
-    """`factor` and `shift` [W] that take derivatives by the weights of the kernel to those by the trained ones.
+    """`factor` and `shift` [W] that convert derivatives by the kernel's weights into those by the trained weights.
 
-    In the kernel the networks' scales are part of the first and the last layer, and contracts have put weights into
-    their forms; a derivative by a first layer's weight becomes `factor * (that - shift * that by the unit's bias)`.
+    In the kernel the networks' scales are part of the first and the last layer, and contracts have transformed weights.
+    For a first layer's weight w of a unit with bias b, d/dw becomes `factor * (d/dw - shift * d/db)`.
     """
     weights = parameters.weights(torch.from_numpy(theta))
     slopes = problem.module.weight_slopes({name: value.numpy() for name, value in weights.items()})
@@ -197,7 +201,7 @@ def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Ar
 
 
 class _Doses:
-    """What learned fractions and lags of doses add to the derivatives by constants."""
+    """Contributions of learned fractions and lags of doses to the derivatives by constants."""
 
     def __init__(self, problem: Problem, parameters: Parameters, vector: torch.Tensor, tables: Tables) -> None:
         packed, events, known = problem.packed, problem.packed.doses, len(problem.model.constants)
@@ -221,7 +225,7 @@ class _Doses:
         self.row = tables.arrival_row
 
     def add(self, constants: Array, rows: Integers, d_amounts: Array, d_times: Array) -> None:
-        """Adds, to derivatives by constants [B, n, n_learnables] of some rows, those through what arrives [n, E]."""
+        """Adds the contributions of doses [n, E] to the derivatives by constants [B, n, n_learnables] of some rows."""
         here = np.flatnonzero(np.isin(self.row, rows))
         order = np.argsort(rows)
         place = order[np.searchsorted(rows, self.row[here], sorter=order)]

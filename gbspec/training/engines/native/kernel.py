@@ -17,16 +17,16 @@ from gbspec.training.engines.native.threads import shared_out, workspace
 from gbspec.training.problem import Integers
 
 SHARES = 8
-"""Shares of the work for each thread."""
+"""Number of shares of the work per thread."""
 
 
 @dataclass
 class Swept:
-    """What a call of the kernel gives.
+    """The results of a call of the kernel.
 
-    `residuals` [R, C], `states` on arrival [R, n_states]; gradients of weights [W], learnable constants
-    [N, n_learnables] and initial states [N, n_states], amounts of doses [E] and, where lags are learned, their arrivals
-    [E] (zeros where none were asked for).
+    `residuals` [R, C], `states` at the key rows before resets [R, n_states]; gradients by weights [W], learnable
+    constants [N, n_learnables], initial states [N, n_states], amounts of doses [E] and, if lags are learned, their
+    times of arrival [E] (zeros if no gradient was requested).
     """
 
     residuals: Array
@@ -39,21 +39,21 @@ class Swept:
 
     @classmethod
     def zeros(cls, tables: Tables, weights: int, learnables: int) -> Swept:
-        """What is filled in for some tables."""
+        """Results of zeros, to be filled by a call for some tables."""
         n, rows = len(tables.steps), tables.shape[0]
         shapes = (tables.shape, (rows, tables.states), weights, (n, learnables), (n, tables.states))
         return cls(*(np.zeros(shape) for shape in (*shapes, tables.arrivals, tables.arrivals)))
 
     def filled_by(self, library: Library) -> Struct:
-        """The arrays that all shares of a call write into, as the kernel takes them."""
+        """The kernel's argument: the arrays into which all shares of a call write."""
         names = ("residuals", "states", "d_constants", "d_initial", "d_amounts", "d_times")
         return library.struct("Outputs", **{name: getattr(self, name) for name in names})
 
 
 class Kernel:
-    """The compiled unroll of one model by one method in one precision.
+    """The compiled solver of one model with one method in one precision.
 
-    Raises NotCoveredError for a model that it does not cover, CompilerError where it cannot be compiled.
+    Raises NotCoveredError for a model that it does not cover, CompilerError if it cannot be compiled.
     """
 
     def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4) -> None:
@@ -73,17 +73,17 @@ class Kernel:
         index: Integers | None = None,
         threads: int | None = None,
     ) -> Swept:
-        """Solves the trajectories `index` (None: all) forward and, if `gradient`, back.
+        """Solves the trajectories `index` (None: all) forward and, if `gradient`, backward.
 
-        Rows of other trajectories are zero. The gradient is
-        `cotangent` [R, C] (None: the residuals) times the residuals' Jacobian.
+        Rows of other trajectories are zero. The gradient is `cotangent` [R, C] (None: the residuals) times the
+        residuals' Jacobian.
         """
         order = tables.order if index is None else index[np.argsort(-tables.steps[index], kind="stable")]
         out = Swept.zeros(tables, len(inputs.weights), len(self.model.learnables))
         tiles = -(-len(order) // TILE)
         threads = max(1, min(tiles, threads if threads is not None else torch.get_num_threads()))
-        # More shares than threads: a core that something else takes a while leaves its share to the others. Each share
-        # has sums of its own, added in order, so that the result does not depend on which thread took which.
+        # More shares than threads, so that a thread that is held up leaves work to the others. Each share has its own
+        # sums, which are added in order, so that the result does not depend on which thread processed which share.
         count = 1 if threads == 1 else min(tiles, SHARES * threads)
         size, library = self.work_bytes(tables.depth), self.library
         parts = [out.d_weights, *(np.zeros_like(out.d_weights) for _ in range(count - 1))]
@@ -113,7 +113,7 @@ _kernels: dict[tuple[type[GeneratedModule], Precision], Kernel | Unable] = {}
 
 
 def kernel_of(model: Model, module: type[GeneratedModule], precision: Precision = "float64") -> Kernel | Unable:
-    """The kernel of a model (`module` is its generated class), or why there is none."""
+    """The kernel of a model (`module` is its generated class), or the reason why there is none."""
     key = (module, precision)
     if key not in _kernels:
         try:

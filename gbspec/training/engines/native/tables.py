@@ -1,4 +1,4 @@
-"""A problem's data as the native kernel reads them."""
+"""A problem's data in the native kernel's format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Tables:
         row_at = np.full((packed.trajectories, packed.depth + 1), -1, dtype=np.int32)
         row_at[packed.row_trajectory, packed.row_step] = np.arange(packed.rows)
         arrays = {
-            # What is read step by step lies in one piece for a trajectory.
+            # Data that are read step by step are contiguous for each trajectory.
             "t": packed.t.T,
             "h": packed.h.T,
             "inputs": packed.inputs.swapaxes(0, 1),

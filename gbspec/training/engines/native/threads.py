@@ -1,4 +1,4 @@
-"""Work shared out among threads, and the work space that each of them keeps."""
+"""Distribution of work over threads, and a persistent work space for each thread."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 
 def shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
-    """Does all parts on some threads. The one that asks is among them: if it slept, two that it wakes would often find
-    themselves on one core. The calls hold no lock of the interpreter, so plain threads run side by side."""
+    """Runs all parts on `threads` threads, including the calling one (if that slept, two woken threads would often
+    share a core). The calls release the interpreter's lock, so that plain threads run in parallel."""
     left = iter(range(count))
 
     def work() -> None:
@@ -25,7 +25,7 @@ def shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
     try:
         work()
     finally:
-        # Whatever stopped this one: the others read arrays of the caller.
+        # Also after an exception here: the other threads still read arrays of the caller.
         for _ in left:
             pass
         wait(helpers)
@@ -35,7 +35,7 @@ def shared_out(part: Callable[[int], None], count: int, threads: int) -> None:
 
 @cache
 def _pool(threads: int, process: int) -> ThreadPoolExecutor:
-    """Threads that wait for work, made anew in a forked process."""
+    """A pool of threads, recreated in a forked process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="gbspec-kernel")
 
 
@@ -43,7 +43,7 @@ _spaces = threading.local()
 
 
 def workspace(size: int) -> NDArray[np.uint8]:
-    """The work space of the thread that asks, kept between calls."""
+    """The work space of the calling thread, kept between calls."""
     space: NDArray[np.uint8] | None = getattr(_spaces, "bytes", None)
     if space is None or len(space) < size:
         space = _spaces.bytes = np.empty(size, dtype=np.uint8)
@@ -51,5 +51,5 @@ def workspace(size: int) -> NDArray[np.uint8]:
 
 
 def release() -> None:
-    """Gives back the work space of the thread that asks."""
+    """Frees the work space of the calling thread."""
     vars(_spaces).clear()

@@ -1,4 +1,4 @@
-"""The torch engine: the reference, for every model and every device."""
+"""The torch engine: the reference implementation, for every model and every device."""
 
 import lazy_loader
 

@@ -1,12 +1,12 @@
-"""Right-hand sides that are affine in states, inputs and unknowns, in as few operations as a hand would write.
+"""Right-hand sides that are affine in states, inputs and unknowns, in as few operations as in hand-written code.
 
-`gbspec.ir.affinity` tells whether they are. The generated module's own equations are then evaluated once an unroll with
-`Form`s in place of numbers, sums of multiples of states, inputs and outputs of networks:
+`gbspec.ir.affinity` decides whether they are. The generated module's equations are then evaluated once per unroll with
+`Form`s, that is, sums of multiples of states, inputs and outputs of networks, in place of numbers:
 
     dx/dt = shift + x A + u U + sum over the calls of networks of hidden(x, u) G
 
-where hidden is what a network's last layer gets. Constants and scales are in the matrices, what differs between
-trajectories is in the first layers' biases and the shift, all of it computed once an unroll and differentiable.
+where hidden is the input of a network's last layer. Constants and scales are in the matrices; values that differ
+between trajectories are in the first layers' biases and the shift. All are computed once per unroll, differentiably.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from gbspec.ir import Model, is_affine
 Coefficient = float | Tensor
 Key = tuple[str | int, ...]
 Field = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""A right-hand side: of times [B], states [B, n_states] and inputs [B, n_inputs]."""
+"""A right-hand side as a function of times [B], states [B, n_states] and inputs [B, n_inputs]."""
 
 
 class NotAffineError(Defect):
-    """The equations hold something that is no sum of multiples, though the Model said that they do not."""
+    """The equations are not affine although the analysis of the Model says that they are."""
 
 
 def _refuse(*_: object) -> NoReturn:
@@ -42,7 +42,8 @@ _known: dict[type[GeneratedModule], bool] = {}
 
 
 def affine_by_model(model: Model, module: GeneratedModule) -> bool:
-    """Whether a model's right-hand side is affine; decided once for each generated class, `module` is an instance."""
+    """Whether a model's right-hand side is affine; decided once per generated class, of which `module` is an
+    instance."""
     key = type(module)
     if key not in _known:
         _known[key] = is_affine(model)
@@ -51,7 +52,7 @@ def affine_by_model(model: Model, module: GeneratedModule) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Form:
-    """`constant` plus the sum of `terms[key]` times what the key stands for."""
+    """`constant` plus the sum over the keys of `terms[key]` times the quantity that the key denotes."""
 
     terms: dict[Key, Coefficient]
     constant: Coefficient = 0.0
@@ -92,7 +93,7 @@ def form_of(value: Form | Coefficient) -> Form:
 
 
 def _arithmetic(ops: Arithmetic) -> Arithmetic:
-    """The torch arithmetic, in which no function but a sum takes a form."""
+    """The torch arithmetic, in which only sums accept forms."""
 
     def only_numbers(function: Callable[..., object]) -> Callable[..., object]:
         def call(*arguments: object) -> object:
@@ -138,7 +139,7 @@ class Affine:
     calls: Sequence[_Call]
 
     def at(self, rows: Tensor | slice) -> Field:
-        """The right-hand side of some of the trajectories."""
+        """The right-hand side for some of the trajectories."""
         shift = _rows(self.shift, rows)
         calls = [_Call(**vars(call) | {"bias": _rows(call.bias, rows)}) for call in self.calls]
 
@@ -157,7 +158,7 @@ def _rows(table: Tensor, rows: Tensor | slice) -> Tensor:
 
 
 class _Probe:
-    """A network that writes down its calls and gives forms; it has the numbers that forms of contracts use."""
+    """A network that records its calls and returns forms; it has the numbers that the forms of contracts use."""
 
     def __init__(self, network: Network, calls: _Calls) -> None:
         if hasattr(network, "scale"):
@@ -176,9 +177,9 @@ class _Probe:
 def affine(
     module: GeneratedModule, ops: Arithmetic, condition: Tensor, constants: Sequence[Tensor], networks: Networks
 ) -> Affine:
-    """The right-hand side of trajectories of these conditions [P, n_conditions] and constants ([P] or [] each).
+    """The right-hand side for trajectories with these conditions [P, n_conditions] and constants ([P] or [] each).
 
-    Raises NotAffineError where it is not affine, or its matrices would differ between trajectories.
+    Raises NotAffineError if it is not affine, or its matrices would differ between trajectories.
     """
     calls: _Calls = []
     probes = tuple(_Probe(network, calls) for network in networks)
@@ -203,7 +204,7 @@ def _assembled(
     calls: _Calls,
     like: Tensor,
 ) -> Affine:
-    """The matrices, from what each row is and which network was called with what."""
+    """The matrices, from the form of each row and the recorded calls of networks."""
     shift, made = _constant(rows, like), []
     known = {*states, *inputs}
     for number, (network, arguments) in enumerate(calls):
@@ -227,13 +228,13 @@ def _assembled(
 
 
 def _within(forms: Iterable[Form], known: set[Key]) -> None:
-    """Refuses forms with other terms: times, and outputs of networks as arguments of networks."""
+    """Raises NotAffineError for forms with other terms: times, and outputs of networks as arguments of networks."""
     if any(key not in known for form in forms for key in form.terms):
         raise NotAffineError("a right-hand side is not affine")
 
 
 def _matrix(forms: Sequence[Form], keys: Sequence[Key], like: Tensor) -> Tensor | None:
-    """Coefficients [keys, forms]; None where all are absent."""
+    """Coefficients [keys, forms]; None if all are absent."""
     place = {key: i for i, key in enumerate(keys)}
     terms = [(key, j, value) for j, form in enumerate(forms) for key, value in form.terms.items() if key in place]
     if not terms:

@@ -20,8 +20,8 @@ from gbspec.training.problem import Integers, Parameters, Path, Problem
 
 
 class TorchEngine:
-    """Works on `device`, in `precision`; gradients take at most `batch` trajectories at a time (None: all), to bound
-    the memory."""
+    """An engine on `device` in `precision`; gradients are computed for at most `batch` trajectories at a time (None:
+    all), to bound the memory."""
 
     def __init__(
         self,
@@ -46,19 +46,19 @@ class TorchEngine:
         return self._paths.at(self.parameters, theta)
 
     def schedule(self, path: Path) -> Schedule:
-        """A path's sub-steps as tensors; those last asked for are kept."""
+        """A path's sub-steps as tensors; the most recent ones are kept."""
         if self._schedule is None or self._schedule[0] is not path:
             self._schedule = path, Schedule(self.problem, path, self._dtype, self.device)
         return self._schedule[1]
 
     def unroll(self, theta: Tensor, path: Path) -> Unrolled:
-        """The solution at a vector, differentiable in it; `theta` and what comes out are on the same device."""
+        """The solution at a vector, differentiable in it, on the device of `theta`."""
         home = theta.device
         out = unroll(self.problem, self.parameters, theta.to(self.device), self.schedule(path))
         return Unrolled(out.before.to(home), out.after.to(home), out.initial.to(home), out.mean.to(home))
 
     def moments(self, theta: Array, path: Path) -> Moments:
-        """What is predicted at a vector."""
+        """The predictions at a vector."""
         with torch.no_grad():
             out = self.unroll(torch.from_numpy(theta).to(self._dtype), path)
         before, after, initial, mean = (

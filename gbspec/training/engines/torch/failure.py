@@ -1,4 +1,4 @@
-"""What went wrong in a solution that left the finite numbers: which trajectory, when, and in which balance."""
+"""The cause of a solution that is not finite: the trajectory, the time, and the balance."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _REMEDY = (
 
 
 def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stage: str) -> ComputationError:
-    """The error to raise where the solution at `theta` is not finite."""
+    """The error to raise if the solution at `theta` is not finite."""
     packed = problem.packed
     if not np.isfinite(theta).all():
         return ComputationError(
@@ -40,7 +40,7 @@ def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stag
 
 
 def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tuple[int, float, str, Array] | None:
-    """The first trajectory and time whose state is not finite, the balance to blame, and the last finite state."""
+    """The first trajectory and time whose state is not finite, the responsible balance, and the last finite state."""
     module, m, vector = problem.module, problem.ops, torch.from_numpy(theta)
     path = Paths(problem).at(parameters, theta)
     packed, names = path.packed, [s.name for s in problem.model.states]
@@ -75,7 +75,7 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
 
 
 def _blame(names: list[str], rhs: Tensor, bad: Tensor) -> str:
-    """Names the balances that are not finite at the last finite state, else those whose step diverges."""
+    """The balances that are not finite at the last finite state, else those whose step diverges, in words."""
     broken = [names[j] for j in torch.nonzero(~torch.isfinite(rhs))[:, 0].tolist()]
     if broken:
         return "the right-hand side of " + ", ".join(f"`{n}'`" for n in broken) + " is not finite"

@@ -1,10 +1,10 @@
 """The exact Jacobian by the torch graph.
 
-One solution gives the start of every interval between consecutive key rows, so all intervals are computed again as one
-batch, sorted by length, whose live prefix shrinks. Cotangents of the networks' pre-activations, of the starts and of
-the constants come from one backward pass for each state; the weights' part of an interval's derivatives is a batched
-product of these cotangents with the layers' inputs. Then the intervals of each trajectory are chained (see `columns`).
-Cost: one forward and n_states backward passes, whatever the number of measured values.
+One solution gives the state at the start of every interval between consecutive key rows; all intervals are then
+recomputed as one batch, sorted by length, whose live prefix shrinks. One backward pass per state gives cotangents of
+the networks' pre-activations, of the states at the starts and of the constants; an interval's derivatives by weights
+are a batched product of these cotangents with the layers' inputs. Then the intervals of each trajectory are chained
+(see `columns`). Cost: one forward and n_states backward passes, whatever the number of measured values.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_ste
 from gbspec.training.problem import Integers, Path
 
 CHUNK_BYTES = 256 * 1024 * 1024
-"""Derivatives of intervals by weights are formed in chunks of about this size."""
+"""Approximate size of the chunks in which derivatives of intervals by weights are computed."""
 
 
 def jacobian(columns: Columns, path: Path, moments: Moments, observed: Observed) -> Jacobian:
     """Derivatives of the measured values, on the columns' device."""
     packed, parameters = path.packed, columns.parameters
     total_shared, total_local = columns.initial(torch.arange(packed.trajectories, device=columns.device))
-    # Filled as it goes: for much data this is by far the largest array, and it is made only once.
+    # Filled in place: for large data sets this is by far the largest array, and it is allocated only once.
     shared = columns.zeros((len(observed.row), columns.shared))
     local = columns.zeros((len(observed.row), parameters.n_local))
     release = columns.tensor(1.0 - columns.problem.forcing.weight)[:, :, None]
@@ -58,7 +58,7 @@ class _Intervals:
         self.after, self.initial = columns.tensor(moments.after), columns.tensor(moments.initial)
 
     def by_place(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """For each place k: those of the intervals that end at rows k."""
+        """For each place k, the derivatives of the intervals that end at the k-th rows of trajectories."""
         packed, columns = self.path.packed, self.columns
         places = np.searchsorted(packed.row_index, np.arange(int(packed.row_index.max(initial=-1)) + 2))
         per_row = 8 * columns.n_states * max(columns.shared, 1)
@@ -102,7 +102,7 @@ class _Intervals:
         return a[back], shared[back], local[back]
 
     def _starts(self, rows: Integers) -> tuple[Integers, Tensor]:
-        """Sub-step at which the interval ending at each row begins, and its state there."""
+        """The sub-step at which the interval that ends at each row begins, and the state there."""
         packed, tensor = self.path.packed, self.columns.tensor
         fresh = packed.row_index[rows] == 0
         start = self.after[tensor(packed.previous_row[rows])].clone()
@@ -110,7 +110,7 @@ class _Intervals:
         return packed.first_step[rows], start
 
     def _propagate(self, batch: Batch, x: Tensor, k: list[Tensor], tape: Taped) -> tuple[Tensor, list[int]]:
-        """Steps the batch to its ends; `calls[j]` tape entries were written by the first j sub-steps."""
+        """Steps the batch to the ends of its rows; the first j sub-steps wrote `calls[j]` tape entries."""
         columns, problem = self.columns, self.columns.problem
         networks = problem.module.torch_networks(columns.weights, tape)
         condition = columns.tensor(self.path.packed.condition[batch.owner])

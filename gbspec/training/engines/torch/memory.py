@@ -1,8 +1,8 @@
-"""How much the torch graph keeps for its backward pass, and in which parts it is kept where that is too much.
+"""The memory of the torch graph for its backward pass, and the parts into which a graph that needs too much is cut.
 
-A part that is not kept is computed again, from the states at its start, when the backward pass comes to it; that costs
-another forward pass and leaves the gradient as it is. The parts are as long as `GRAPH_BYTES` allows, so that the peak
-does not grow with the length of a trajectory, but for the states themselves.
+Of a graph in parts only the states at the parts' starts are kept; the backward pass recomputes each part from them.
+This costs another forward pass and does not change the gradient. The parts are as long as `GRAPH_BYTES` allows, so
+that, apart from the states, the peak does not grow with the length of a trajectory.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 GRAPH_BYTES = 512 * 1024**2
-"""A graph that would keep more than this is kept in parts of at most this size."""
+"""A graph that needs more than this is cut into parts of at most this size."""
 FEW = 5000
-"""A graph of no more sub-steps than this, counted over all pieces, is taken to be small."""
+"""A graph with at most this many sub-steps, counted over all rows, is assumed to be small."""
 
 
 def kept_bytes(function: Callable[[int], Tensor]) -> int:
-    """Bytes that the graph of `function(n)` keeps for each of the n rows of its batch, what all rows share left out."""
+    """Bytes that the graph of `function(n)` keeps per row of its batch of n rows, without those shared by all rows."""
     return _kept(lambda: function(2)) - _kept(lambda: function(1))
 
 
@@ -33,7 +33,7 @@ def _kept(function: Callable[[], Tensor]) -> int:
         return tensor
 
     with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(note, lambda tensor: tensor):
-        whole = function()  # held until all is counted, so that no storage takes the place of another
+        whole = function()  # kept until all is counted, so that no freed storage is reused
     del whole
     return sum(sizes.values())
 
@@ -41,7 +41,8 @@ def _kept(function: Callable[[], Tensor]) -> int:
 def parts(live: Sequence[int], row_bytes: Callable[[], int]) -> list[tuple[int, int]]:
     """First and last (excluded) sub-steps of the parts of a graph with `live` rows in each sub-step.
 
-    `row_bytes`, what a row's sub-step keeps, is asked for only where the graph may be too large. One part: it is kept.
+    `row_bytes` returns the memory of one sub-step of one row; it is called only if the graph may be too large. If there
+    is one part, the whole graph is kept.
     """
     steps = len(live)
     if sum(live) <= FEW:

@@ -1,10 +1,10 @@
 """Segments of trajectories that do not depend on each other, stepped as one batch whose live prefix shrinks.
 
-Where forcing replaces every state at a key row, what comes after does not depend on what came before: there the
-trajectory is cut, and the next segment starts from the values put in. Under teacher forcing with all states measured
+Where forcing replaces every state at a key row, the later solution does not depend on the earlier one: there the
+trajectory is cut, and the next segment starts from the replacing values. Under teacher forcing with all states measured
 each interval is a segment, and the batch is as deep as the longest interval; without such rows every trajectory is one
-segment. Segments are sorted by falling number of sub-steps, so that those that still run are the first ones of the
-batch, and no work is done for those that have ended. Values and gradients are those of the trajectories stepped whole.
+segment. Segments are sorted by decreasing number of sub-steps, so that those that are not yet complete come first in
+the batch, and no work is done for complete ones. Values and gradients are the same as those of uncut trajectories.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from gbspec.training.problem import Integers, Packed, Path, Problem
 
 @dataclass(frozen=True)
 class Segments(Batch):
-    """P segments, and the key row `start` [P] from whose forced values each starts, -1 where the trajectory itself
-    starts.
+    """P segments, and the key row `start` [P] from whose forced values each starts, -1 for the first segment of a
+    trajectory.
 
     Every key row [R] is reached by the segment `row_segment` after `row_step` of its sub-steps.
     """
@@ -36,7 +36,7 @@ class Segments(Batch):
 
 
 def cut(packed: Packed, weight: Array) -> Segments:
-    """The segments under forcing by `weight` [R, n_states]; sub-steps after a trajectory's last row are left out."""
+    """The segments under forcing by `weight` [R, n_states]; sub-steps after a trajectory's last row are omitted."""
     forced: NDArray[np.bool_] = np.all(weight == 1.0, axis=1)
     order = np.lexsort((packed.row_index, packed.row_trajectory))
     owner, step = packed.row_trajectory[order], packed.row_step[order]
@@ -62,9 +62,9 @@ def cut(packed: Packed, weight: Array) -> Segments:
 class Schedule:
     """The sub-steps of a path as tensors of one type on one device.
 
-    `fresh` [P, 1]: segments that begin a trajectory; `start` [P, n_states]: where the others start; `owner` [P],
-    `condition` [P, n_conditions]; `steps`: one for each depth; `resets`: what is given and kept before each, or None;
-    `row` [R]: the place of each key row among all states of all depths joined.
+    `fresh` [P, 1]: the first segments of trajectories; `start` [P, n_states]: the initial states of the others; `owner`
+    [P], `condition` [P, n_conditions]; `steps`: one per depth; `resets`: before each step, the added values and the
+    factors on the states, or None; `row` [R]: the index of each key row among the concatenated states of all depths.
     """
 
     def __init__(self, problem: Problem, path: Path, dtype: torch.dtype, device: str) -> None:
@@ -93,7 +93,7 @@ class Schedule:
         self.row = tensor(offsets[segments.row_step] + segments.row_segment)
 
     def _resets(self, problem: Problem, counts: list[int]) -> list[tuple[Array, Array] | None]:
-        """What is given and what is kept, by sub-step, but for rows at which a segment ends: nothing follows there."""
+        """Added values and factors on the states by sub-step, except at rows where a segment ends."""
         segments, forcing = self.segments, problem.forcing
         out: list[tuple[Array, Array] | None] = [None] * len(counts)
         inside = np.zeros(0, dtype=bool)

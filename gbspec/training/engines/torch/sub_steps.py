@@ -1,4 +1,4 @@
-"""Sub-steps of a batch as tensors, and how a batch takes one: doses that arrive at its start, then a solver's step."""
+"""Sub-steps of a batch as tensors, and their execution: the doses at the start, then a step of the solver."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gbspec.training.problem import Integers, Path, Problem
 @dataclass(frozen=True)
 class SubStep:
     """A sub-step of each of B rows: start `t` and length `h` [B], the inputs at the method's nodes, [B, n_inputs] each,
-    and what the generated `grid` makes of `t` and `h`. `arrivals`: what happens besides; None where nothing does."""
+    and the result of the generated `grid` for `t` and `h`. `arrivals`: the doses, None if there are none."""
 
     t: Tensor
     h: Tensor
@@ -30,7 +30,8 @@ class SubStep:
 @dataclass(frozen=True)
 class Arrivals:
     """Doses of a sub-step of B rows, by their numbers in the packing (-1: none): those that arrive at its start
-    [L, B], in the order of time, and those that move its start and its end [B]; the inputs' slopes [B, n_inputs]."""
+    [L, B], ordered by time, and those whose lags determine its start and its end [B]; the inputs' slopes
+    [B, n_inputs]."""
 
     doses: Integers
     begin: Integers
@@ -39,7 +40,7 @@ class Arrivals:
 
 
 def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like: Tensor) -> SubStep:
-    """The sub-steps number `steps` [B] of the trajectories `who` [B], as tensors like `like`."""
+    """The sub-steps with the numbers `steps` [B] of the trajectories `who` [B], as tensors like `like`."""
     packed = path.packed
     t, h, inputs = (like.new_tensor(table[steps, who]) for table in (packed.t, packed.h, packed.inputs))
     arrivals = None
@@ -54,14 +55,14 @@ def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like:
 
 @dataclass(frozen=True)
 class Deliveries:
-    """What doses bring to B rows: fraction and lag of each of the model's doses, with their derivatives."""
+    """Fraction and lag of each of the model's doses for B rows, with their derivatives."""
 
     problem: Problem
     terms: Terms
 
     @classmethod
     def of(cls, problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Deliveries:
-        """For rows of these conditions [B, n_conditions] and constants ([B] or [] each)."""
+        """The terms for rows with these conditions [B, n_conditions] and constants ([B] or [] each)."""
         return cls(problem, terms_of(problem, condition, k) if problem.model.doses else [])
 
     def added(self, x: Tensor, arrivals: Arrivals) -> Tensor:
@@ -77,9 +78,9 @@ class Deliveries:
         return x
 
     def moved(self, step: SubStep, arrivals: Arrivals) -> tuple[Value, tuple[Tensor, ...]]:
-        """The grid and the inputs at the nodes of a sub-step whose ends move with learned lags.
+        """The grid and the inputs at the nodes of a sub-step whose ends depend on learned lags.
 
-        The moves are zero; they carry the derivatives.
+        The displacements added to the ends are zero; they carry the derivatives.
         """
         begin, end = (self._move(cutting, step.t) for cutting in (arrivals.begin, arrivals.end))
         grid = self.problem.module.equations.grid(self.problem.ops, step.t + begin, step.h + (end - begin))
@@ -90,7 +91,7 @@ class Deliveries:
         return grid, tuple(node + share[:, None] * arrivals.slope for node, share in moved)
 
     def _move(self, cutting: Integers, like: Tensor) -> Tensor:
-        """By how much the doses `cutting` [B] move an end of a sub-step: zero, with the lag's derivative."""
+        """The displacement of an end of a sub-step by the doses `cutting` [B]: zero, with the lag's derivative."""
         out, kinds = torch.zeros_like(like), self.problem.packed.doses.kind
         for kind, (_, lag) in enumerate(self.terms):
             mine = (cutting >= 0) & (kinds[cutting] == kind)
@@ -101,12 +102,12 @@ class Deliveries:
 
 
 def _rows(value: Tensor | float, count: int) -> Tensor | float:
-    """The first rows of a term; numbers stand for all rows."""
+    """The first rows of a term; a number is the same for all rows."""
     return value[:count] if isinstance(value, Tensor) and value.ndim else value
 
 
 def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field) -> Tensor:
-    """The states [B, n_states] at the ends of a sub-step, from those at its start before doses."""
+    """The states [B, n_states] at the end of a sub-step, from those at its start before doses."""
     problem, grid, nodes = deliveries.problem, step.grid, step.nodes
     if step.arrivals is not None:
         x = deliveries.added(x, step.arrivals)

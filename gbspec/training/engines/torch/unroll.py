@@ -19,8 +19,8 @@ from gbspec.training.problem import Parameters, Problem
 
 @dataclass(frozen=True)
 class Unrolled:
-    """States `before` and `after` what arrives at each key row [R, n_states], `initial` [N, n_states], and what is
-    predicted there, `mean` [R, C]."""
+    """States `before` and `after` the arrivals at each key row [R, n_states], initial states `initial` [N, n_states],
+    and the predictions at the key rows, `mean` [R, C]."""
 
     before: Tensor
     after: Tensor
@@ -29,8 +29,8 @@ class Unrolled:
 
 
 def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Schedule) -> Unrolled:
-    """Steps every trajectory from its initial state through its key rows; differentiable in `theta`, which is on the
-    schedule's device and of its type."""
+    """Steps every trajectory from its initial state through its key rows; differentiable in `theta`, which must have
+    the schedule's device and type."""
     packed, module = problem.packed, problem.module
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
@@ -48,7 +48,7 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
 def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
     """States of the live segments at their starts and at the end of each sub-step, from `x` [P, n_states]."""
     passed, steps = [x], schedule.steps
-    # Made beforehand, so that a part that is computed again finds them as it did the first time.
+    # Computed in advance, so that a part that is recomputed uses the same values as the first time.
     flows = {live: motion.of(slice(live)) for live in {len(step.t) for step in steps}}
 
     def part(x: Tensor, begin: int, end: int) -> tuple[Tensor, ...]:
@@ -63,7 +63,7 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
         return tuple(out)
 
     def single(count: int) -> Tensor:
-        """The first segment's first sub-step, done `count` times."""
+        """The first segment's first sub-step, as a batch of `count` equal rows."""
         first, row = steps[0], torch.zeros(count, dtype=torch.int64, device=x.device)
         t, h, nodes = first.t[row], first.h[row], tuple(node[row] for node in first.nodes)
         return advance(x[row], SubStep(t, h, nodes, motion.grid(t, h)), motion.deliveries, motion.of(row))
@@ -80,15 +80,15 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
 
 
 class Motion:
-    """What moves the segments of a schedule: constants, right-hand side and doses, what all segments share computed
-    once. `constants` [N, n_constants]."""
+    """Constants [N, n_constants], right-hand side and doses of the segments of a schedule; whatever all segments share
+    is computed once."""
 
     def __init__(
         self, problem: Problem, schedule: Schedule, parameters: Parameters, constants: Tensor, networks: Networks
     ) -> None:
         self._problem, self._networks, self._condition = problem, networks, schedule.condition
         own = {len(problem.model.constants) + i for i in parameters.own}
-        # All rows hold the same value of a constant that is shared: one number serves in its place.
+        # All rows hold the same value of a shared constant: one number replaces them.
         self._constants = [
             column[schedule.owner] if i in own or not len(column) else column[0]
             for i, column in enumerate(constants.unbind(1))
@@ -99,7 +99,7 @@ class Motion:
             self._affine = affine(problem.module, problem.ops, schedule.condition, self._constants, networks)
 
     def of(self, rows: slice | Tensor) -> Field:
-        """The right-hand side of some of the segments."""
+        """The right-hand side for some of the segments."""
         if self._affine is not None:
             return self._affine.at(rows)
         k = tuple(value[rows] if value.ndim else value for value in self._constants)
@@ -109,7 +109,7 @@ class Motion:
         return field
 
     def grid(self, t: Tensor, h: Tensor) -> Value:
-        """What the solver's step needs of times and lengths [B]."""
+        """The quantities that the solver's step derives from times and lengths [B]."""
         return self._problem.module.equations.grid(self._problem.ops, t, h)
 
 
