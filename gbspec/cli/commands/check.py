@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Findings, Severity, UserError
-from gbspec.ir import Model, guarantee
-from gbspec.passes import Examination, examine
-from gbspec.report import model_summary, start
+
+if TYPE_CHECKING:
+    from gbspec.ir import Model
+    from gbspec.passes import Examination
 
 
 @command("check", "gbspec check my_model.gb", "gbspec check --strict --json models/*.gb")
@@ -22,6 +23,8 @@ def run(
 ) -> None:
     """Check models: names, units, balances, identifiability, and initial values; report all findings at once."""
     from gbspec import frontend
+    from gbspec.passes import examine
+    from gbspec.report import model_summary
 
     everything, documents = Findings(), []
     for name in models:
@@ -51,6 +54,8 @@ def describe(
 ) -> dict[str, object]:
     """One entry of `files` of `check --json`; its lists are empty if the model cannot be read."""
     from gbspec.diagnostics import to_json
+    from gbspec.ir import Model, guarantee
+    from gbspec.report import start
 
     parts = model or Model("")
     return {
