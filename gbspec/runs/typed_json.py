@@ -22,8 +22,8 @@ T = TypeVar("T")
 OTHERS = "others"
 """The field of a dataclass that holds unknown keys."""
 WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", NoneType: "null"}
-LARGEST = 2**63
-"""Bound on the magnitude of integers, as in numpy and torch."""
+LARGEST = 2**64
+"""Bound on the magnitude of integers: that of the seeds that torch takes."""
 SHOWN = 40
 """Number of characters of a wrong value that are quoted in a message."""
 

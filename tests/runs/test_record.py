@@ -179,3 +179,11 @@ def test_options_of_a_record_are_those_of_the_training() -> None:
     assert TrainOptions.recorded({}, EDITION_1) == TrainOptions()
     with pytest.raises(UserError, match=r'options\.effort` is "most"; expected one of "low", "normal", "high"'):
         TrainOptions.recorded({**fit.options, "effort": "most"}, EDITION_1)
+
+
+def test_the_largest_seed_that_trains_is_read_again(run: Path) -> None:
+    """torch takes seeds below 2**64, so a run may have been trained with one."""
+    document = changed(("options", "seed"), 2**64 - 1)
+    document["members"][0]["seed"] = 2**64 - 1
+    (run / "fit.json").write_text(json.dumps(document), encoding="utf-8")
+    assert open_run(run).fit.members[0].seed == 2**64 - 1
