@@ -48,3 +48,8 @@ def workspace(size: int) -> NDArray[np.uint8]:
     if space is None or len(space) < size:
         space = _spaces.bytes = np.empty(size, dtype=np.uint8)
     return space
+
+
+def release() -> None:
+    """Frees the work space of the calling thread."""
+    vars(_spaces).clear()
