@@ -6,11 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-import sympy
-
-from gbspec.ir import Family, Initial, Learnable, Model, Range, State, guarantee
-
 if TYPE_CHECKING:
+    from gbspec.ir import Family, Initial, Learnable, Model, Range, State
     from gbspec.runs import Run
 
 
@@ -39,6 +36,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def model_summary(model: Model) -> str:
     """A summary of a model: states and their initial values, learned and measured quantities."""
+    from gbspec.ir import guarantee
+
     lines = [f"{model.name}" + (f': "{model.title}"' if model.title else "")]
     rows = [(name, begin, _range(s.range), s.unit or "-", s.description or "-") for name, begin, s in _states(model)]
     lines.append(_left(("state", "starts", "range", "unit", "description"), rows))
@@ -64,6 +63,8 @@ def model_summary(model: Model) -> str:
 def _states(model: Model) -> Iterator[tuple[str, str, State]]:
     """Name and initial value of each state; one entry for an array whose elements all have the same kind of initial
     value."""
+    from gbspec.ir import Initial
+
     families = {family.begin: family for family in model.families if family.vector == "starts"}
     arrays = {array.position: array for array in model.arrays}
     place = 0
@@ -95,6 +96,8 @@ def _first(run: Family | int) -> int:
 
 def start(initial: Initial) -> str:
     """The origin of a state's initial value, in words."""
+    import sympy
+
     match initial.kind:
         case "expression":
             return f"= {sympy.sstr(initial.value, full_prec=False)}"

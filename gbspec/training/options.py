@@ -6,12 +6,14 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4, listed, unknown_method
-from gbspec.runs import DAMAGED, JsonError, Option, decode, files
 from gbspec.training.stages import BY_METHOD, Effort, StageName
+
+if TYPE_CHECKING:
+    from gbspec.runs import Option
 
 Method = Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
 Initial = Literal["learned", "bred", "recognition"]
@@ -221,6 +223,8 @@ class TrainOptions:
 
         Raises UserError (GB852) if an option has an invalid value.
         """
+        from gbspec.runs import DAMAGED, JsonError, decode, files
+
         findings = Findings()
         try:
             found = decode(cls, options, "options")
