@@ -136,10 +136,9 @@ def compile_file(path: str | Path, form: str, findings: Findings, solver: str | 
     integration method (GB850 if there is none of that name); without it a run keeps its own.
     """
     from gbspec.backends import backends
-    from gbspec.runs import files
 
     if form not in backends():
-        return _stage(Path(path) / files.MODEL if is_run(path) else path, form, findings)
+        return _stage(_model_file(path), form, findings)
     chosen = None if solver is None else method_named(solver)
     if is_run(path):
         run = open_run(path)
@@ -147,6 +146,15 @@ def compile_file(path: str | Path, form: str, findings: Findings, solver: str | 
         return _emitted(learned(run) if backends()[form].numbers else run.model, form, run.method)
     model, method = frontend.load_model(path, findings), chosen or RK4
     return _emitted(reference(model, method=method) if backends()[form].numbers else model, form, method)
+
+
+def _model_file(path: str | Path) -> str | Path:
+    """The model file of a MODEL or a RUN."""
+    if not is_run(path):
+        return path
+    from gbspec.runs import files
+
+    return Path(path) / files.MODEL
 
 
 def compile_model(model: Model, form: str, solver: str = "rk4") -> Compiled:

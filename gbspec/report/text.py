@@ -108,7 +108,8 @@ def start(initial: Initial) -> str:
 
 
 def _learnable(learnable: Learnable) -> str:
-    where = f" in {_range(learnable.range)}" if learnable.range != Range() else ""
+    limited = math.isfinite(learnable.range.low) or math.isfinite(learnable.range.high)
+    where = f" in {_range(learnable.range)}" if limited else ""
     scope = " per trajectory" if learnable.per_trajectory else ""
     return f"{learnable.name} from {number(learnable.start)}{where}{scope}"
 
