@@ -46,7 +46,7 @@ class Source:
             return self.over
         if self.data is None or not len(self.data):
             raise MissingError(
-                "the table that the run was trained on is not where it was; name one with `--data`", "constants"
+                "the table that the run was trained on was not found; give its path with `--data`", "constants"
             )
         return Fitted(self.run, self.data)
 

@@ -153,7 +153,7 @@ def test_without_the_data_the_page_names_what_is_missing(place: Path, here: Path
     fit["data"]["path"] = "gone.csv"
     (here / "run" / "fit.json").write_text(json.dumps(fit))
     assert call("report", "run", "-o", "r.html").exit_code == 0
-    assert "is not where it was" in Path("r.html").read_text()
+    assert "was not found" in Path("r.html").read_text()
 
 
 @pytest.mark.parametrize(

@@ -78,11 +78,9 @@ def _strange_to(network: Network, values: Iterable[Expr], raw: Iterable[Expr], m
     """The constants in expressions, besides arguments and corrections. Raises `Defect` for other names."""
     used = {symbol for value in values for symbol in value.free_symbols}
     used -= {*raw, *(argument.symbol for argument in network.arguments)}
-    strangers = used - {item.symbol for item in (*model.constants, *model.learnables)}
-    if strangers:
-        raise Defect(
-            f"the postulate of `{network.name}` uses {sorted(map(str, strangers))}, not arguments or constants"
-        )
+    unknown = used - {item.symbol for item in (*model.constants, *model.learnables)}
+    if unknown:
+        raise Defect(f"the postulate of `{network.name}` uses {sorted(map(str, unknown))}, not arguments or constants")
     return used
 
 

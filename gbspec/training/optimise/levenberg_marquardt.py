@@ -235,8 +235,8 @@ class _Trial:
         move, after = _followed(fit, step, damping)
         if not after.value < fit.start.value:
             return cls(damping, move, after, 0.0)
-        foretold = fit.equations.predicted_decrease(step)  # at convergence only rounding error, of either sign
-        gain = min((fit.start.value - after.value) / foretold, 1.0) if foretold > 0 else 1.0
+        predicted = fit.equations.predicted_decrease(step)  # at convergence only rounding error, of either sign
+        gain = min((fit.start.value - after.value) / predicted, 1.0) if predicted > 0 else 1.0
         return cls(damping, move, after, gain)
 
 
@@ -276,7 +276,7 @@ def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
     if bend is None:
         return best
     equations, root = fit.equations, fit.equations.root
-    foretold = root * fit.start.residuals + equations.times(step)
+    predicted = root * fit.start.residuals + equations.times(step)
     move = step + bend
     for _ in range(1 + CORRECTIONS):
         there = fit.solved(move)
@@ -286,7 +286,7 @@ def _followed(fit: _Fit, step: Array, damping: float) -> tuple[Array, _Solved]:
         best = move, there
         if gained < WORTHWHILE * min(there.value, fit.start.value):
             break
-        move = move + fit.correction(root * there.residuals - foretold, damping)
+        move = move + fit.correction(root * there.residuals - predicted, damping)
     return best
 
 

@@ -152,9 +152,9 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
     if path.exists() and not path.is_dir():
         raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
     existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
-    strangers = [name for name in existing if name not in FOREIGN]
-    if strangers:
-        message = f"`{path}` contains files that do not belong to a run, such as `{strangers[0]}`"
+    foreign = [name for name in existing if name not in FOREIGN]
+    if foreign:
+        message = f"`{path}` contains files that do not belong to a run, such as `{foreign[0]}`"
         raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
     if options.resume and (path / files.FIT).is_file():
         _check_resumable(path, model, record)
