@@ -57,18 +57,20 @@ VARIANTS: Mapping[str, Variant] = {
     "jax": Variant("JAX `lax.scan`", PEERS + "jax_scan", "plain"),
     "torch": Variant("torch eager, written well", PEERS + "torch_eager", "well_written"),
     "torch-naive": Variant("torch eager, naive, packed", PEERS + "torch_eager", "naive"),
-    "torch-aligned": Variant("torch eager, naive, all wait for the longest interval", PEERS + "torch_eager", "aligned"),
+    "torch-aligned": Variant(
+        "torch eager, naive, all trajectories wait for the longest interval", PEERS + "torch_eager", "aligned"
+    ),
     "torchdiffeq-packed": Variant(
-        "torchdiffeq `rk4`, one `odeint` a packed step", PEERS + "torchdiffeq_rk4", "packed_step", same_steps=False
+        "torchdiffeq `rk4`, one `odeint` per packed step", PEERS + "torchdiffeq_rk4", "packed_step", same_steps=False
     ),
     "torchdiffeq": Variant(
-        "torchdiffeq `rk4`, one `odeint` an interval",
+        "torchdiffeq `rk4`, one `odeint` per interval",
         PEERS + "torchdiffeq_rk4",
         "interval",
         same_steps=False,
     ),
     "diffrax": Variant("diffrax, one solve, AR", PEERS + "diffrax_solve", "one_solve", forcing="AR"),
-    "diffrax-scan": Variant("diffrax, scan of solves an interval", PEERS + "diffrax_solve", "scan_of_solves"),
+    "diffrax-scan": Variant("diffrax, scan with one solve per interval", PEERS + "diffrax_solve", "scan_of_solves"),
 }
 
 

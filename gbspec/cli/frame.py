@@ -162,7 +162,7 @@ def file_trouble(error: OSError) -> Diagnostic | None:
         case errno.ENOENT | errno.ENOTDIR:
             return Diagnostic("GB801", f"{shown} does not exist", None, help="check the path")
         case errno.EISDIR:
-            return Diagnostic("GB802", f"{shown} is a directory; a file is wanted", None, help="name a file in it")
+            return Diagnostic("GB802", f"{shown} is a directory; a file is expected", None, help="name a file in it")
         case errno.EACCES | errno.EPERM | errno.EROFS:
             return Diagnostic("GB805", f"{shown} cannot be used: permission denied", None, help="choose another path")
         case errno.ENOSPC | errno.EDQUOT | errno.ENAMETOOLONG | errno.ELOOP:

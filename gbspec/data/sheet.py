@@ -54,12 +54,12 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SEPARATORS and suffix not in PARQUET:
-        kind = f"`{path.suffix}` files" if path.suffix else "a file without an ending"
+        kind = f"`{path.suffix}` files" if path.suffix else "files without a file name extension"
         findings.error(
             "GB702",
             f"gbspec does not read {kind} as tables",
             Cell(str(path)),
-            help=f"save the table as {FORMATS}; the file's ending says which it is",
+            help=f"save the table as {FORMATS}; the file name extension determines the format",
         )
         return None
     try:

@@ -115,7 +115,7 @@ DOPRI5 = Explicit(
     b_error=_row("71/57600 0 -71/16695 71/1920 -17253/339200 22/525 -1/40"),
     embedded_order=4,
     source="Dormand and Prince (1980), J. Comput. Appl. Math. 6, 19",
-    help="Dormand's and Prince's, of order 5",
+    help="the method of Dormand and Prince, of order 5",
 )
 """The last Runge-Kutta stage is the first of the next step; it serves the error estimate."""
 

@@ -57,15 +57,15 @@ KINDS = (
         f"{_HERE}.fit",
         heading="Data and fit",
         note="Solutions from the initial states, by an adaptive solver. Measurements are dots; the truth is dashed; "
-        "the shade is the range of the members.",
+        "the shaded band is the range of the members.",
     ),
     Kind(
         "functions",
         "unknown functions along each argument",
         f"{_HERE}.functions",
         heading="Learned functions",
-        note="Along each argument with the others at their medians over the data, then over a plane of two, where the "
-        "data go. Ticks: where data are. Grey ground: beyond the trained range.",
+        note="Along each argument, with the others at their medians over the data; then over the plane of two "
+        "arguments, where there are data. Ticks: positions of the data. Grey background: outside the trained range.",
         also=("function",),
     ),
     Kind("constants", "learned constants with intervals", f"{_HERE}.constants", also=("constant",)),
@@ -82,7 +82,7 @@ KINDS = (
         f"{_HERE}.residuals",
         heading="Residuals",
         note="Predicted minus measured, or the logarithm of their ratio under log-normal noise, in the "
-        "scale of the fit.",
+        "units that the fit uses.",
         also=("residual",),
     ),
     Kind("history", "the loss and the constants over the training", f"{_HERE}.history", heading="Training"),
@@ -97,9 +97,9 @@ KINDS = (
         "learned, bred and true initial states",
         f"{_HERE}.initial_states",
         heading="Initial states along fast and slow directions",
-        note="Learned and bred initial states over the reference, then how far they are off, split into the modes of "
-        "the Jacobian there, slowest first, in parts of the states' ranges. Bred: the start from which the learned "
-        "dynamics follow the whole trajectory best. What is off along a fast direction is gone before it is measured.",
+        note="Learned and bred initial states against the reference, then their errors, decomposed into the modes of "
+        "the Jacobian there, slowest first, in units of the states' ranges. Bred: the start from which the learned "
+        "dynamics follow the whole trajectory best. An error along a fast direction decays before it is measured.",
         section="starts",
     ),
     Kind(

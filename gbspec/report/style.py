@@ -78,7 +78,7 @@ def form_of(path: str | Path) -> Path:
     """The path, if a figure can be written there; raises `UserError` (GB812 for the suffix, GB802, GB803)."""
     target = Path(path)
     if target.suffix.lower() not in FORMS:
-        message = f"`{path}` does not say in which form the figure is to be written"
+        message = f"the file name extension of `{path}` is not that of a figure format"
         raise UserError([Diagnostic("GB812", message, None, help=f"end the name in one of {', '.join(FORMS)}")])
     return writable(target)
 

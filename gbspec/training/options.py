@@ -42,7 +42,7 @@ class TrainOptions:
     )
     solver: str = field(
         default=RK4.name,
-        metadata={"help": f"The method that takes the solver's steps: {listed()}.", "metavar": "NAME"},
+        metadata={"help": f"Integration method of the solver's steps: {listed()}.", "metavar": "NAME"},
     )
     method: Method = field(
         default="auto",
@@ -131,7 +131,9 @@ class TrainOptions:
             "metavar": "FACTOR",
         },
     )
-    half_step: bool = field(default=True, metadata={"help": "Continue at half the step at the end (`auto`)."})
+    half_step: bool = field(
+        default=True, metadata={"help": "Continue at half the step at the end (only with `--method auto`)."}
+    )
     ridge: float | None = field(
         default=None,
         metadata={

@@ -1,6 +1,6 @@
 """The shape of the sources: no import circle, no file or function that does not fit, no private name imported.
 
-import-linter holds the order of packages and rooms; this holds what it does not see, computed from the syntax trees:
+import-linter checks the order of packages and subpackages; this checks the rest, computed from the syntax trees:
 circles between single modules, with the imports inside functions and those for types alone, since both say that
 neither module can be understood without the other.
 

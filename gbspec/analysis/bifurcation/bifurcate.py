@@ -215,7 +215,7 @@ class _Explorer:
                 doublings=behind.doublings + ahead.doublings,
             )
             self._keep(curve, whole)
-            self.progress(f"cycles from the flow at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
+            self.progress(f"cycles found by simulation at {value:.6g}: {len(ahead.cycles) + len(behind.cycles)}")
 
     def _something_stable(self, value: float) -> bool:
         """Whether stable steady states or cycles are known on both sides of a value, close to it."""

@@ -184,7 +184,7 @@ class SteadyCurve:
         if not self.family.system.admissible(state):
             return "a state falls below its range"
         if np.any(state < self._far[0]) or np.any(state > self._far[1]):
-            return "a state leaves its range far behind"
+            return "a state moves far outside its range"
         if count > 10 and np.max(np.abs(point.y - start.y)) < self.steps.most and point.tangent @ start.tangent > 0.9:
             near = (point.y - start.y) @ start.tangent
             if np.linalg.norm(point.y - start.y - near * start.tangent) < 0.1 * self.steps.most:

@@ -148,7 +148,7 @@ class Eigen:
     def __str__(self) -> str:
         lines = [str(point) for point in self.points] or ["no points"]
         lines += [
-            f"{mode} (real part {mode.fastest:.4g} to {mode.slowest:.4g}), dies out within "
+            f"{mode} (real part {mode.fastest:.4g} to {mode.slowest:.4g}), decays within "
             f"{mode.decayed:.3g}, between two measurements ({self.interval:.3g} apart): the data could not determine it"
             for mode in self.fast_modes
         ]
@@ -243,7 +243,7 @@ def _along(
         findings = Findings()
         names = ", ".join(f"`{name}`" for name in missing)
         findings.error(
-            "GB874", f"the table does not measure {names}, so it gives no points to take eigenvalues at", None,
+            "GB874", f"the table does not measure {names}, so there are no points for eigenvalues", None,
             help="measure every state as a channel of its own, or give points with `--at`",
         )  # fmt: skip
         findings.raise_if_failed()

@@ -79,7 +79,7 @@ def boxes(model: Model, options: SimulateOptions, findings: Findings, given: boo
             if box is None and name not in chosen:
                 findings.error(
                     "GB753",
-                    f"nothing says between which values the {kind} `{name}` is to be drawn",
+                    f"there is neither a range nor a value from which the {kind} `{name}` could be drawn",
                     None,
                     help=f"add `{flag} {name}=LOW:HIGH`, or declare a range in the model: `{name} in [LOW, HIGH]`",
                     subject=name,
@@ -111,7 +111,7 @@ def _known(
         if name in expressed:
             findings.error(
                 "GB752",
-                f"`{flag} {name}=…`: the model says how `{name}` starts",
+                f"`{flag} {name}=…`: the model gives the initial value of `{name}`",
                 None,
                 help=f"remove `initial {name} = …` from the model, or change what it says with `--set`",
                 subject=name,

@@ -45,7 +45,7 @@ def run(
         str | None,
         typer.Option(
             "--solver",
-            help="The method whose step the module and the C code have; that of a run, else `rk4`.",
+            help="Integration method of the step in the module and the C code; default: that of the run, or `rk4`.",
             metavar="NAME",
         ),
     ] = None,

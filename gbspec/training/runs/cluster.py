@@ -130,7 +130,7 @@ def _work(job: Job, kept: Files, name: str, threads: int, version: str) -> tuple
     """The result of one member, with its files unless the caller has access to them. Raises ComputationError."""
     worker = _distributed().get_worker()
     if version != __version__:
-        what = f"the worker has gbspec {__version__}, but {version} asked for the fit"
+        what = f"the worker has gbspec {__version__}, but the fit was requested by {version}"
         raise ComputationError(what, where=f"worker {worker.address}", remedy="install one version everywhere")
     stopped = _stopped(name)
     if stopped():

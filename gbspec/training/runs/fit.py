@@ -316,7 +316,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
             more = f" and {len(result.failed) - 5} more" if len(result.failed) > 5 else ""
             out.append(
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
-                "these do not count as fitted"
+                "these trajectories do not count as fitted"
             )
         out += [f"member {member}: {note}" for note in result.notes]
         if not result.finished:
