@@ -12,6 +12,9 @@ from .sampling import Box as Box
 from .sampling import SimulateOptions as SimulateOptions
 from .sampling import fixed as fixed
 from .sampling import regimen as regimen
+from .scales import Scales as Scales
+from .scales import scales_of as scales_of
+from .scales import weights as weights
 from .sheet import FORMATS as FORMATS
 from .sheet import PARQUET as PARQUET
 from .sheet import SEPARATORS as SEPARATORS

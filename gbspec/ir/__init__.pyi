@@ -51,6 +51,7 @@ from .model import TruthFunction as TruthFunction
 from .model import Unknown as Unknown
 from .model import symbol as symbol
 from .model import unknown_function as unknown_function
+from .residual import LEAST_SIZE as LEAST_SIZE
 from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic
 from .residual import residuals as residuals

@@ -1,13 +1,13 @@
 """The residual: the single definition used by fits, reports, studies and the native kernel.
 
 For a measured value y with prediction p, scale s and weight w (the square root of the number of measurements that y
-averages; 0 where nothing was measured)
+averages; 0 where nothing was measured; `gbspec.data.scales_of` gives s and w)
 
     r = w (p - y) / s
 
 and for a channel with log-normal noise, whose scale is that of logarithms,
 
-    r = w ln(p / |y|) / s,    continued below p = LOG_FLOOR |y| by its tangent,
+    r = w ln(p / |y|) / s,    continued below p = LOG_FLOOR |y| by its tangent, with |y| at least LEAST_SIZE,
 
 so that predictions that become negative during a fit have a finite residual that still falls towards the data.
 The sign is that of prediction minus measurement. Half the sum of squares of r / (standard deviation of the noise in
@@ -29,8 +29,8 @@ Arithmetic: TypeAlias = Any
 """The module `numpy`, or `torch`."""
 LOG_FLOOR = 1e-3
 """Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
-_LEAST = 1e-300
-"""Replaces a measured zero, which has no logarithm."""
+LEAST_SIZE = 1e-300
+"""Replaces the size of a measured zero, which has no logarithm."""
 
 
 def logarithmic(model: Model) -> NDArray[np.bool_]:
@@ -49,7 +49,7 @@ def residuals(
     """
     difference = predicted - measured
     if logarithmic.any():
-        ratio = predicted / xp.clip(xp.abs(measured), _LEAST, None)
+        ratio = predicted / xp.clip(xp.abs(measured), LEAST_SIZE, None)
         safe = xp.clip(ratio, LOG_FLOOR, None)
         difference = xp.where(_like(predicted, logarithmic, xp), xp.log(safe) + (ratio - safe) / LOG_FLOOR, difference)
     return xp.where(factor > 0, difference * factor, xp.zeros_like(difference))
@@ -61,7 +61,7 @@ def slopes(
     """Derivatives of the residuals with respect to the predictions [..., C]; arguments as in `residuals`."""
     out = factor + xp.zeros_like(predicted)
     if logarithmic.any():
-        size = xp.clip(xp.abs(measured), _LEAST, None)
+        size = xp.clip(xp.abs(measured), LEAST_SIZE, None)
         slope = factor / (size * xp.clip(predicted / size, LOG_FLOOR, None))
         out = xp.where(_like(predicted, logarithmic, xp), slope, out)
     return out

@@ -22,7 +22,7 @@ from gbspec.analysis import (
 from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module
-from gbspec.data import Trajectories, Trajectory, deviations
+from gbspec.data import Trajectories, Trajectory, scales_of
 from gbspec.ir import Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
@@ -35,7 +35,6 @@ from gbspec.report.content import (
     TrajectoryFit,
 )
 from gbspec.runs import Run
-from gbspec.training import pack, scaling_of
 
 DENSE = 240
 """Number of points of a curve over one trajectory."""
@@ -49,7 +48,7 @@ class Fitted:
     def __init__(self, run: Run, data: Trajectories) -> None:
         self.run, self.data, self.model = run, data, run.model
         self.evaluators = [Evaluator(member) for member in run.members]
-        self.scales = deviations(self.model, data)
+        self.scales = scales_of(self.model, data)
         self.truth = self._truth()
         self._starts: dict[tuple[int, int], Start] = {}
 
@@ -139,20 +138,17 @@ def condition_text(model: Model, item: Trajectory) -> str:
 def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     """The residuals of the training objective for the mean of the members, at every measurement."""
     model, data = fitted.model, fitted.data
-    # One step per trajectory suffices, since the sub-steps are not used here
-    packed = pack(data, model, math.inf)
-    scaling = scaling_of(model, packed, data)
-    predicted = np.full(packed.values.shape, np.nan)
-    for index in range(len(data)):
-        rows = packed.row_trajectory == index
-        predicted[rows] = fitted.solutions(index, packed.row_time[rows])[1].mean(axis=0)
-    factor = np.where(packed.weights > 0, packed.weights / scaling.row_scale, np.nan)
-    found = np.where(np.isfinite(factor), residuals_of(predicted, packed.values, factor, scaling.log), np.nan)
+    scales = fitted.scales
+    times = np.concatenate([item.times for item in data.items])
+    predicted = np.concatenate([fitted.solutions(k, item.times)[1].mean(axis=0) for k, item in enumerate(data.items)])
+    measured, factor = (
+        np.concatenate(each) for each in zip(*((item.values, scales.factor(item)) for item in data.items), strict=True)
+    )
+    found = residuals_of(predicted, measured, factor, scales.log)
     shown = []
     for j, channel in enumerate(model.channels):
-        seen = np.isfinite(found[:, j])
-        values = packed.row_time[seen], predicted[seen, j], found[seen, j]
-        shown.append(Residuals(channel.name, *values, bool(scaling.log[j])))
+        seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
+        shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j])))
     return tuple(shown)
 
 

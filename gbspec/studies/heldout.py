@@ -12,7 +12,7 @@ import numpy as np
 from gbspec.analysis import interval, noise_at
 from gbspec.arrays import Array, Mask
 from gbspec.files import finite
-from gbspec.ir import logarithmic
+from gbspec.ir import logarithmic, residuals
 from gbspec.studies.folds import Fold
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ class Point:
 class Errors:
     """Errors over held-out measurements of one channel; a number that cannot be computed is NaN.
 
-    `nrmse` is relative to the channel's standard deviation in all data, `rmse_log` that of natural logarithms (if all
-    values are positive), `covered` the share within the 90 % intervals. `unsolved` measurements have no prediction and
-    do not count in the other numbers.
+    They are residuals (`gbspec.ir.residual`) with scale and weight 1. `nrmse` is relative to the channel's standard
+    deviation in all data, `rmse_log` that of natural logarithms (if all values are positive), `covered` the share
+    within the 90 % intervals. `unsolved` measurements have no prediction and do not count in the other numbers.
     """
 
     n: int
@@ -129,11 +129,12 @@ def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
     if not points:
         return Errors(0, math.nan, math.nan, math.nan, math.nan, math.nan, unsolved)
     measured, predicted, sd = (np.array([getattr(p, part) for p in points]) for part in ("measured", "predicted", "sd"))
-    error = predicted - measured
+    both = np.array([False, True])  # once as they are, once as logarithms
+    error, of_logs = residuals(predicted[:, None] * [1, 1], measured[:, None] * [1, 1], np.ones(2), both).T
     rmse = float(np.sqrt(np.mean(error**2)))
     logs = math.nan
     if (measured > 0).all() and (predicted > 0).all():
-        logs = float(np.sqrt(np.mean(np.log(predicted / measured) ** 2)))
+        logs = float(np.sqrt(np.mean(of_logs**2)))
     low, high = interval(predicted, sd, np.array([p.in_logarithms for p in points], dtype=bool))
     inside = float(np.mean((measured >= low) & (measured <= high)))
     return Errors(len(points), rmse, rmse / spread, float(np.mean(np.abs(error))), logs, inside, unsolved)

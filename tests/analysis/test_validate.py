@@ -23,6 +23,7 @@ from gbspec.backends.module import load_module
 from gbspec.data.cases import MetricsOptions
 from gbspec.data.fingerprints import fingerprint
 from gbspec.data.sampling import SimulateOptions
+from gbspec.data.scales import scales_of
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
@@ -224,7 +225,7 @@ def test_estimated_initial_states_recover_the_true_ones() -> None:
         values[:2] = np.nan
         values[::2, 0] = np.nan
         thin.append(replace(item, values=values))
-    estimator = Estimator(Evaluator(load_module(model)()), model, np.ones(len(model.channels)))
+    estimator = Estimator(Evaluator(load_module(model)()), model, scales_of(model, data))
     for item, full in zip(thin, data.items, strict=True):
         start = estimator.start(item)
         assert start.origin == "estimated"
@@ -239,14 +240,15 @@ def test_an_initial_state_is_fitted_to_logarithms_for_lognormal_noise(tmp_path: 
     wrong = np.where(np.arange(8) % 2, 1.3, 0.6)
     values = (2.0 * 0.8 * np.exp(-times) * wrong)[:, None]
     item = Trajectory("1", 0.0, times, values, np.ones((8, 1)), np.full((8, 1), np.nan), np.zeros(0))
-    start = Estimator(Evaluator(load_module(model)()), model, np.ones(1)).start(item)
+    scales = scales_of(model, Trajectories((item,), ("y",)))
+    start = Estimator(Evaluator(load_module(model)()), model, scales).start(item)
     # Least squares of logarithms average all of them; those of values would be dominated by the first ones.
     assert start.state[0] == pytest.approx(0.8 * math.exp(np.log(wrong).mean()), rel=1e-3)
 
 
 def test_a_measured_first_row_is_the_initial_state(urp_instance: Any) -> None:
     data = measured("urp_gb2", trajectories=2, span=4.0, channels="all", keep_start=True)
-    estimator = Estimator(Evaluator(urp_instance), model_of("urp_gb2"), np.ones(2))
+    estimator = Estimator(Evaluator(urp_instance), model_of("urp_gb2"), scales_of(model_of("urp_gb2"), data))
     for item in data.items:
         start = estimator.start(item)
         assert start.origin == "known"

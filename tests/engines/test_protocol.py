@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,17 @@ def test_the_graph_has_the_same_residuals_and_slopes() -> None:
     (slope,) = torch.autograd.grad(out.sum(), vector)
     away = np.abs(p / y - LOG_FLOOR) > 1e-9
     assert np.allclose(slope.numpy()[away], slopes(p, y, f, log)[away], rtol=1e-12, atol=0)
+
+
+def test_the_kernel_replaces_a_measured_zero_alike() -> None:
+    problem, parameters, theta = problem_of(model_of(LOGARITHMIC), urp_data(4, 2.0, 6), 0.2, blend=0.3)
+    values = problem.packed.values.copy()
+    values[:6] = np.where(np.isfinite(values[:6]), np.array([[0.0], [1e-310], [-1e-5], [1e-290], [0.0], [2.0]]), np.nan)
+    zeros = replace(problem, packed=replace(problem.packed, values=values))
+    assert zeros.seen[[0, 4], 0].any(), "the first channel is logarithmic"
+    engine = native_engine(zeros, parameters)
+    path = engine.plan(theta)
+    assert np.allclose(engine.kernel_residuals(theta, path), residual_table(engine, theta), rtol=1e-12, atol=1e-13)
 
 
 def test_the_kernel_has_the_same_residuals(given: Given) -> None:

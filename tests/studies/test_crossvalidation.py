@@ -14,6 +14,7 @@ import gbspec
 from gbspec.cli.app import build
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import UserError
+from gbspec.ir.residual import residuals
 from gbspec.studies.folds import folds, way
 from gbspec.studies.heldout import Point, errors
 
@@ -74,6 +75,22 @@ def test_errors_by_hand() -> None:
     assert found.rmse == pytest.approx(math.sqrt(2.5)) and found.nrmse == pytest.approx(2 * math.sqrt(2.5))
     assert found.rmse_log == pytest.approx(math.log(2))
     assert math.isnan(errors([Point("1", 0, "N", -1.0, 2.0, 1.0)], {"N": 1.0})["N"].rmse_log)
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_errors_are_those_of_the_residual(logarithmic: bool) -> None:
+    measured = np.array([0.5, 1.0, 3.0, 8.0])
+    predicted = np.array([0.7, 1.0, 2.0, 8.0 * 1e-5])  # the last one below the floor of the logarithm
+    points = [Point("1", k, "N", y, p, 1.0) for k, (y, p) in enumerate(zip(measured, predicted, strict=True))]
+    expected = residuals(predicted[:, None], measured[:, None], np.ones(1), np.array([logarithmic]))
+    (found,) = errors(points, {"N": 2.0}).values()
+    size = math.sqrt(np.mean(expected**2))
+    if logarithmic:
+        assert found.rmse_log == pytest.approx(size, rel=1e-14)
+        assert size < math.sqrt(np.mean(np.log(predicted / measured) ** 2)), "the tangent bounds it"
+    else:
+        assert (found.rmse, found.nrmse) == pytest.approx((size, size / 2), rel=1e-14)
+        assert found.mae == pytest.approx(np.abs(expected).mean(), rel=1e-14)
 
 
 def table(path: Path, trajectories: int) -> Path:

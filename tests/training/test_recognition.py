@@ -8,6 +8,7 @@ import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.backends.casadi.evaluator import Evaluator
+from gbspec.data.scales import scales_of
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.data.window import recognised
 from gbspec.training import TrainOptions, train
@@ -48,7 +49,7 @@ def test_hidden_starts_are_recognised(tmp_path: Path) -> None:
     assert np.abs(guessed - true).max() < 0.25, "the mean of the starts would be off by about 0.6"
     assert (np.abs(guessed - true) < 6 * error).all()
 
-    estimator = Estimator(Evaluator(run.member()), model, np.ones(1))
+    estimator = Estimator(Evaluator(run.member()), model, scales_of(model, new))
     item = new.items[0]
     start = estimator.start(item)
     assert start.origin == "estimated"

@@ -1,8 +1,8 @@
 """Initial states and per-trajectory constants of new trajectories: least squares with the learned parameters fixed.
 
 The unknowns are the initial values that are neither given by the model nor measured in the first row, and the
-learnables that each trajectory has for itself. The residuals are those of `gbspec.ir.residual` at all measured values,
-in units of the standard deviation of the channel's data. A prior from the training trajectories adds a penalty on the
+learnables that each trajectory has for itself. The residuals are those of `gbspec.ir.residual` with the scales and
+weights of `gbspec.data.scales_of`, as in training. A prior from the training trajectories adds a penalty on the
 distance from its centre: weighted according to the noise if that is known, else just strong enough to bound what the
 data do not determine.
 """
@@ -25,12 +25,12 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import spread_points
 from gbspec.arrays import Array
-from gbspec.data import deviations, recognised
-from gbspec.ir import logarithmic, residuals
+from gbspec.data import recognised, scales_of
+from gbspec.ir import residuals
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
-    from gbspec.data import Trajectories, Trajectory
+    from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.ir import Model
     from gbspec.runs import DataRecord
 
@@ -39,6 +39,8 @@ PULL = 1e-3
 """Least weight of the penalty towards the prior's center, with distances in units of its standard deviation."""
 TOLERANCE = 1e-6
 """Relative tolerance of the solutions during the estimation."""
+UNSOLVED = 1e3
+"""The residuals of a solution that cannot be integrated, in standard deviations of the data."""
 TRIALS = 8
 """Initial guesses that are compared before the best one is refined."""
 
@@ -73,7 +75,7 @@ def predictions(
 
     `data` is the entry of `fit.json` about the training data, if there is one.
     """
-    estimator = Estimator(evaluator, model, deviations(model, trajectories))
+    estimator = Estimator(evaluator, model, scales_of(model, trajectories))
     positions = learned_positions(evaluator.instance, trajectories, data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
@@ -83,13 +85,13 @@ def predictions(
 
 
 class Estimator:
-    """Least squares for the initial state of one trajectory. `scales` [C] are those of residuals (see `deviations`);
-    `noise` [C], if known, is the standard deviation of measurements in these units (of logarithms, if log-normal)."""
+    """Least squares for the initial state of one trajectory. `scales` are those of the whole table that it is from;
+    `noise` [C], if known, is the standard deviation of measurements of each channel (of logarithms, if log-normal)."""
 
-    def __init__(self, evaluator: Evaluator, model: Model, scales: Array, noise: Array | None = None) -> None:
+    def __init__(self, evaluator: Evaluator, model: Model, scales: Scales, noise: Array | None = None) -> None:
         self.evaluator, self.model, self.scales = evaluator, model, scales
-        self.logarithmic = logarithmic(model)
-        self.pull = PULL if noise is None else max(PULL, float(np.median(noise / scales)))
+        self.noise = np.zeros(len(model.channels)) if noise is None else noise / scales.channel
+        self.pull = max(PULL, float(np.median(self.noise)))
         self.prior = prior_of(evaluator.instance, model)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
         self.own_sd = self._sd_of_own()
@@ -105,6 +107,11 @@ class Estimator:
         ]
         sd = [0.0 if values is None or len(values) < 2 else float(np.std(values, ddof=1)) for values in found]
         return np.where(np.array(sd) > 0, sd, np.maximum(centre, 1e-3))
+
+    def residuals(self, item: Trajectory, channels: Array) -> Array:
+        """The residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
+        found = residuals(channels, item.values, self.scales.factor(item), self.scales.log)
+        return np.asarray(found, dtype=np.float64)
 
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` if none can be integrated."""
@@ -136,8 +143,9 @@ class Estimator:
 
         columns = list(free)
         scale = np.concatenate([self.start_sd(item)[columns], self.own_sd])
-        measured = np.isfinite(item.values)
-        worst = np.full(int(np.sum(measured)) + len(scale), 1e3)
+        factor = self.scales.factor(item)
+        measured = factor > 0
+        worst = UNSOLVED * np.concatenate([(factor * self.scales.deviation)[measured], np.ones(len(scale))])
 
         def moved(z: Array) -> Start:
             x0, k = state.copy(), constants.copy()
@@ -150,8 +158,7 @@ class Estimator:
             found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)
             if found.failure:
                 return worst
-            error = residuals(found.channels, item.values, 1.0 / self.scales, self.logarithmic)
-            return np.concatenate([error[measured], self.pull * z])
+            return np.concatenate([self.residuals(item, found.channels)[measured], self.pull * z])
 
         trials = self._trials(len(scale))
         with np.errstate(over="ignore"):  # squares of a diverging solution: its cost is infinite

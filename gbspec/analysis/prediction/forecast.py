@@ -18,14 +18,14 @@ from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import Prediction, Start, learned_positions, learned_start, needed, predict
 from gbspec.analysis.systems import trained_ranges
 from gbspec.arrays import Array, Mask
-from gbspec.data import channel_scales, deviations
+from gbspec.data import scales_of
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
-from gbspec.ir import logarithmic
+from gbspec.ir import logarithmic, slopes
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
-    from gbspec.data import Trajectories, Trajectory
+    from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.ir import Model
     from gbspec.runs import Run
 
@@ -173,7 +173,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     """
     from gbspec.backends import Evaluator
 
-    scales = channel_scales(trajectories)
+    scales = scales_of(run.model, trajectories)
     each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]
     ranges = trained_ranges(run.model, run.members[0])
     items = tuple(_joined(each, index, window, ranges) for index in range(len(trajectories)))
@@ -226,12 +226,11 @@ class _View:
 class _MemberPredictions:
     """The predictions of one member for a table."""
 
-    def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Array) -> None:
+    def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Scales) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
-        self.estimator = Estimator(evaluator, run.model, deviations(run.model, trajectories), noise)
+        self.estimator = Estimator(evaluator, run.model, scales, noise)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
-        self.scales = scales
 
     def view(self, index: int, rows: int) -> _View:
         """The prediction of a trajectory from its first `rows` rows."""
@@ -251,8 +250,8 @@ class _MemberPredictions:
     def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> Array:
         """The variance [R, V] from the covariance of the estimate: the diagonal of J (J'WJ + P)^-1 J', by differences.
 
-        W is the precision of the window's measurements (from the fit's noise, or their misfit if that is larger), P
-        that of the prior.
+        W is the precision of the window's residuals (from the fit's noise, or their size if that is larger), P that of
+        the prior.
         """
         free = [*needed(self.model, seen)]
         own = list(self.estimator.own)
@@ -266,16 +265,18 @@ class _MemberPredictions:
                 constants[own[k - len(free)]] += NUDGE * scale[k]
             moved = self.evaluator.initial(state, item.condition, constants)
             columns.append((self._solve(item, Start(moved, constants, "estimated"))[1] - variables) / NUDGE)
-        slopes = np.stack(columns, axis=-1)
+        moves = np.stack(columns, axis=-1)
         rows, channels = len(seen.times), seen.values.shape[1]
-        misfit = seen.values - variables[:rows, :channels]
-        measured = np.isfinite(misfit)
-        typical = float(np.sqrt(np.mean((misfit / self.scales)[measured] ** 2))) if measured.any() else 0.0
-        noise = noise_at(self.run, variables[:rows, :channels])
-        deviation = np.maximum(np.maximum(noise, typical * self.scales), 1e-9 * self.scales)
-        weighted = (slopes[:rows, :channels] / deviation[:, :, None])[measured]
+        predicted, scales = variables[:rows, :channels], self.estimator.scales
+        factor = scales.factor(seen)
+        measured = factor > 0
+        misfit = self.estimator.residuals(seen, predicted)[measured]
+        typical = float(np.sqrt(np.mean(misfit**2))) if measured.any() else 0.0
+        deviation = np.maximum(self.estimator.noise, max(typical, 1e-9))
+        of_residuals = slopes(predicted, seen.values, factor, scales.log) / deviation
+        weighted = (moves[:rows, :channels] * of_residuals[:, :, None])[measured]
         precision = weighted.T @ weighted + np.eye(len(scale))
-        return np.asarray(np.einsum("rvi,ij,rvj->rv", slopes, np.linalg.inv(precision), slopes), dtype=np.float64)
+        return np.asarray(np.einsum("rvi,ij,rvj->rv", moves, np.linalg.inv(precision), moves), dtype=np.float64)
 
 
 def first_rows(item: Trajectory, rows: int) -> Trajectory:

@@ -18,7 +18,7 @@ from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
 from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
-from gbspec.data import deviations
+from gbspec.data import scales_of
 from gbspec.diagnostics import Findings
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def initial_states(
     """
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
-    scales = deviations(model, data)
+    scales = scales_of(model, data)
     breeder = Estimator(evaluator, model, scales)
     judge = None if truth is None else Estimator(truth, model, scales)
     found = []

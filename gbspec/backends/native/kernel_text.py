@@ -12,7 +12,7 @@ from typing import Literal, assert_never
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
-from gbspec.ir import LOG_FLOOR, RK4, Explicit, Method, Model, Network
+from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network
 
 Precision = Literal["float64", "float32"]
 
@@ -133,6 +133,7 @@ def _numbers(
         "KEPT_BYTES": KEPT_BYTES,
         "WEIGHT_STEPS": max(1, GROUP_BYTES // per_step),
         "LOG_FLOOR": LOG_FLOOR,
+        "LEAST_SIZE": LEAST_SIZE,
     }
 
 

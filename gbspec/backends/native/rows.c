@@ -19,7 +19,7 @@ static double residual(const Data *d, size_t row, int channel, double predicted,
         *slope = factor;
         return (predicted - measured) * factor;
     }
-    const double size = fabs(measured) > 1e-300 ? fabs(measured) : 1e-300, ratio = predicted / size;
+    const double size = fabs(measured) > LEAST_SIZE ? fabs(measured) : LEAST_SIZE, ratio = predicted / size;
     const double safe = ratio < LOG_FLOOR ? LOG_FLOOR : ratio;
     *slope = factor / (size * safe);
     return (log(safe) + (ratio - safe) / LOG_FLOOR) * factor;

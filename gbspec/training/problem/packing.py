@@ -18,6 +18,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories, Trajectory, evaluate
+from gbspec.data import weights as weights_of
 from gbspec.ir import RK4, Method, Model
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
 
@@ -235,10 +236,9 @@ def _plan(
     t = np.concatenate([a + np.cumsum(x) - x for a, x in zip(edges[:-1], lengths, strict=True)] or [np.zeros(0)])
     arrival = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum(counts)])
     row_step = arrival[np.searchsorted(edges, keys)]
-    values, weights, sd = (np.full((len(keys), item.values.shape[1]), fill) for fill in (np.nan, 0.0, np.nan))
     kept = item.times >= item.start
-    values[:], weights[:], sd[:] = item.values[kept], np.sqrt(item.counts[kept]), item.sd[kept]
-    weights[~np.isfinite(values)] = 0.0
+    values, sd = item.values[kept], item.sd[kept]
+    weights = weights_of(values, item.counts[kept])
     inputs, at_rows = _step_inputs(item, model, t, h, nodes), _row_inputs(item, model, keys)
     return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows)
 

@@ -1,0 +1,84 @@
+"""The scales s and weights w of residuals: fits, refits of initial states and reports take them from here.
+
+`gbspec.ir.residual` has the formula. The weight of an entry is the square root of the number of measurements that it
+averages, 0 where nothing was measured. The scale of a channel is
+
+- without a stated noise: the standard deviation of its data over all trajectories;
+- with `noise normal(sd)`, `noise lognormal(cv)` or a column of standard deviations: the stated standard deviation,
+  divided by the channels' common noise level (the mean of stated noise / standard deviation of the data), so that all
+  residuals are in units of the data's standard deviation and the stated noises determine the channels' relative
+  weights. An entry with its own standard deviation has its own scale.
+
+In a model whose functions are all known, channels that have the same unit and no stated noise share one scale: the fit
+is then the ordinary least squares of textbooks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.arrays import Array, Mask
+from gbspec.data.statistics import deviations
+from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.ir import Model, logarithmic
+
+
+@dataclass(frozen=True)
+class Scales:
+    """The scales of a model's channels for a table: `log` [C] (residuals of logarithms), `channel` [C] the scales.
+
+    `deviation` [C] is the standard deviation of each channel's data; `level` the common noise level, by which standard
+    deviations of single entries are divided; `noise` the standard deviation of the noise in units of the residuals, or
+    None if a channel does not state its noise.
+    """
+
+    log: Mask
+    channel: Array
+    deviation: Array
+    level: float
+    noise: float | None
+
+    def of_rows(self, sd: Array) -> Array:
+        """The scales [R, C] of entries with the standard deviations `sd` [R, C] (NaN: none of its own)."""
+        own = np.isfinite(sd) & (sd > 0)
+        return np.where(own, np.where(own, sd, 1.0) / self.level, self.channel)
+
+    def factor(self, item: Trajectory) -> Array:
+        """w / s [R, C] of a trajectory's measurements; 0 where nothing was measured."""
+        return np.asarray(weights(item.values, item.counts) / self.of_rows(item.sd), dtype=np.float64)
+
+
+def weights(values: Array, counts: Array) -> Array:
+    """The weights [R, C] of entries that average `counts` [R, C] measurements; 0 where nothing was measured."""
+    return np.where(np.isfinite(values), np.sqrt(counts), 0.0)
+
+
+def scales_of(model: Model, trajectories: Trajectories) -> Scales:
+    """The scales of residuals of a table (see the module's documentation)."""
+    log, deviation = logarithmic(model), deviations(model, trajectories)
+    stated = _stated(model, trajectories)
+    known = np.isfinite(stated) & (stated > 0)
+    level = float(np.mean(stated[known] / deviation[known])) if known.any() else 1.0
+    channel = np.where(known, np.where(known, stated, 1.0) / level, deviation)
+    if model.complete:
+        free = np.flatnonzero(~known).tolist()
+        for i in free:
+            alike = [j for j in free if model.channels[j].unit == model.channels[i].unit]
+            channel[i] = float(np.sqrt(np.mean(deviation[alike] ** 2)))
+    return Scales(log, channel, deviation, level, level if known.all() and level > 0 else None)
+
+
+def _stated(model: Model, trajectories: Trajectories) -> Array:
+    """The standard deviation of each channel's noise [C] (of logarithms, if log-normal); NaN if it is not stated."""
+    none = np.zeros((0, len(model.channels)))
+    sd = np.concatenate([none, *(item.sd for item in trajectories.items)])
+    found = np.full(len(model.channels), np.nan)
+    for i, channel in enumerate(model.channels):
+        if channel.noise is not None:
+            scale = channel.noise.scale
+            found[i] = np.sqrt(np.log1p(scale**2)) if channel.noise.kind == "lognormal" else scale
+        elif np.isfinite(sd[:, i]).any():
+            found[i] = float(np.nanmedian(sd[:, i]))
+    return found
