@@ -1,6 +1,6 @@
 """Functions that satisfy requirements for all weights: expressions in a network's raw outputs.
 
-A raw output x is a multilayer perceptron without its last centre c and scale s; if directions are required, it is
+A raw output x is a multilayer perceptron without its last center c and scale s; if directions are required, it is
 monotone by the signs of its weights (`gbspec.passes.layouts`). On it are built, in this order:
 
 - *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: initially c, with

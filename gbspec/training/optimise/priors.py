@@ -31,7 +31,7 @@ def spread_of(prior: Prior) -> float:
 
 
 def standardised(prior: Prior, value: Tensor) -> Tensor:
-    """The difference of values from the prior's centre, in units of its standard deviation."""
+    """The difference of values from the prior's center, in units of its standard deviation."""
     if prior.kind == "normal":
         return (value - prior.location) / prior.scale
     return (torch.log(value) - float(np.log(prior.location))) / spread_of(prior)

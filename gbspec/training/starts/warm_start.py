@@ -103,7 +103,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
     u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
     width = np.median(np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()) if count else 1.0
     damping, best = 1e-2, np.inf
-    centre, deviation = _prior_of_constants(model, start)
+    center, deviation = _prior_of_constants(model, start)
     for _ in range(ELIMINATION_STEPS):
         r, jac_o, jac_k = mismatch.linear(u, outputs)
         if not np.isfinite(r).all():
@@ -113,7 +113,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
         value = float(np.log1p((r / (3 * spread)) ** 2).sum())
         # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
         prior = count / points.measurements * (spread / deviation) ** 2
-        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - centre)
+        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - center)
         new_r = mismatch.values(u + du, outputs + do)
         new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
         if new < value:
@@ -130,7 +130,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
 
 def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
     """Prior means and standard deviations of the constants in trainable units [n]: as declared, else around `start`."""
-    centre, deviation = start.copy(), np.full(len(start), PRIOR)
+    center, deviation = start.copy(), np.full(len(start), PRIOR)
     bijections = Bijections.of(model.learnables)
     declared = np.array([0.0 if k.prior is None else k.prior.location for k in model.learnables])
     at = bijections.from_natural(declared)
@@ -138,8 +138,8 @@ def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
     for i, learnable in enumerate(model.learnables):
         if learnable.prior is not None and slope[i] > 0:
             width = spread_of(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
-            centre[i], deviation[i] = at[i], width / slope[i]
-    return centre, deviation
+            center[i], deviation[i] = at[i], width / slope[i]
+    return center, deviation
 
 
 def _free_outputs(model: Model, module: GeneratedModule, points: Points, start: Array) -> FreeOutputs:
@@ -156,7 +156,7 @@ def _eliminated_step(
 ) -> tuple[Array, Array]:
     """The Gauss-Newton step of constants [n] and free outputs [M, Q]; outputs are eliminated point by point.
 
-    `prior` [n] is the precision of the constants' prior, `offset` [n] their distance from its centre.
+    `prior` [n] is the precision of the constants' prior, `offset` [n] their distance from its center.
     """
     q = jac_o.shape[2]
     weighted = jac_o * w[:, :, None]
@@ -213,7 +213,7 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
 
 
 def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
-    """Robust centre and scale of the free outputs; with a postulate the centre is its neutral value."""
+    """Robust center and scale of the free outputs; with a postulate the center is its neutral value."""
     unknowns = sorted((u for u in model.unknowns if u.network == network), key=lambda u: u.output)
     width = model.networks[network].sizes[-1]  # outputs beyond those of the unknowns are required by contracts
     center, scale = np.zeros(width), np.ones(width)
