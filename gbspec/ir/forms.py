@@ -57,15 +57,15 @@ def scale(output: int) -> sympy.Symbol:
     return sympy.Symbol(f"scale {output}", real=True)
 
 
-def spread(argument: int) -> sympy.Symbol:
+def input_scale(argument: int) -> sympy.Symbol:
     """The scale of an argument, a positive number kept with the weights."""
-    return sympy.Symbol(f"spread {argument}", real=True)
+    return sympy.Symbol(f"input_scale {argument}", real=True)
 
 
 def described(text: str) -> tuple[str, tuple[int, ...]] | None:
     """The meaning of a symbol's name: ("raw", (evaluation, output)), ("scale", (output,)), ...; None for others."""
     word, *numbers = text.split(" ")
-    if not numbers or word not in ("raw", "center", "scale", "spread"):
+    if not numbers or word not in ("raw", "center", "scale", "input_scale"):
         return None
     return word, tuple(int(number) for number in numbers)
 

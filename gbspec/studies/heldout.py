@@ -114,18 +114,18 @@ def _points(
     ]
 
 
-def errors(points: Sequence[Point], spreads: Mapping[str, float]) -> dict[str, Errors]:
-    """The errors of each channel that has held-out measurements; `spreads` are the channels' standard deviations."""
+def errors(points: Sequence[Point], sds: Mapping[str, float]) -> dict[str, Errors]:
+    """The errors of each channel that has held-out measurements; `sds` are the channels' standard deviations."""
     found = {}
-    for name, spread in spreads.items():
+    for name, sd in sds.items():
         mine = [point for point in points if point.channel == name]
         solved = [point for point in mine if math.isfinite(point.predicted)]
         if mine:
-            found[name] = _errors(solved, spread, len(mine) - len(solved))
+            found[name] = _errors(solved, sd, len(mine) - len(solved))
     return found
 
 
-def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
+def _errors(points: Sequence[Point], channel_sd: float, unsolved: int) -> Errors:
     if not points:
         return Errors(0, math.nan, math.nan, math.nan, math.nan, math.nan, unsolved)
     measured, predicted, sd = (np.array([getattr(p, part) for p in points]) for part in ("measured", "predicted", "sd"))
@@ -136,4 +136,4 @@ def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
         logs = float(np.sqrt(np.mean(np.log(predicted / measured) ** 2)))
     low, high = interval(predicted, sd, np.array([p.in_logarithms for p in points], dtype=bool))
     inside = float(np.mean((measured >= low) & (measured <= high)))
-    return Errors(len(points), rmse, rmse / spread, float(np.mean(np.abs(error))), logs, inside, unsolved)
+    return Errors(len(points), rmse, rmse / channel_sd, float(np.mean(np.abs(error))), logs, inside, unsolved)

@@ -11,7 +11,7 @@ import sympy
 
 from gbspec.diagnostics import Defect, Findings
 from gbspec.ir.dumping import dump
-from gbspec.ir.forms import center, raw, scale, spread
+from gbspec.ir.forms import center, input_scale, raw, scale
 from gbspec.ir.model import Activation, Channel, Constant, Learnable, Model, Range, symbol, unknown_function
 from gbspec.ir.verification import verify
 from gbspec.passes.contracts import with_contracts
@@ -72,7 +72,7 @@ def relaid(**changes: object) -> Model:
 
 def test_a_form_that_a_pass_made_is_verified() -> None:
     verify(FORMED)
-    for wrong in (raw(7, 0), raw(0, 5), scale(9), center(9), spread(2), symbol("Da"), sympy.Symbol("raw 0")):
+    for wrong in (raw(7, 0), raw(0, 5), scale(9), center(9), input_scale(2), symbol("Da"), sympy.Symbol("raw 0")):
         with pytest.raises(Defect, match="the form of `f` uses"):
             verify(reformed(value=wrong))
     with pytest.raises(Defect, match="the evaluations of the form of `f`"):

@@ -94,9 +94,9 @@ def test_fifty_noisy_rows_foretell_what_lies_between_them(tmp_path: Path) -> Non
     assert sum(len(item.times) for item in data.items) == 52
     model, seen = gbspec.load(tmp_path / "m.gb"), run.run.member().weights["initial"]
     exact, found = model.simulate(dt=0.05, **how), learned_solutions(run, seen, np.arange(0, 12.01, 0.05))
-    spread = np.concatenate([item.values for item in exact.items]).std(axis=0)
+    sd = np.concatenate([item.values for item in exact.items]).std(axis=0)
     for truth, learned in zip(exact.items, found, strict=True):
-        error = (learned - truth.values) / spread
+        error = (learned - truth.values) / sd
         assert (np.sqrt((error**2).mean(axis=0)) < 0.04).all() and np.abs(error).max() < 0.12, "noise is 0.03"
         turns = [np.sum(np.diff(np.sign(np.diff(values, axis=0)), axis=0) != 0) for values in (learned, truth.values)]
         assert turns[0] == turns[1], "as often up and down as the truth"

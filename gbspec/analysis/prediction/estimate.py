@@ -23,7 +23,7 @@ from gbspec.analysis.prediction.solutions import (
     needed,
     predict,
 )
-from gbspec.analysis.systems import spread_points
+from gbspec.analysis.systems import quasirandom_points
 from gbspec.arrays import Array
 from gbspec.data import deviations, recognised
 from gbspec.ir import logarithmic, residuals
@@ -165,5 +165,5 @@ class Estimator:
     @staticmethod
     def _trials(size: int) -> list[Array]:
         """The guess and points around it, in units of the standard deviation."""
-        around = 3.0 * spread_points(TRIALS, size) - 1.5
+        around = 3.0 * quasirandom_points(TRIALS, size) - 1.5
         return [np.zeros(size), *around]

@@ -19,7 +19,7 @@ from gbspec.backends.printing.nodes import (
     Indices,
     Join,
     Part,
-    Spread,
+    Repeat,
     Sum,
     VectorTemporary,
     is_vector,
@@ -47,7 +47,7 @@ class Vectors:
         if family.index is None:
             return self._without_totals(family.value)
         if not family.value.has(Element, family.index):
-            return Spread(STATE, self._without_totals(family.value), family.count)
+            return Repeat(STATE, self._without_totals(family.value), family.count)
         elements = sorted(family.value.atoms(Element), key=sympy.default_sort_key)
         table: dict[sympy.Basic, Expr] = {element: self._window(element, family) for element in elements}
         if family.value.has(family.index):

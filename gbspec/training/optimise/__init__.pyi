@@ -18,7 +18,7 @@ from .preconditioned_lbfgs import Rest as Rest
 from .preconditioned_lbfgs import minimise as minimise
 from .priors import LEAST_NOISE as LEAST_NOISE
 from .priors import Priors as Priors
-from .priors import spread_of as spread_of
+from .priors import prior_sd as prior_sd
 from .stage import Outcome as Outcome
 from .stage import Stage as Stage
 from .stage import State as State

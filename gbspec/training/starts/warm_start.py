@@ -18,7 +18,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.ir import NN, Model
-from gbspec.training.optimise import Moments, one_cycle, spread_of
+from gbspec.training.optimise import Moments, one_cycle, prior_sd
 from gbspec.training.problem import Bijections, Parameters, Weights
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 
@@ -108,14 +108,14 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
         r, jac_o, jac_k = mismatch.linear(u, outputs)
         if not np.isfinite(r).all():
             break
-        spread = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
-        w = 1.0 / (1.0 + (r / (3 * spread)) ** 2)
-        value = float(np.log1p((r / (3 * spread)) ** 2).sum())
+        sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
+        w = 1.0 / (1.0 + (r / (3 * sd)) ** 2)
+        value = float(np.log1p((r / (3 * sd)) ** 2).sum())
         # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
-        prior = count / points.measurements * (spread / deviation) ** 2
+        prior = count / points.measurements * (sd / deviation) ** 2
         du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - center)
         new_r = mismatch.values(u + du, outputs + do)
-        new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
+        new = float(np.log1p((new_r / (3 * sd)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
         if new < value:
             u, outputs, damping = u + du, outputs + do, max(damping / 5, 1e-8)
             if abs(best - new) < 1e-6 * max(new, 1e-12):
@@ -137,7 +137,7 @@ def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
     slope = np.abs(bijections.derivative(at))
     for i, learnable in enumerate(model.learnables):
         if learnable.prior is not None and slope[i] > 0:
-            width = spread_of(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
+            width = prior_sd(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
             center[i], deviation[i] = at[i], width / slope[i]
     return center, deviation
 

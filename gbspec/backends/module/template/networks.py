@@ -76,9 +76,9 @@ def _layers(network: dict[str, Any], weights: Any, m: Any, like: Any) -> tuple[l
 class _Raw:
     """A network with unscaled outputs; a contract's form applies their centers and scales (lists of numbers)."""
 
-    def __init__(self, call: Any, center: Any, scale: Any, spread: Any) -> None:
+    def __init__(self, call: Any, center: Any, scale: Any, input_scale: Any) -> None:
         self.call = call
-        self.center, self.scale, self.spread = center.tolist(), scale.tolist(), spread.tolist()
+        self.center, self.scale, self.input_scale = center.tolist(), scale.tolist(), input_scale.tolist()
 
     def __call__(self, *arguments: Any) -> Any:
         return self.call(*arguments)
