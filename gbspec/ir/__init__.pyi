@@ -1,7 +1,7 @@
 from .affinity import is_affine as is_affine
-from .arrays import Array as Array
 from .arrays import Element as Element
 from .arrays import Family as Family
+from .arrays import StateArray as StateArray
 from .arrays import Total as Total
 from .arrays import Vector as Vector
 from .derivatives import derivative as derivative

@@ -26,7 +26,7 @@ from gbspec.backends.printing.nodes import (
     temporary,
 )
 from gbspec.backends.printing.statements import Assignment, rebuild
-from gbspec.ir import Array, Element, Expr, Family, Model, Total
+from gbspec.ir import Element, Expr, Family, Model, StateArray, Total
 
 
 class Vectors:
@@ -68,7 +68,7 @@ class Vectors:
         ]
 
     # ---------------------------------------------------------------- arrays
-    def whole(self, array: Array) -> sympy.Symbol:
+    def whole(self, array: StateArray) -> sympy.Symbol:
         """An array as a vector."""
         everything = array.count == len(self._model.states)
         value = STATE if everything else Part(STATE, array.position, array.position + array.count)
@@ -97,7 +97,7 @@ class Vectors:
         wish = f"{array.name}_{'m' if shift < 0 else 'p'}{abs(shift)}" if step == 1 else f"{array.name}_part"
         return self._define((array, indices), parts[0] if len(inside) == len(indices) else Join(STATE, *parts), wish)
 
-    def _end(self, array: Array, index: int) -> Expr:
+    def _end(self, array: StateArray, index: int) -> Expr:
         value = self._without_totals(array.at(index))
         if not value.is_Atom:
             wish = f"{array.name}_at_{'m' if index < 0 else ''}{abs(index)}"

@@ -1,5 +1,5 @@
 from .adam import Adam as Adam
-from .adam_update import Moments as Moments
+from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import Certainty as Certainty

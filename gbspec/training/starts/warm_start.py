@@ -18,7 +18,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.ir import NN, Model
-from gbspec.training.optimise import Moments, one_cycle, prior_sd
+from gbspec.training.optimise import AdamMoments, one_cycle, prior_sd
 from gbspec.training.problem import Bijections, Parameters, Weights
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 
@@ -242,7 +242,7 @@ def regress_slopes(parameters: Parameters, module: GeneratedModule, points: Poin
     shared, rest = theta[: parameters.n_shared].copy(), torch.from_numpy(theta[parameters.n_shared :])
     equations = list(points.equations)
     scale = torch.from_numpy(points.scale[equations])
-    moments = Moments.zero(len(shared))
+    moments = AdamMoments.zero(len(shared))
     of_a_point = len(_free_outputs(model, module, points.some(np.arange(1)), np.zeros(len(model.learnables))).neutral)
     size = min(BATCH, len(points), EVALUATIONS // max(of_a_point, 1) + 1)
     for i in range(REGRESSION_STEPS):
