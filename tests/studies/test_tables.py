@@ -40,7 +40,7 @@ def test_tables_of_what_is_there(cases: Path) -> None:
     place = Place(cases.parent / "out")
     one, _, two, *_ = study.tasks()
     files.write_json(place.record(one), record(0, 1e-3))
-    files.write_json(place.record(two), record(1, 4e-3, step_warning="it leans", resumed=True))
+    files.write_json(place.record(two), record(1, 4e-3, step_warning="it depends on the step", resumed=True))
     summary = write_tables(study, place, "gbspec study here")
     written = json.loads((place.root / "study.json").read_text())
     case = written["cases"]["ONE"]

@@ -41,7 +41,7 @@ def fitted(
 
 
 def shipped(name: str, net: str, small: str) -> str:
-    """The text of a shipped model with a smaller network."""
+    """The text of a bundled model with a smaller network."""
     text = resolve(name).read_text()
     assert net in text
     return text.replace(net, small)
@@ -86,7 +86,7 @@ def test_thousands_of_even_samples_of_one_run(tmp_path: Path) -> None:
     assert all(rmse[name] < 0.05 * data.items[0].values[:, j].std() for j, name in enumerate(("q", "w")))
 
 
-def test_fifty_noisy_rows_foretell_what_lies_between_them(tmp_path: Path) -> None:
+def test_fifty_noisy_rows_predict_what_lies_between_them(tmp_path: Path) -> None:
     text = shipped("lotka_volterra", "mlp(32, 32)", "mlp(8, 8)")
     box = {"prey": (10.0, 60.0), "predator": (5.0, 30.0)}
     how = {"trajectories": 4, "span": 12, "keep_start": True, "initial": box, "seed": 1}

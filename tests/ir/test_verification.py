@@ -29,7 +29,7 @@ x, k = symbol("x"), symbol("k")
 
 BREAKAGES: dict[str, Callable[[Model], Model]] = {
     "a balance too few": lambda m: dataclasses.replace(m, balances=m.balances[:1]),
-    "a stranger in a balance": lambda m: dataclasses.replace(m, balances=(symbol("q"), m.balances[1])),
+    "an unknown name in a balance": lambda m: dataclasses.replace(m, balances=(symbol("q"), m.balances[1])),
     "an application of nothing": lambda m: dataclasses.replace(m, balances=(unknown_function("h")(x), x)),
     "an application with one argument": lambda m: dataclasses.replace(m, balances=(unknown_function("f")(x), x)),
     "infinity": lambda m: dataclasses.replace(m, balances=(sympy.zoo, x)),
@@ -41,7 +41,7 @@ BREAKAGES: dict[str, Callable[[Model], Model]] = {
     "a start outside": lambda m: dataclasses.replace(m, learnables=(Learnable("k", 5.0, Range(0, 1)),)),
     "a constant that is no number": lambda m: dataclasses.replace(m, constants=(Constant("a", float("nan")),)),
     "a network without its outputs": lambda m: dataclasses.replace(m, unknowns=m.unknowns[:1]),
-    "a truth with a stranger": lambda m: dataclasses.replace(
+    "a truth with an unknown name": lambda m: dataclasses.replace(
         m, truth_functions=(dataclasses.replace(m.truth_functions[0], value=symbol("y")),)
     ),
     "a range the wrong way": lambda m: dataclasses.replace(
