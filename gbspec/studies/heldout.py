@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class Point:
     """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement.
 
-    `in_logarithms`: the noise is lognormal, so that the interval reaches by a factor.
+    `in_logarithms`: the noise is lognormal, so that the interval is multiplicative.
     """
 
     trajectory: str

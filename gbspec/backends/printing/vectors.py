@@ -117,7 +117,7 @@ class Vectors:
             self.definitions.append(Assignment(self._known[key], value, wish))
         return self._known[key]
 
-    # ---------------------------------------------------------------- scalars beside vectors
+    # ---------------------------------------------------------------- scalars among vectors
     def _columns(self, node: Expr, whole: bool = True) -> Expr:
         """The expression with its largest scalar parts as columns; within choices (`whole` False) only its names.
 
