@@ -193,8 +193,8 @@ def prepared(table: Trajectories) -> Workload:
     for state in range(start.shape[1]):
         rows = np.flatnonzero(seen[:, state])[::-1]  # from last to first: the first measurement is kept
         start[packed.row_trajectory[rows], state] = values[rows, state]
-    spread = [values[seen[:, state], state] for state in range(start.shape[1])] + [work.condition[:, 0]]
-    center, scale = (np.array([f(column) for column in spread]) for f in (np.mean, np.std))
+    columns = [values[seen[:, state], state] for state in range(start.shape[1])] + [work.condition[:, 0]]
+    center, scale = (np.array([f(column) for column in columns]) for f in (np.mean, np.std))
     return replace(work, start=start, input_center=center, input_scale=scale)
 
 

@@ -106,8 +106,8 @@ def table(result: Mapping[str, Any]) -> str:
         found = timings.get(f"{name} {dtype}")
         if found is None:
             return ["", "", ""]
-        spread = f"{found['low_ms']:.1f}–{found['high_ms']:.1f}"
-        return [f"{found['ms']:.1f}", spread, f"{found['ms'] / limits[dtype]:.2f}"]
+        quartiles = f"{found['low_ms']:.1f}–{found['high_ms']:.1f}"
+        return [f"{found['ms']:.1f}", quartiles, f"{found['ms'] / limits[dtype]:.2f}"]
 
     rows = []
     for name in quickest_first(timings):

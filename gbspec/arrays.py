@@ -1,4 +1,4 @@
-"""The types of numerical arrays that the whole package speaks of."""
+"""Types of numerical arrays, used throughout the package."""
 
 from __future__ import annotations
 

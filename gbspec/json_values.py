@@ -1,4 +1,4 @@
-"""The types of JSON that the whole package speaks of."""
+"""Types of JSON values, used throughout the package."""
 
 from __future__ import annotations
 
@@ -8,4 +8,4 @@ from typing import Any, TypeAlias
 Json: TypeAlias = "str | int | float | bool | Sequence[Json] | Mapping[str, Json] | None"
 """A value that JSON can express."""
 JsonObject: TypeAlias = dict[str, Any]
-"""An object as it is read from JSON, or from TOML: those who ask it for a key know what is there."""
+"""An object read from JSON or TOML; its readers know the types of its values."""

@@ -1,3 +1,3 @@
-"""The version of gbspec: in a module of its own, so that those who write it down do not import the package's door."""
+"""The version of gbspec: in a separate module, so that it can be recorded without importing the whole package."""
 
 __version__ = "0.1.0"

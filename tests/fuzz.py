@@ -83,7 +83,7 @@ TOKENS = (
 
 
 def corpus() -> list[str]:
-    """The texts that are mutated: wrong files, and about as many right ones (shipped models, every statement)."""
+    """The texts that are mutated: wrong files, and about as many right ones (bundled models, every statement)."""
     right = sorted([*ROOT.glob("models/**/*.gb"), *ROOT.glob("tests/syntax/*.gb")])
     wrong = sorted(ROOT.glob("tests/bad/*/*.gb"))
     files = wrong + right * max(1, len(wrong) // len(right))

@@ -124,7 +124,7 @@ def add_gradients(x, yb, a1, d1, a2, d2, own, gradients):
 
 @njit(fastmath=True)
 def rates(x, k, y, out):
-    """B, beta, the output's centre and scale are `k`; `y` becomes the unknown's value."""
+    """B, beta, the output's center and scale are `k`; `y` becomes the unknown's value."""
     for t in range(TILE):
         y[t] = k[2] + k[3] * y[t]
         out[0, t] = y[t] - x[0, t]

@@ -77,12 +77,12 @@ def table(rows: Sequence[Row], design: Design) -> str:
         inside = sum(int(row["inside"]) for row in known)
         errors = [float(row["value"]) - float(row["truth"]) for row in own]
         mean = sum(errors) / len(errors)
-        spread = math.sqrt(sum((e - mean) ** 2 for e in errors) / max(len(errors) - 1, 1))
+        sd = math.sqrt(sum((e - mean) ** 2 for e in errors) / max(len(errors) - 1, 1))
         width = sum(float(row["sd"]) for row in known) / max(len(known), 1)
         seconds = sum(float(row["seconds"]) for row in own) / len(own)
         lines.append(
             f"| {name} | {len(own)} | {len(known)} | {inside} | {100 * inside / max(len(known), 1):.0f} % | "
-            f"{mean:+.2g} | {spread / width if width else math.nan:.2f} | {seconds:.0f} |"
+            f"{mean:+.2g} | {sd / width if width else math.nan:.2f} | {seconds:.0f} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Refusal:
-    """That a backend cannot express a model: the reason as a clause (`it has no states`), and what can be done."""
+    """A backend cannot express a model: the reason as a clause (`it has no states`), and a remedy."""
 
     reason: str
     help: str = ""
@@ -26,11 +26,11 @@ class Refusal:
 class Backend:
     """A form that a model can be compiled to.
 
-    `name` stands after `--emit`; `suffix` (with the dot) is that of its files; `help` says in a line what they are.
-    `make` gives what they hold for a verified Model, or why it cannot: bytes if `binary`, else a text that ends with a
+    `name` is the value of `--emit`; `suffix` (with the dot) is that of its files; `help` describes them in a line.
+    `make` returns their content for a verified Model, or a refusal: bytes if `binary`, else a text that ends with a
     line end. A backend that writes `numbers` (what was learned, or the truth) also gets an instance of the generated
-    module with weights; for others it is None. The method is that of the steps, where the form has any. `make` imports
-    what it needs when it is called: the command line lists every backend.
+    module with weights; for others it is None. The method is that of the integration steps, if the form has any.
+    `make` imports what it needs when it is called, because the command line lists every backend.
     """
 
     name: str
@@ -41,9 +41,9 @@ class Backend:
     numbers: bool = False
 
     def emit(self, model: Model, instance: GeneratedModule | None = None, method: Method = RK4) -> str | bytes:
-        """What its file holds for a Model, and an instance of its module where it needs one.
+        """The content of its file for a Model and, if the backend writes numbers, an instance of the Model's module.
 
-        Raises `UserError` (GB808) where it cannot express the model.
+        Raises `UserError` (GB808) if it cannot express the model.
         """
         if self.numbers and instance is None:
             raise Defect(f"the backend `{self.name}` was asked for the model `{model.name}` without its numbers")

@@ -14,22 +14,22 @@ from gbspec.arrays import Array
 from gbspec.json_values import JsonObject
 
 Value: TypeAlias = Any
-"""A number, an array, a torch tensor or a casadi expression, or a tuple of them: what an arithmetic works on."""
+"""A number, an array, a torch tensor or a casadi expression, or a tuple of them: an operand of an arithmetic."""
 Arithmetic: TypeAlias = Any
-"""The namespace in which equations run, made of another library for each of `GeneratedModule.arithmetic`."""
+"""The functions that equations call; `GeneratedModule.arithmetic` returns those of torch, casadi or numpy."""
 Casadi: TypeAlias = Any
-"""A function, an expression or a matrix of casadi: its annotations lack much, and MX, SX and DM share no type."""
+"""A function, an expression or a matrix of casadi, whose annotations are incomplete: MX, SX and DM share no type."""
 Network: TypeAlias = Any
-"""A network as the equations call it; of torch it may have `layers` too."""
+"""A network as the equations call it; a torch network may also have `layers`."""
 Networks: TypeAlias = Sequence[Network]
 
 
 class Equations(Protocol):
-    """The equations for any arithmetic: functions of a class. Time is named by the model, so all are by position."""
+    """The equations for any arithmetic. The model chooses the name of time, so that all parameters are positional."""
 
     @property
     def unknowns(self) -> Mapping[str, tuple[int, int, Value]]:
-        """Of each unknown the number of its network, that of its output there, and its function."""
+        """For each unknown: the index of its network, the index of its output there, and its function."""
 
     def rhs(
         self,
@@ -58,13 +58,13 @@ class Equations(Protocol):
         """The value of each channel."""
 
     def initial(self, math: Arithmetic, state: Value, condition: Value, constants: Value, /) -> Value:
-        """The start `state` with every start put in that the model expresses."""
+        """The initial state: `state`, with the initial values that the model gives inserted."""
 
     def doses(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
         """For each dose the fraction of it that arrives, and the lag after which it does."""
 
     def grid(self, math: Arithmetic, t: Value, h: Value, /) -> Value:
-        """The times at which a step of size h from t needs inputs, and the parts of its size."""
+        """The times at which a step of size h from t needs inputs, and the fractions of h that it uses."""
 
     def step(self, math: Arithmetic, rhs: Value, grid: Value, state: Value, inputs: Value, /) -> Value:
         """One step of state' = rhs(time, state, inputs), with the inputs at the grid's times."""
@@ -120,11 +120,11 @@ class GeneratedModule(Protocol):
 
     @classmethod
     def shapes(cls) -> dict[str, tuple[int, ...]]:
-        """The names and shapes of the weights that a model cannot do without."""
+        """The names and shapes of the required weights."""
 
     @staticmethod
     def arithmetic(library: str) -> Arithmetic:
-        """The namespace in which the equations run: of "torch", "casadi" or "numpy"."""
+        """The functions that the equations use: of "torch", "casadi" or "numpy"."""
 
     def torch_networks(self, weights: Mapping[str, Value], tape: list[Value] | None = None) -> Networks:
         """The networks over torch tensors named like `weights`."""
@@ -147,7 +147,7 @@ class GeneratedModule(Protocol):
         """The channels [..., n_channels], torch."""
 
     def initial(self, x0: Value, condition: Value = None, constants: Value = None) -> Value:
-        """The start with every state in its place whose start the model expresses, torch."""
+        """The initial state: x0, with the initial values that the model gives inserted; torch."""
 
     def step(
         self, t: Value, x: Value, h: Value, condition: Value = None, inputs: Value = None, constants: Value = None

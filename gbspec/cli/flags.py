@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Union
 
 import typer
 
-# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
+# A type annotation is `Any` here: a class, a union and `tuple[int, ...]` have no common type.
 Collect = Callable[[dict[str, object]], dict[str, object]]
 
 

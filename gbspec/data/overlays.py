@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, TypeAlias, TypeVar, Union
 
 T = TypeVar("T")
-# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
+# A type annotation is `Any` here: a class, a union and `tuple[int, ...]` have no common type.
 Fitting: TypeAlias = Any
-"""A value of the type that a hint says, which is known only as it runs."""
+"""A value of the type that a hint names, which is known only at run time."""
 Report = Callable[[str, str, str], None]
 """A callback with a code, the key and a description of the error."""
 

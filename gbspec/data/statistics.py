@@ -21,8 +21,8 @@ FLAT = 1e-9
 class ChannelStatistics:
     """Statistics of one channel's measured values: number, mean, standard deviation, extremes, median, robust scale.
 
-    `spread` is 1.4826 times the median absolute deviation: the standard deviation of normally distributed values, and
-    robust against outliers. NaN where nothing was measured.
+    `robust_sd` is 1.4826 times the median absolute deviation: the standard deviation of normally distributed values,
+    and robust against outliers. NaN where nothing was measured.
     """
 
     name: str
@@ -32,7 +32,7 @@ class ChannelStatistics:
     low: float
     high: float
     median: float
-    spread: float
+    robust_sd: float
 
     @property
     def scale(self) -> float:
@@ -106,5 +106,5 @@ def _of(name: str, values: Array) -> ChannelStatistics:
         low=float(values.min()),
         high=float(values.max()),
         median=median,
-        spread=MAD_TO_SD * float(np.median(np.abs(values - median))),
+        robust_sd=MAD_TO_SD * float(np.median(np.abs(values - median))),
     )

@@ -1,7 +1,7 @@
 from .affinity import is_affine as is_affine
-from .arrays import Array as Array
 from .arrays import Element as Element
 from .arrays import Family as Family
+from .arrays import StateArray as StateArray
 from .arrays import Total as Total
 from .arrays import Vector as Vector
 from .derivatives import derivative as derivative
@@ -17,11 +17,11 @@ from .forms import Layout as Layout
 from .forms import Shape as Shape
 from .forms import center as center
 from .forms import described as described
+from .forms import input_scale as input_scale
 from .forms import logistic as logistic
 from .forms import raw as raw
 from .forms import scale as scale
 from .forms import softplus as softplus
-from .forms import spread as spread
 from .methods import METHODS as METHODS
 from .methods import RK4 as RK4
 from .methods import Explicit as Explicit

@@ -41,7 +41,7 @@ class Total(sympy.Expr):  # type: ignore[misc]  # sympy is untyped
 
 
 @dataclass(frozen=True)
-class Array:
+class StateArray:
     """`state c[1..512]`: its first index, the names of its states, the position of the first of them among the
     Model's states, and the expressions of elements beyond its ends, by index."""
 

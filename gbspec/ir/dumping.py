@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from sympy.core.numbers import Float
 from sympy.printing.str import StrPrinter
 
-from gbspec.ir.arrays import Array, Family
+from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
 
 
@@ -135,7 +135,7 @@ def _mathematics(model: Model) -> list[str]:
     return lines + _section("claims", claims)
 
 
-def _array(array: Array) -> Iterable[str]:
+def _array(array: StateArray) -> Iterable[str]:
     yield f"{array.name}[{array.first}..{array.last}] from state {array.position}"
     for index, value in array.ends:
         yield f"{array.name}[{index}] = {written(value)}"

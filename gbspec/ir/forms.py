@@ -43,12 +43,12 @@ class logistic(sympy.Function):  # type: ignore[misc]  # noqa: N801 - sympy is u
 
 
 def raw(evaluation: int, output: int) -> sympy.Symbol:
-    """Output `output` of the network, before its centre and scale, at the arguments of an evaluation of the form."""
+    """Output `output` of the network, before its center and scale, at the arguments of an evaluation of the form."""
     return sympy.Symbol(f"raw {evaluation} {output}", real=True)
 
 
 def center(output: int) -> sympy.Symbol:
-    """The centre of an output, a number kept with the weights."""
+    """The center of an output, a number kept with the weights."""
     return sympy.Symbol(f"center {output}", real=True)
 
 
@@ -57,15 +57,15 @@ def scale(output: int) -> sympy.Symbol:
     return sympy.Symbol(f"scale {output}", real=True)
 
 
-def spread(argument: int) -> sympy.Symbol:
+def input_scale(argument: int) -> sympy.Symbol:
     """The scale of an argument, a positive number kept with the weights."""
-    return sympy.Symbol(f"spread {argument}", real=True)
+    return sympy.Symbol(f"input_scale {argument}", real=True)
 
 
 def described(text: str) -> tuple[str, tuple[int, ...]] | None:
     """The meaning of a symbol's name: ("raw", (evaluation, output)), ("scale", (output,)), ...; None for others."""
     word, *numbers = text.split(" ")
-    if not numbers or word not in ("raw", "center", "scale", "spread"):
+    if not numbers or word not in ("raw", "center", "scale", "input_scale"):
         return None
     return word, tuple(int(number) for number in numbers)
 
@@ -75,7 +75,7 @@ Scope = Literal["everywhere", "ranges"]
 
 @dataclass(frozen=True)
 class Form:
-    """The value of an unknown: `value` in raw outputs, centres, scales, the formal arguments and constants.
+    """The value of an unknown: `value` in raw outputs, centers, scales, the formal arguments and constants.
 
     `evaluations`: the arguments at which the network is evaluated, as expressions in the formals; the first are usually
     the formals themselves. `scope`: whether the contracts hold for all real arguments or only within the ranges

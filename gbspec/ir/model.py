@@ -18,7 +18,7 @@ from typing import Literal, TypeAlias
 import sympy
 
 from gbspec.diagnostics import Span
-from gbspec.ir.arrays import Array, Element, Family, Vector, runs
+from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
 from gbspec.ir.forms import Form, Layout
 
 Expr: TypeAlias = sympy.Expr
@@ -305,7 +305,7 @@ class Model:
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()
-    arrays: tuple[Array, ...] = ()
+    arrays: tuple[StateArray, ...] = ()
     families: tuple[Family, ...] = ()
     """Short forms of entries of the vectors above, which have the single entries as well (see `gbspec.ir.arrays`)."""
     text: str = ""

@@ -156,7 +156,7 @@ def _inside(meant: tuple[str, tuple[int, ...]], form: Form, network: Network) ->
             return evaluation < len(form.evaluations) and output < outputs
         case "center" | "scale", (output,):
             return output < outputs
-        case "spread", (argument,):
+        case "input_scale", (argument,):
             return argument < len(network.arguments)
         case _:
             return False

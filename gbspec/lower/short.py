@@ -7,7 +7,7 @@ from functools import cache
 
 import sympy
 
-from gbspec.ir import Array, Element, Expr, Family, Total, Vector, symbol
+from gbspec.ir import Element, Expr, Family, StateArray, Total, Vector, symbol
 from gbspec.lower.expressions import is_finite
 from gbspec.semantics import Checked, arrays, walk
 from gbspec.syntax import ast, target_name
@@ -60,13 +60,13 @@ class ShortForms:
         return self._build(self._checked.arrays[name].ends[index].value, {})
 
     # ---------------------------------------------------------------- parts of the Model
-    def arrays(self, states: Mapping[str, int]) -> tuple[Array, ...]:
+    def arrays(self, states: Mapping[str, int]) -> tuple[StateArray, ...]:
         """The arrays; `states` are the positions of the states by name."""
         found = []
         for name, array in self._checked.arrays.items():
             names = tuple(array.element(k) for k in range(array.first, array.last + 1))
             ends = tuple((k, self._ends(name, k)) for k in sorted(array.ends))
-            found.append(Array(name, array.first, names, states[names[0]], ends))
+            found.append(StateArray(name, array.first, names, states[names[0]], ends))
         return tuple(found)
 
     def families(self, places: Mapping[Vector, Mapping[str, int]]) -> tuple[Family, ...]:

@@ -1,6 +1,6 @@
 """Functions that satisfy requirements for all weights: expressions in a network's raw outputs.
 
-A raw output x is a multilayer perceptron without its last centre c and scale s; if directions are required, it is
+A raw output x is a multilayer perceptron without its last center c and scale s; if directions are required, it is
 monotone by the signs of its weights (`gbspec.passes.layouts`). On it are built, in this order:
 
 - *bounds*: `L + w softplus(s x/w + a)` with `softplus(a) = 1` and `w = max(c - L, 0.3 s)`: initially c, with
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from gbspec.ir import Expr, Network, Unknown, center, logistic, raw, scale, softplus, spread
+from gbspec.ir import Expr, Network, Unknown, center, input_scale, logistic, raw, scale, softplus
 from gbspec.passes.requirements import Link, Refused, Wanted, Zero, shown
 from gbspec.passes.signs import Prover
 
@@ -170,7 +170,7 @@ class Builder:
         It is then 0 beyond a zero at the end of the argument's range: if it were positive there, a depleted substance
         would still be consumed.
         """
-        d, size = self._distance(zero), spread(zero.argument)
+        d, size = self._distance(zero), input_scale(zero.argument)
         root = sympy.sqrt(d**2 + size**2)
         if not needs_sign:
             return d / root
@@ -246,7 +246,7 @@ class Builder:
         """A positive half-saturation from an extra output; it falls (side 1) or rises (-1) as the value rises."""
         gate = raw(0, self.first_gate + self.gates)
         self.gates += 1
-        return spread(zero.argument) * (sympy.Float(2.02) - 2 * logistic(side * gate))
+        return input_scale(zero.argument) * (sympy.Float(2.02) - 2 * logistic(side * gate))
 
     def _one_sided(self, gated: Sequence[Zero], demands: Wanted, sign: int) -> Expr:
         """A value of one sign whose magnitude rises away from each zero on the allowed side, and is 0 on the other."""

@@ -117,7 +117,7 @@ class Bars:
 
 @dataclass(frozen=True)
 class Text:
-    """Words centred at `x` above the panel's upper edge."""
+    """Words centered at `x` above the panel's upper edge."""
 
     x: float
     text: str

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 Look: TypeAlias = Any
-"""What matplotlib takes for a property: each has a type of its own."""
+"""A value of a matplotlib property; their types have nothing in common."""
 DASHES: dict[str, Look] = {"solid": "solid", "dashed": (0, (3.4, 2.2)), "dotted": "dotted"}
 MARKERS = {"circle": "o", "square": "s", "diamond": "D", "up": "^", "down": "v", "plus": "P", "cross": "x", "bar": "|"}
 LEGEND = 0.4

@@ -29,7 +29,7 @@ class Source:
     """A run, its `data` (None if not available), and labels of trajectories to `show` (none: some of them).
 
     `page`: the figure is for the page, which has room for more than a file. `over` and `spectra` are the run over its
-    data and the eigenvalues along them, where they are there already.
+    data and the eigenvalues along them, if they have been computed already.
     """
 
     run: Run

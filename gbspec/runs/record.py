@@ -1,6 +1,6 @@
 """The content of `fit.json`, which is read and written only here.
 
-The keys are the names of the fields, in their order. Files of the first edition lack the keys of fields with a default.
+The keys are the names of the fields, in their order. Files of version 0.1.0 lack the keys of fields with a default.
 """
 
 from __future__ import annotations

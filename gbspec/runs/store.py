@@ -99,7 +99,7 @@ class Run:
         """The mean over members of the result of `predict` (module instance -> array)."""
         return np.asarray(np.mean([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
-    def spread(self, predict: Callable[[GeneratedModule], Array]) -> Array:
+    def standard_deviation(self, predict: Callable[[GeneratedModule], Array]) -> Array:
         """The standard deviation over members of the result of `predict` (zero for a single member)."""
         return np.asarray(np.std([predict(member) for member in self.members], axis=0), dtype=np.float64)
 

@@ -17,7 +17,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
-# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
+# A type annotation is `Any` here: a class, a union and `tuple[int, ...]` have no common type.
 
 OTHERS = "others"
 """The field of a dataclass that holds unknown keys."""

@@ -24,7 +24,7 @@ LARGEST = 2000
 
 
 @dataclass
-class Array:
+class DeclaredArray:
     """A declared array: its range of indices, and the expressions for elements beyond its ends."""
 
     statement: ast.StateStatement
@@ -47,7 +47,7 @@ class Array:
         return f"{self.name}_{index}" if index >= 0 else f"{self.name}_m{-index}"
 
 
-def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, Array]]:
+def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, DeclaredArray]]:
     """The statements with arrays expanded, and the arrays; without arrays the statements are returned unchanged."""
     indexed = [
         i.statement
@@ -98,7 +98,7 @@ class _Expansion:
     def __init__(self, merged: Merged, findings: Findings) -> None:
         self._merged = merged
         self._findings = findings
-        self._arrays: dict[str, Array] = {}
+        self._arrays: dict[str, DeclaredArray] = {}
         self._unsure: set[str] = set()
         self._named: set[str] = set()
         self._told: Counter[Span] = Counter()
@@ -108,7 +108,7 @@ class _Expansion:
         self._values = self._constants()
         self._declared = {n.text: n for i in merged.items for n in _variables(i.statement)}
 
-    def run(self, indexed: list[ast.StateStatement]) -> tuple[Merged, dict[str, Array]]:
+    def run(self, indexed: list[ast.StateStatement]) -> tuple[Merged, dict[str, DeclaredArray]]:
         for statement in indexed:
             self._declare(statement)
         for item in self._merged.items:
@@ -172,7 +172,7 @@ class _Expansion:
                 declarator.span,
             )
             return
-        self._arrays[name.text] = Array(statement, first, last)
+        self._arrays[name.text] = DeclaredArray(statement, first, last)
 
     def _close(self, statement: ast.ClosureStatement) -> None:
         array = self._arrays.get(statement.target.array.text)
@@ -254,7 +254,7 @@ class _Expansion:
         bound = [{loop: i} if loop else {} for i in range(array.first, array.last + 1)]
         return [self._element(item, array, array.first + k, values) for k, values in enumerate(bound)]
 
-    def _channel_like_a_state(self, array: Array, target: ast.Name | ast.Index) -> None:
+    def _channel_like_a_state(self, array: DeclaredArray, target: ast.Name | ast.Index) -> None:
         self._findings.error(
             "GB202",
             f"`{array.name}` is declared twice",
@@ -264,7 +264,7 @@ class _Expansion:
             help=f"to measure it directly write `observe {target.span.text}`; an expression needs another name",
         )
 
-    def _exists(self, array: Array, index: int, node: ast.Node, help_text: str = "") -> bool:
+    def _exists(self, array: DeclaredArray, index: int, node: ast.Node, help_text: str = "") -> bool:
         if array.first <= index <= array.last:
             return True
         if not self._first_at(node, most=2):  # an index that is wrong for many elements is reported at both ends
@@ -278,7 +278,7 @@ class _Expansion:
         )
         return False
 
-    def _element(self, item: Item, array: Array, index: int, values: Mapping[str, int]) -> Item:
+    def _element(self, item: Item, array: DeclaredArray, index: int, values: Mapping[str, int]) -> Item:
         name = item.statement.target  # type: ignore[union-attr] # only statements about a target come here
         target = ast.Name(name.span, array.element(index))
         new = self._item(item, target=target)

@@ -26,7 +26,7 @@ MEASURABLE = frozenset({Kind.STATE, Kind.LET, Kind.PROCESS})
 
 
 def once(items: Iterable[Item], findings: Findings) -> None:
-    """Reports every second statement of one kind about a name."""
+    """Reports each repeated statement of one kind about a name."""
     first: dict[Key, ast.About] = {}
     for statement in (item.statement for item in items):
         if not isinstance(statement, ast.About):

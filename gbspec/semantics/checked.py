@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from gbspec.semantics.allow import Allowed
-from gbspec.semantics.arrays import Array
+from gbspec.semantics.arrays import DeclaredArray
 from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.processes import Term
@@ -36,7 +36,7 @@ class Checked:
     allowed: Allowed
     source: tuple[Item, ...] = ()
     """The statements before arrays are expanded."""
-    arrays: Mapping[str, Array] = field(default_factory=dict)
+    arrays: Mapping[str, DeclaredArray] = field(default_factory=dict)
 
     def all(self, kind: type[S]) -> Iterator[S]:
         """The statements of one kind, in the order of the model."""

@@ -148,7 +148,7 @@ class Numbers:
     # -------------------------------------------------------------------------------------------------- learnables
 
     def start(self, statement: ast.LearnStatement) -> float | None:
-        """The starting value of a learnable: the given one, else the centre of the prior; None without either."""
+        """The starting value of a learnable: the given one, else the center of the prior; None without either."""
         given = self.value(statement.start)
         if given is not None or statement.prior is None:
             return given

@@ -109,7 +109,7 @@ def crossvalidate(
     over = way(data, options.over)
     parts = folds(data, over, options.folds, training.seed)
     _begin(directory, model, data, training, options)
-    spreads = _spreads(data)
+    sds = _sds(data)
     found: dict[int, list[Point]] = {}
     failures: dict[int, str] = {}
     for fold in parts:
@@ -123,8 +123,8 @@ def crossvalidate(
             f"no fold could be fitted: {failures[0]}", remedy="try `gbspec train` on all of the data"
         )
     every = tuple(point for points in found.values() for point in points)
-    each = {number: errors(points, spreads) for number, points in found.items()}
-    made = CrossValidation(model.name, over, len(parts), each, errors(every, spreads), failures, every)
+    each = {number: errors(points, sds) for number, points in found.items()}
+    made = CrossValidation(model.name, over, len(parts), each, errors(every, sds), failures, every)
     _write(directory, made, found)
     return made
 
@@ -181,7 +181,7 @@ _KNOWN = ("trajectory", "time", "channel", "measured", "in_logarithms")
 """The keys that every held-out measurement has; a prediction that is not finite is left out of the record."""
 
 
-def _spreads(data: Trajectories) -> dict[str, float]:
+def _sds(data: Trajectories) -> dict[str, float]:
     """The standard deviation of each channel over all data."""
     from gbspec.data import channel_statistics
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class Point:
     """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement.
 
-    `in_logarithms`: the noise is lognormal, so that the interval reaches by a factor.
+    `in_logarithms`: the noise is lognormal, so that the interval is multiplicative.
     """
 
     trajectory: str
@@ -114,18 +114,18 @@ def _points(
     ]
 
 
-def errors(points: Sequence[Point], spreads: Mapping[str, float]) -> dict[str, Errors]:
-    """The errors of each channel that has held-out measurements; `spreads` are the channels' standard deviations."""
+def errors(points: Sequence[Point], sds: Mapping[str, float]) -> dict[str, Errors]:
+    """The errors of each channel that has held-out measurements; `sds` are the channels' standard deviations."""
     found = {}
-    for name, spread in spreads.items():
+    for name, sd in sds.items():
         mine = [point for point in points if point.channel == name]
         solved = [point for point in mine if math.isfinite(point.predicted)]
         if mine:
-            found[name] = _errors(solved, spread, len(mine) - len(solved))
+            found[name] = _errors(solved, sd, len(mine) - len(solved))
     return found
 
 
-def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
+def _errors(points: Sequence[Point], channel_sd: float, unsolved: int) -> Errors:
     if not points:
         return Errors(0, math.nan, math.nan, math.nan, math.nan, math.nan, unsolved)
     measured, predicted, sd = (np.array([getattr(p, part) for p in points]) for part in ("measured", "predicted", "sd"))
@@ -137,4 +137,4 @@ def _errors(points: Sequence[Point], spread: float, unsolved: int) -> Errors:
         logs = float(np.sqrt(np.mean(of_logs**2)))
     low, high = interval(predicted, sd, np.array([p.in_logarithms for p in points], dtype=bool))
     inside = float(np.mean((measured >= low) & (measured <= high)))
-    return Errors(len(points), rmse, rmse / spread, float(np.mean(np.abs(error))), logs, inside, unsolved)
+    return Errors(len(points), rmse, rmse / channel_sd, float(np.mean(np.abs(error))), logs, inside, unsolved)

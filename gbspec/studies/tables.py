@@ -30,7 +30,7 @@ SINGLE = ("constants", "data")
 
 
 @dataclass(frozen=True)
-class Spread:
+class MemberStatistics:
     """Statistics over members: a failed member counts as infinite in median and worst; there is then no mean."""
 
     mean: float
@@ -39,7 +39,7 @@ class Spread:
     worst: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Spread:
+    def of(cls, values: Sequence[float]) -> MemberStatistics:
         """The statistics of at least one number."""
         finite = all(math.isfinite(value) for value in values)
         ordered = sorted(values)
@@ -101,8 +101,8 @@ def _case(case: Case, planned: int, effort: str, records: Sequence[JsonObject]) 
         if not any(math.isfinite(value) for value in values["L2"]):
             values = {}
         if values or metric in case.published:
-            spreads = {norm: Spread.of(v).to_json() for norm, v in values.items() if any(map(math.isfinite, v))}
-            metrics[metric] = {"published": case.published.get(metric), **spreads}
+            found = {norm: MemberStatistics.of(v).to_json() for norm, v in values.items() if any(map(math.isfinite, v))}
+            metrics[metric] = {"published": case.published.get(metric), **found}
     whole = [record for record in records if not record.get("resumed") and "cpu_seconds" in record]
     cpu = [float(record["cpu_seconds"]) for record in whole]
     return {

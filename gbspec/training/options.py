@@ -214,7 +214,7 @@ class TrainOptions:
     def settings(self, left_out: Collection[str]) -> dict[str, str | int | float | bool | None]:
         """The options that a result depends on, for a fingerprint, without those in `left_out`.
 
-        The default solver is omitted, so that fingerprints from before there was a choice stay valid.
+        The default solver is omitted, so that fingerprints from versions without this option stay valid.
         """
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gbspec.analysis.systems.points import spread_points
+from gbspec.analysis.systems.points import quasirandom_points
 from gbspec.analysis.systems.steady import distinct, ordered_eigenvalues, steady_states
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import baltzis_fredrickson, brusselator, cusp, lorenz, urp
@@ -56,11 +56,11 @@ def test_eigenvalues_are_ordered_by_real_part_with_pairs_together() -> None:
 
 
 def test_points_have_low_discrepancy() -> None:
-    points = spread_points(256, 3)
+    points = quasirandom_points(256, 3)
     assert points.shape == (256, 3)
     counts = np.histogramdd(points, bins=(2, 2, 2), range=[(0, 1)] * 3)[0]
     assert counts.min() >= 26
-    assert not np.array_equal(points, spread_points(256, 3, seed=1))
+    assert not np.array_equal(points, quasirandom_points(256, 3, seed=1))
 
 
 def test_distinct_points_are_in_lexicographic_order_in_any_units() -> None:

@@ -101,7 +101,7 @@ class Truth:
                 match described(symbol.name):
                     case ("raw", (evaluation, output)):
                         table[symbol] = self._raw(network, points[evaluation])[output]
-                    case ("spread", (place, *_)):
+                    case ("input_scale", (place, *_)):
                         table[symbol] = self._numbers(network, "input_scale")[place]
                     case (word, (place, *_)):
                         table[symbol] = self._numbers(network, f"output_{word}")[place]

@@ -22,7 +22,7 @@ def test_statistics_of_what_was_measured() -> None:
     first, second = channel_statistics(data([1, 2, 3, nan, 100], [5, nan, 5, 5, 5]))
     assert (first.n, first.mean, first.median, first.low, first.high) == (4, 26.5, 2.5, 1, 100)
     assert first.sd == pytest.approx(np.std([1, 2, 3, 100]))
-    assert first.spread == pytest.approx(1.4826 * np.median([1.5, 0.5, 0.5, 97.5]))
+    assert first.robust_sd == pytest.approx(1.4826 * np.median([1.5, 0.5, 0.5, 97.5]))
     assert (second.n, second.sd, second.scale) == (4, 0.0, 5.0)
 
 
@@ -37,7 +37,7 @@ def test_a_scale_is_always_positive() -> None:
 def test_the_robust_scale_of_normal_values_is_their_standard_deviation() -> None:
     values = np.random.default_rng(0).normal(3.0, 2.0, 20_000)
     (found,) = channel_statistics(data(values.tolist()))
-    assert found.spread == pytest.approx(2.0, rel=0.03) and found.sd == pytest.approx(2.0, rel=0.03)
+    assert found.robust_sd == pytest.approx(2.0, rel=0.03) and found.sd == pytest.approx(2.0, rel=0.03)
 
 
 def test_the_scale_falls_back_to_the_size_of_the_values() -> None:

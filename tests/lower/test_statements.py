@@ -55,7 +55,7 @@ def test_everything_of_a_model() -> None:
     assert [(c.name, c.value) for c in model.constants] == [("a", 2.0), ("spare", 1.0)]
     learn_k, learn_Y, learn_tl = model.learnables
     assert (learn_k.start, learn_k.range) == (1.0, Range(0, math.inf))
-    assert learn_Y.start == pytest.approx(0.1), "the centre of the prior"
+    assert learn_Y.start == pytest.approx(0.1), "the center of the prior"
     assert learn_Y.prior == Prior("lognormal", 0.1, 0.5)
     assert learn_Y.per_trajectory
     (network,) = model.networks

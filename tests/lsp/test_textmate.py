@@ -107,7 +107,7 @@ def test_activations_are_highlighted(word: str) -> None:
 
 def test_the_files_are_those_that_the_words_of_the_language_give() -> None:
     for name in FILES:
-        again = "write it anew: python -m gbspec.lsp.textmate"
+        again = "regenerate it: python -m gbspec.lsp.textmate"
         assert (VSCODE.parent / name).read_text(encoding="utf-8") == grammar(), again
 
 

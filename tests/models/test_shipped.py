@@ -1,4 +1,4 @@
-"""The shipped models: in form, without findings, simulated as their cases say, right where numbers are published."""
+"""The bundled models: in form, without findings, simulated as their cases say, right where numbers are published."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ PAPER: list[tuple[str, list[str], int, set[str]]] = [
 
 
 def paper(name: str, unseen: list[str]) -> str:
-    """The text of a shipped model without its first line and without what is not observed."""
+    """The text of a bundled model without its first line and without what is not observed."""
     (path,) = (p for p in SHIPPED if p.stem == name)
     text = "".join(line for line in model_at(path).text.splitlines(keepends=True) if not line.startswith("model"))
     for state in unseen:

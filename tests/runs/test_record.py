@@ -1,4 +1,4 @@
-"""What `fit.json` says: the keys of the contract, strict reading, and files of the first edition."""
+"""What `fit.json` says: the keys of the contract, strict reading, and files of version 0.1.0."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from gbspec.runs.record import FitRecord, StepRecord, read_record
 from gbspec.runs.store import Run
 from gbspec.training import TrainOptions
 
-EDITION_1 = Path(__file__).parent / "data" / "edition_1"
-DOCUMENT: dict[str, Any] = json.loads((EDITION_1 / "run" / "fit.json").read_text())
+VERSION_0_1_0 = Path(__file__).parent / "data" / "version_0_1_0"
+DOCUMENT: dict[str, Any] = json.loads((VERSION_0_1_0 / "run" / "fit.json").read_text())
 FOREIGN = ["abc", [1], [], None, 3, 1.5, -1, True, {"a": 1}, {}, 10**30]
 """JSON values of every type, of which most are wrong for any key."""
 CONTRACT = ["gbspec", "model", "data", "options", "versions", "constants", "noise", "members", "warnings"]
@@ -31,7 +31,7 @@ CONTRACT = ["gbspec", "model", "data", "options", "versions", "constants", "nois
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(EDITION_1 / "run", tmp_path / "run"))
+    return Path(shutil.copytree(VERSION_0_1_0 / "run", tmp_path / "run"))
 
 
 def places(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -147,7 +147,7 @@ def test_all_that_is_wrong_is_told_at_once(run: Path) -> None:
     ]
 
 
-def test_a_file_of_the_first_edition_reads_with_defaults_and_is_written_as_it_was(run: Path) -> None:
+def test_a_file_of_version_0_1_0_reads_with_defaults_and_is_written_as_it_was(run: Path) -> None:
     fit = open_run(run).fit
     assert fit.interface == 1
     assert fit.data.path == "data.csv" and fit.constants["k"].interval is not None
@@ -171,14 +171,14 @@ def test_unknown_keys_are_kept_at_every_level(run: Path) -> None:
 
 
 def test_options_of_a_record_are_those_of_the_training() -> None:
-    fit = read_record(EDITION_1 / "run", Findings())
+    fit = read_record(VERSION_0_1_0 / "run", Findings())
     assert fit is not None
     expected = TrainOptions(effort="low", threads=1, workers=1)
-    assert TrainOptions.recorded(fit.options, EDITION_1) == expected
-    assert TrainOptions.recorded({**fit.options, "of_later": 1}, EDITION_1) == expected
-    assert TrainOptions.recorded({}, EDITION_1) == TrainOptions()
+    assert TrainOptions.recorded(fit.options, VERSION_0_1_0) == expected
+    assert TrainOptions.recorded({**fit.options, "of_later": 1}, VERSION_0_1_0) == expected
+    assert TrainOptions.recorded({}, VERSION_0_1_0) == TrainOptions()
     with pytest.raises(UserError, match=r'options\.effort` is "most"; expected one of "low", "normal", "high"'):
-        TrainOptions.recorded({**fit.options, "effort": "most"}, EDITION_1)
+        TrainOptions.recorded({**fit.options, "effort": "most"}, VERSION_0_1_0)
 
 
 def test_the_largest_seed_that_trains_is_read_again(run: Path) -> None:

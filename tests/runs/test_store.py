@@ -42,7 +42,7 @@ def test_opens_with_model_members_and_mean(made: Path) -> None:
 
     each = [predict(run.member(k)) for k in (0, 1)]
     assert np.allclose(run.mean(predict), np.mean(each, axis=0), rtol=1e-12)
-    assert np.allclose(run.spread(predict), np.std(each, axis=0), rtol=1e-9)
+    assert np.allclose(run.standard_deviation(predict), np.std(each, axis=0), rtol=1e-9)
     assert run.max_step == run.member(1).info["max_step"]
     assert len(run.history()) >= 4
 

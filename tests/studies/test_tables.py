@@ -1,4 +1,4 @@
-"""The tables: spreads of members, and numbers beside the published ones."""
+"""The tables: statistics over members, and numbers beside the published ones."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from gbspec.analysis.validation.validate import TrajectoryError, Validation
 from gbspec.runs import files
 from gbspec.studies.member import Place, errors_of
 from gbspec.studies.options import StudyOptions
-from gbspec.studies.tables import Spread, write_tables
+from gbspec.studies.tables import MemberStatistics, write_tables
 from gbspec.studies.tasks import study_of
 
 from .conftest import record
 
 
-def test_a_spread_of_numbers() -> None:
-    found = Spread.of([3.0, 1.0, 2.0])
+def test_statistics_of_numbers() -> None:
+    found = MemberStatistics.of([3.0, 1.0, 2.0])
     assert (found.mean, found.sd, found.median, found.worst) == (2.0, 1.0, 2.0, 3.0)
-    assert Spread.of([1.0, 3.0]).median == 2.0
+    assert MemberStatistics.of([1.0, 3.0]).median == 2.0
 
 
 def test_a_failed_member_is_the_worst_and_voids_the_mean() -> None:
-    found = Spread.of([1.0, math.inf, 2.0])
+    found = MemberStatistics.of([1.0, math.inf, 2.0])
     assert (found.mean, found.median, found.worst) == (math.inf, 2.0, math.inf)
 
 
@@ -40,7 +40,7 @@ def test_tables_of_what_is_there(cases: Path) -> None:
     place = Place(cases.parent / "out")
     one, _, two, *_ = study.tasks()
     files.write_json(place.record(one), record(0, 1e-3))
-    files.write_json(place.record(two), record(1, 4e-3, step_warning="it leans", resumed=True))
+    files.write_json(place.record(two), record(1, 4e-3, step_warning="it depends on the step", resumed=True))
     summary = write_tables(study, place, "gbspec study here")
     written = json.loads((place.root / "study.json").read_text())
     case = written["cases"]["ONE"]

@@ -110,7 +110,7 @@ def test_free_outputs_stand_for_every_element() -> None:
 
 @cache
 def spreading() -> tuple[Model, Trajectories]:
-    """The shipped model on 24 reaches, and two trajectories of its truth."""
+    """The bundled model on 24 reaches, and two trajectories of its truth."""
     model = load_model(shipped_models()["spreading_population"], Findings())
     assert len(model.states) == 24
     return model, simulate(reference(model), SimulateOptions(trajectories=2, span=4.0, dt=1.0))

@@ -35,7 +35,7 @@ def test_a_fit_ends_without_an_interval(tmp_path: Path, monkeypatch: pytest.Monk
     assert fit.constants["k"].interval is None and fit.constants["k"].sd is None
 
 
-def test_a_decrease_that_was_not_foretold_ends_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_decrease_that_was_not_predicted_ends_no_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(NormalEquations, "predicted_decrease", lambda self, step: -1e-30)
     (tmp_path / "m.gb").write_text(TEXT)
     (tmp_path / "d.csv").write_text("t,x\n0,1\n0.1,0.951\n0.2,0.904\n0.4,0.819\n0.8,0.670\n")

@@ -41,7 +41,7 @@ def fitted(
 
 
 def shipped(name: str, net: str, small: str) -> str:
-    """The text of a shipped model with a smaller network."""
+    """The text of a bundled model with a smaller network."""
     text = resolve(name).read_text()
     assert net in text
     return text.replace(net, small)
@@ -86,7 +86,7 @@ def test_thousands_of_even_samples_of_one_run(tmp_path: Path) -> None:
     assert all(rmse[name] < 0.05 * data.items[0].values[:, j].std() for j, name in enumerate(("q", "w")))
 
 
-def test_fifty_noisy_rows_foretell_what_lies_between_them(tmp_path: Path) -> None:
+def test_fifty_noisy_rows_predict_what_lies_between_them(tmp_path: Path) -> None:
     text = shipped("lotka_volterra", "mlp(32, 32)", "mlp(8, 8)")
     box = {"prey": (10.0, 60.0), "predator": (5.0, 30.0)}
     how = {"trajectories": 4, "span": 12, "keep_start": True, "initial": box, "seed": 1}
@@ -94,9 +94,9 @@ def test_fifty_noisy_rows_foretell_what_lies_between_them(tmp_path: Path) -> Non
     assert sum(len(item.times) for item in data.items) == 52
     model, seen = gbspec.load(tmp_path / "m.gb"), run.run.member().weights["initial"]
     exact, found = model.simulate(dt=0.05, **how), learned_solutions(run, seen, np.arange(0, 12.01, 0.05))
-    spread = np.concatenate([item.values for item in exact.items]).std(axis=0)
+    sd = np.concatenate([item.values for item in exact.items]).std(axis=0)
     for truth, learned in zip(exact.items, found, strict=True):
-        error = (learned - truth.values) / spread
+        error = (learned - truth.values) / sd
         assert (np.sqrt((error**2).mean(axis=0)) < 0.04).all() and np.abs(error).max() < 0.12, "noise is 0.03"
         turns = [np.sum(np.diff(np.sign(np.diff(values, axis=0)), axis=0) != 0) for values in (learned, truth.values)]
         assert turns[0] == turns[1], "as often up and down as the truth"

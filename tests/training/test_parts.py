@@ -162,8 +162,8 @@ def test_stated_noise_sets_relative_weights() -> None:
     scaling = scaling_of(model, pack(data, model, 0.1), data)
     assert scaling.channel[1] / scaling.channel[0] == pytest.approx(10)
     plain = scaling_of(model_of(URP), pack(data, model, 0.1), data)
-    spread = [np.nanstd(np.concatenate([item.values[:, i] for item in data.items])) for i in range(2)]
-    assert plain.channel == pytest.approx(spread)
+    sds = [np.nanstd(np.concatenate([item.values[:, i] for item in data.items])) for i in range(2)]
+    assert plain.channel == pytest.approx(sds)
 
 
 def test_log_normal_residuals_are_of_logarithms() -> None:

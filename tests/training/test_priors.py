@@ -28,10 +28,10 @@ observe x {noise}
 {more}"""
 
 
-def data(slopes: list[float], spread: float = SD, channels: int = 1) -> Trajectories:
+def data(slopes: list[float], sd: float = SD, channels: int = 1) -> Trajectories:
     rng = np.random.default_rng(1)
     items = [
-        trajectory(str(i), 0.0, TIMES, k * TIMES[:, None] + spread * rng.standard_normal((8, channels)), [])
+        trajectory(str(i), 0.0, TIMES, k * TIMES[:, None] + sd * rng.standard_normal((8, channels)), [])
         for i, k in enumerate(slopes)
     ]
     return Trajectories(tuple(items), ("x",), "made.csv", "0" * 64)

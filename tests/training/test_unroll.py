@@ -137,14 +137,14 @@ def peak_of_gradient(problem: Problem, parameters: Parameters, theta: np.ndarray
 
 
 @pytest.mark.parametrize("text", [URP, EVERYTHING])
-def test_a_graph_in_parts_has_the_same_gradient(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_graph_with_checkpoints_has_the_same_gradient(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
     data = urp_data(4, 2.0, 6) if text is URP else everything_data()
     problem, parameters, theta = problem_of(model_of(text), data, 0.1)
     whole = gradient(problem, parameters, theta)
     monkeypatch.setattr(memory, "FEW", 0)
     monkeypatch.setattr(memory, "GRAPH_BYTES", 100_000)
-    begun = len(memory.parts([len(step.t) for step in schedule_of(problem, parameters, theta).steps], lambda: 10_000))
-    assert begun > 3
+    live = [len(step.t) for step in schedule_of(problem, parameters, theta).steps]
+    assert len(memory.checkpoint_intervals(live, lambda: 10_000)) > 3
     found = gradient(problem, parameters, theta)
     assert np.array_equal(found, whole)
 
@@ -162,13 +162,13 @@ def test_the_peak_does_not_grow_with_the_length(monkeypatch: pytest.MonkeyPatch)
         assert peak_of_gradient(each, parameters, theta) < 2.5 * limit
 
 
-def test_parts_are_as_long_as_the_limit_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checkpoint_intervals_are_as_long_as_the_limit_allows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "FEW", 10)
     monkeypatch.setattr(memory, "GRAPH_BYTES", 100)
-    assert memory.parts([5, 5], lambda: 1 // 0) == [(0, 2)], "few sub-steps are not measured"
-    assert memory.parts([10, 9, 1], lambda: 5) == [(0, 3)]
-    assert memory.parts([10, 10, 9, 6, 5, 1], lambda: 5) == [(0, 2), (2, 5), (5, 6)]
-    assert memory.parts([50, 3, 2], lambda: 10) == [(0, 1), (1, 3)], "a sub-step is never cut"
+    assert memory.checkpoint_intervals([5, 5], lambda: 1 // 0) == [(0, 2)], "few sub-steps are not measured"
+    assert memory.checkpoint_intervals([10, 9, 1], lambda: 5) == [(0, 3)]
+    assert memory.checkpoint_intervals([10, 10, 9, 6, 5, 1], lambda: 5) == [(0, 2), (2, 5), (5, 6)]
+    assert memory.checkpoint_intervals([50, 3, 2], lambda: 10) == [(0, 1), (1, 3)], "a sub-step is never cut"
 
 
 def test_what_a_row_keeps_is_measured() -> None:

@@ -92,28 +92,28 @@ class CycleCurve:
         mesh = np.linspace(0.0, 1.0, self.options.intervals + 1)
         s = (mesh[:-1, None] + np.diff(mesh)[:, None] * (np.arange(DEGREE) / DEGREE)).ravel()
         mode = np.real(np.exp(2j * np.pi * s)[:, None] * hopf.vector) / scale
-        centre = Orbit(mesh, np.tile(state / scale, (len(s), 1)), float(np.log(hopf.period)), value / width)
+        center = Orbit(mesh, np.tile(state / scale, (len(s), 1)), float(np.log(hopf.period)), value / width)
         direction = Orbit(mesh, mode, 0.0, 0.0)
         direction = _scaled(direction, 1.0 / np.sqrt(inner(direction, direction)))
-        return self._leave(centre, direction, phase(direction), "hopf")
+        return self._leave(center, direction, phase(direction), "hopf")
 
     def from_doubling(self, at: Place) -> CycleBranch:
         """The branch of cycles of twice the period that begins where a multiplier passes -1."""
-        centre = at.orbit.twice()
-        return self._leave(centre, self.equations.flip(at.orbit), phase(centre), "period doubling")
+        center = at.orbit.twice()
+        return self._leave(center, self.equations.flip(at.orbit), phase(center), "period doubling")
 
-    def _leave(self, centre: Orbit, direction: Orbit, kept: Functional, origin: str) -> CycleBranch:
-        """The branch from a bifurcation at `centre` in `direction`; `kept` fixes the phase of its first cycle."""
+    def _leave(self, center: Orbit, direction: Orbit, kept: Functional, origin: str) -> CycleBranch:
+        """The branch from a bifurcation at `center` in `direction`; `kept` fixes the phase of its first cycle."""
         length = self.options.first
         while length > self.options.least:
-            guess = centre.moved(direction, length)
+            guess = center.moved(direction, length)
             corrected = self.equations.correct(guess, (kept, along(direction)))
             if corrected is not None:
                 orbit = corrected[0]
                 tangent = self.equations.tangent(orbit, direction, phase(orbit))
                 if tangent is not None and inner(tangent, direction) > 0.5:
                     place = Place(orbit, tangent, self.equations.multipliers(orbit))
-                    return self._follow(place, float(np.exp(centre.log_period)), length / 2.0, origin)
+                    return self._follow(place, float(np.exp(center.log_period)), length / 2.0, origin)
             length /= 3.0
         return CycleBranch((), (), "no cycle was found where the branch begins", origin)
 

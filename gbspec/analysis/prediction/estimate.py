@@ -3,7 +3,7 @@
 The unknowns are the initial values that are neither given by the model nor measured in the first row, and the
 learnables that each trajectory has for itself. The residuals are those of `gbspec.ir.residual` with the scales and
 weights of `gbspec.data.scales_of`, as in training. A prior from the training trajectories adds a penalty on the
-distance from its centre: weighted according to the noise if that is known, else just strong enough to bound what the
+distance from its center: weighted according to the noise if that is known, else just strong enough to bound what the
 data do not determine.
 """
 
@@ -23,7 +23,7 @@ from gbspec.analysis.prediction.solutions import (
     needed,
     predict,
 )
-from gbspec.analysis.systems import spread_points
+from gbspec.analysis.systems import quasirandom_points
 from gbspec.arrays import Array
 from gbspec.data import recognised, scales_of
 from gbspec.ir import residuals
@@ -49,7 +49,7 @@ TRIALS = 8
 class Prior:
     """The prior of initial states: center and standard deviation [n] of the states."""
 
-    centre: Array
+    center: Array
     sd: Array
 
 
@@ -59,13 +59,13 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
     if learned is not None and len(learned):
         sd = learned.std(axis=0)
         return Prior(learned.mean(axis=0), np.where(sd > 0, sd, np.maximum(np.abs(learned).max(axis=0), 1.0)))
-    centre, sd = [], []
+    center, sd = [], []
     for state in model.states:
         box = state.range if state.range is not None and state.range.bounded else None
         guess = state.start if state.start is not None else ((box.low + box.high) / 2 if box else 0.0)
-        centre.append(guess)
+        center.append(guess)
         sd.append((box.high - box.low) / 4 if box and box.high > box.low else max(1.0, abs(guess)))
-    return Prior(np.array(centre, dtype=float), np.array(sd, dtype=float))
+    return Prior(np.array(center, dtype=float), np.array(sd, dtype=float))
 
 
 def predictions(
@@ -101,12 +101,12 @@ class Estimator:
 
     def _sd_of_own(self) -> Array:
         """The standard deviation over the training trajectories of each per-trajectory constant."""
-        centre = np.abs(np.asarray(self.evaluator.constants, dtype=float)[list(self.own)])
+        center = np.abs(np.asarray(self.evaluator.constants, dtype=float)[list(self.own)])
         found = [
             self.evaluator.instance.weights.get(f"per_trajectory.{n}") for n in self.evaluator.instance.per_trajectory
         ]
         sd = [0.0 if values is None or len(values) < 2 else float(np.std(values, ddof=1)) for values in found]
-        return np.where(np.array(sd) > 0, sd, np.maximum(centre, 1e-3))
+        return np.where(np.array(sd) > 0, sd, np.maximum(center, 1e-3))
 
     def residuals(self, item: Trajectory, channels: Array) -> Array:
         """The residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
@@ -130,7 +130,7 @@ class Estimator:
     def _nearest(self, item: Trajectory) -> Array:
         """The prior's center or the recognition network's output, with early measurements of states inserted."""
         found = recognised(self.evaluator.instance.weights, self.model, item)
-        state = (self.prior.centre if found is None else found[0]).copy()
+        state = (self.prior.center if found is None else found[0]).copy()
         early = max(3, len(item.times) // 10)
         for j, channel in enumerate(self.model.channels):
             rows = np.flatnonzero(np.isfinite(item.values[:early, j]))
@@ -172,5 +172,5 @@ class Estimator:
     @staticmethod
     def _trials(size: int) -> list[Array]:
         """The guess and points around it, in units of the standard deviation."""
-        around = 3.0 * spread_points(TRIALS, size) - 1.5
+        around = 3.0 * quasirandom_points(TRIALS, size) - 1.5
         return [np.zeros(size), *around]

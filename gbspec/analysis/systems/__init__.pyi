@@ -1,6 +1,6 @@
 from .compiled import Compiled as Compiled
 from .family import Family as Family
-from .points import spread_points as spread_points
+from .points import quasirandom_points as quasirandom_points
 from .steady import ordered_eigenvalues as ordered_eigenvalues
 from .steady import ordered_modes as ordered_modes
 from .steady import steady_states as steady_states

@@ -18,7 +18,7 @@ def evenly_spaced(count: int, most: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))] if count else []
 
 
-def spread_points(count: int, size: int, seed: int = 0) -> Array:
+def quasirandom_points(count: int, size: int, seed: int = 0) -> Array:
     """`count` points [count, size] of the unit cube; the seed shifts the sequence."""
     if size == 0:
         return np.zeros((count, 0))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.analysis.systems.points import spread_points
+from gbspec.analysis.systems.points import quasirandom_points
 from gbspec.analysis.systems.system import System, require_autonomous
 from gbspec.arrays import Array, ComplexArray
 
@@ -136,7 +136,7 @@ def distinct(points: Array, scale: Array) -> Array:
 def start_points(system: System, count: int, seed: int = 0, extra: Array | None = None) -> Array:
     """Guesses [N, n] distributed over the box of initial states, and `extra` ones (data, other branches)."""
     low, high = system.start_box
-    points = low + (high - low) * spread_points(count, system.size, seed)
+    points = low + (high - low) * quasirandom_points(count, system.size, seed)
     return points if extra is None or not len(extra) else np.concatenate([points, extra])
 
 

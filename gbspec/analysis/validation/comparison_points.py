@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.analysis.simulation import Boxes, Plan, Region, boxes, plan, regions
-from gbspec.analysis.systems import spread_points, trained_ranges
+from gbspec.analysis.systems import quasirandom_points, trained_ranges
 from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError, Findings
 
@@ -172,7 +172,7 @@ class Sampler:
         box, count = self.box.conditions, self.options.conditions
         if len(box) == 1:
             return np.linspace(box[0, 0], box[0, 1], count)[:, None]
-        points = spread_points(count, len(box), self.options.seed)
+        points = quasirandom_points(count, len(box), self.options.seed)
         return np.asarray(box[:, 0] + (box[:, 1] - box[:, 0]) * points) if len(box) else points
 
 

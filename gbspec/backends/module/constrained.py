@@ -10,7 +10,7 @@ from gbspec.backends.printing import Names, PythonPrinter, temporary
 from gbspec.diagnostics import Defect
 from gbspec.ir import Expr, Form, Network, Unknown, described, guarantee
 
-WORDS = {"center": "network.center", "scale": "network.scale", "spread": "network.spread"}
+WORDS = {"center": "network.center", "scale": "network.scale", "input_scale": "network.input_scale"}
 """Expressions in the generated text for the numbers stored with the weights, by the first word of their symbols."""
 
 

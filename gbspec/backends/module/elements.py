@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 
-from gbspec.ir import Array, Model
+from gbspec.ir import Model, StateArray
 
 
 class Code(str):
     """Python code that is written verbatim among the entries of a literal."""
 
 
-def runs_of(model: Model, names: Sequence[str]) -> Iterator[Array | str]:
+def runs_of(model: Model, names: Sequence[str]) -> Iterator[StateArray | str]:
     """The names in order, with an array in place of its elements if these are consecutive."""
     begins = {array.names[0]: array for array in model.arrays if _regular(array)}
     place = 0
@@ -56,11 +56,11 @@ def places_of(model: Model, places: Sequence[int | None]) -> tuple[object, ...]:
     return tuple(found)
 
 
-def _regular(array: Array) -> bool:
+def _regular(array: StateArray) -> bool:
     return array.count > 2 and all(name == f"{array.name}_{array.first + k}" for k, name in enumerate(array.names))
 
 
-def _each(array: Array) -> str:
+def _each(array: StateArray) -> str:
     """`f"c_{i}" for i in range(1, 513)`."""
     name = json.dumps(array.name, ensure_ascii=False)[:-1]
     return f'f{name}_{{i}}" for i in range({array.first}, {array.last + 1})'

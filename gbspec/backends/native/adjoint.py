@@ -33,7 +33,7 @@ def _terms(operation: Operation, bar: sympy.Symbol) -> list[tuple[sympy.Basic, E
 
 
 def _times(bar: sympy.Symbol, slope: Expr) -> Expr:
-    """The product, taken inside the branches of a choice: an infinite or NaN cotangent must not meet a slope of 0."""
+    """The product, taken inside the branches of a choice: 0 times an infinite or NaN cotangent is NaN."""
     if not isinstance(slope, sympy.Piecewise):
         return sympy.Mul(bar, *slope.args, evaluate=False) if isinstance(slope, sympy.Mul) else bar * slope
     *cases, (otherwise, _) = slope.args

@@ -57,7 +57,7 @@ MOST_OPERATIONS = 4000
 MOST_CALLS = 64
 """Most applications of unknowns to different arguments."""
 
-NUMBER_WORDS = ("center", "scale", "spread")
+NUMBER_WORDS = ("center", "scale", "input_scale")
 
 
 def numbers_of(model: Model) -> list[tuple[int, str, int]]:
@@ -65,7 +65,7 @@ def numbers_of(model: Model) -> list[tuple[int, str, int]]:
     out = []
     for index, network in enumerate(model.networks):
         for word in NUMBER_WORDS:
-            width = network.sizes[0] if word == "spread" else network.sizes[-1]
+            width = network.sizes[0] if word == "input_scale" else network.sizes[-1]
             out += [(index, word, place) for place in range(width)]
     return out
 

@@ -25,18 +25,18 @@ _STRUCTURES: dict[str, type[ctypes.Structure]] = {
 
 _NAMES = {name: {field.name for field in fields} for name, fields in STRUCTS.items()}
 
-Array = NDArray[np.generic]
+AnyArray = NDArray[np.generic]
 
 
 class Struct:
     """A filled C struct; it keeps references to the arrays that its pointers point to."""
 
-    def __init__(self, name: str, sizes: dict[str, int], values: dict[str, Array | int | None]) -> None:
+    def __init__(self, name: str, sizes: dict[str, int], values: dict[str, AnyArray | int | None]) -> None:
         self.name, self._kept = name, values
         self.pointer = ctypes.byref(_filled(name, dict(sizes), values))
 
 
-def _filled(name: str, sizes: dict[str, int], values: dict[str, Array | int | None]) -> ctypes.Structure:
+def _filled(name: str, sizes: dict[str, int], values: dict[str, AnyArray | int | None]) -> ctypes.Structure:
     """The structure with pointers to arrays. Raises Defect for an array that the C code would misread."""
     structure = _STRUCTURES[name]()
     if _NAMES[name] != values.keys():
@@ -54,7 +54,7 @@ def _filled(name: str, sizes: dict[str, int], values: dict[str, Array | int | No
     return structure
 
 
-def _check(name: str, field: Field, value: Array, sizes: dict[str, int]) -> None:
+def _check(name: str, field: Field, value: AnyArray, sizes: dict[str, int]) -> None:
     """Checks type, shape and order of an array, and adds new lengths to `sizes`. Raises Defect."""
     flags, lengths = value.flags, field.lengths
     fits = value.dtype == _TYPES[field.element] and flags.c_contiguous and value.ndim == len(lengths)
@@ -76,7 +76,7 @@ class Library:
                 function.restype = None if result == "void" else ctypes.c_int64
                 function.argtypes = [_argument(parameter) for parameter in parameters]
 
-    def struct(self, name: str, **values: Array | int | None) -> Struct:
+    def struct(self, name: str, **values: AnyArray | int | None) -> Struct:
         """A struct filled with arrays. Raises Defect for a type, shape or order that the C code does not expect."""
         return Struct(name, self.sizes, values)
 
@@ -84,7 +84,7 @@ class Library:
         """Bytes of work space of `run` for trajectories of at most `depth` sub-steps."""
         return int(self._library.work_bytes(depth))
 
-    def run(self, data: Struct, inputs: Struct, share: Struct, outputs: Struct, space: Array) -> None:
+    def run(self, data: Struct, inputs: Struct, share: Struct, outputs: Struct, space: AnyArray) -> None:
         """Solves a share of the trajectories, with the reverse pass if requested."""
         self._library.run(data.pointer, inputs.pointer, share.pointer, outputs.pointer, space.ctypes.data)
 
@@ -92,7 +92,7 @@ class Library:
         """Bytes of work space of `intervals` for intervals of at most `depth` sub-steps."""
         return int(self._library.interval_bytes(depth))
 
-    def intervals(self, data: Struct, inputs: Struct, intervals: Struct, space: Array) -> None:
+    def intervals(self, data: Struct, inputs: Struct, intervals: Struct, space: AnyArray) -> None:
         """Computes the derivatives of the states at the ends of intervals."""
         self._library.intervals(data.pointer, inputs.pointer, intervals.pointer, space.ctypes.data)
 

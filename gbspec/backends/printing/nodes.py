@@ -115,10 +115,10 @@ class Join(Operation):
     word = "join"
 
 
-class Spread(Operation):
-    """`Spread(like, x, count)`: a scalar as a vector of equal components."""
+class Repeat(Operation):
+    """`Repeat(like, x, count)`: a scalar as a vector of equal components."""
 
-    word = "spread"
+    word = "repeat"
 
 
 class Indices(Operation):

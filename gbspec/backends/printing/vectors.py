@@ -19,14 +19,14 @@ from gbspec.backends.printing.nodes import (
     Indices,
     Join,
     Part,
-    Spread,
+    Repeat,
     Sum,
     VectorTemporary,
     is_vector,
     temporary,
 )
 from gbspec.backends.printing.statements import Assignment, rebuild
-from gbspec.ir import Array, Element, Expr, Family, Model, Total
+from gbspec.ir import Element, Expr, Family, Model, StateArray, Total
 
 
 class Vectors:
@@ -47,7 +47,7 @@ class Vectors:
         if family.index is None:
             return self._without_totals(family.value)
         if not family.value.has(Element, family.index):
-            return Spread(STATE, self._without_totals(family.value), family.count)
+            return Repeat(STATE, self._without_totals(family.value), family.count)
         elements = sorted(family.value.atoms(Element), key=sympy.default_sort_key)
         table: dict[sympy.Basic, Expr] = {element: self._window(element, family) for element in elements}
         if family.value.has(family.index):
@@ -68,7 +68,7 @@ class Vectors:
         ]
 
     # ---------------------------------------------------------------- arrays
-    def whole(self, array: Array) -> sympy.Symbol:
+    def whole(self, array: StateArray) -> sympy.Symbol:
         """An array as a vector."""
         everything = array.count == len(self._model.states)
         value = STATE if everything else Part(STATE, array.position, array.position + array.count)
@@ -97,7 +97,7 @@ class Vectors:
         wish = f"{array.name}_{'m' if shift < 0 else 'p'}{abs(shift)}" if step == 1 else f"{array.name}_part"
         return self._define((array, indices), parts[0] if len(inside) == len(indices) else Join(STATE, *parts), wish)
 
-    def _end(self, array: Array, index: int) -> Expr:
+    def _end(self, array: StateArray, index: int) -> Expr:
         value = self._without_totals(array.at(index))
         if not value.is_Atom:
             wish = f"{array.name}_at_{'m' if index < 0 else ''}{abs(index)}"
@@ -117,7 +117,7 @@ class Vectors:
             self.definitions.append(Assignment(self._known[key], value, wish))
         return self._known[key]
 
-    # ---------------------------------------------------------------- scalars beside vectors
+    # ---------------------------------------------------------------- scalars among vectors
     def _columns(self, node: Expr, whole: bool = True) -> Expr:
         """The expression with its largest scalar parts as columns; within choices (`whole` False) only its names.
 

@@ -56,11 +56,11 @@ def explain(code: str) -> Entry:
 
 def _instead(wanted: str) -> str:
     """A hint for a code that does not exist: the codes of the same hundred, else the range of codes."""
-    beside = [code for code in all_codes() if code[:3] == wanted[:3]]
-    close = get_close_matches(wanted, beside or all_codes(), n=1, cutoff=0.5)
-    if beside:
+    same_kind = [code for code in all_codes() if code[:3] == wanted[:3]]
+    close = get_close_matches(wanted, same_kind or all_codes(), n=1, cutoff=0.5)
+    if same_kind:
         meant = f"did you mean `{close[0]}`? " if close else ""
-        return f"{meant}The codes of this kind are {_shortened(beside)}"
+        return f"{meant}The codes of this kind are {_shortened(same_kind)}"
     if close and len(wanted) != len(close[0]):
         return f"did you mean `{close[0]}`?"
     kinds = sorted({code[:3] for code in all_codes()})

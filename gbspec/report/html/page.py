@@ -85,7 +85,7 @@ class _Charts:
 
 @dataclass(frozen=True)
 class Group:
-    """Charts under a heading; `chosen`: a reader looks at one such group at a time."""
+    """Charts under a heading; `chosen`: the page shows one such group at a time."""
 
     heading: str
     note: str

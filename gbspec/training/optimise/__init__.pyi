@@ -1,5 +1,5 @@
 from .adam import Adam as Adam
-from .adam_update import Moments as Moments
+from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import Certainty as Certainty
@@ -18,7 +18,7 @@ from .preconditioned_lbfgs import Rest as Rest
 from .preconditioned_lbfgs import minimise as minimise
 from .priors import LEAST_NOISE as LEAST_NOISE
 from .priors import Priors as Priors
-from .priors import spread_of as spread_of
+from .priors import prior_sd as prior_sd
 from .stage import Outcome as Outcome
 from .stage import Stage as Stage
 from .stage import State as State

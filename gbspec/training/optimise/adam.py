@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, half_squares, residual_vector
-from gbspec.training.optimise.adam_update import Moments, one_cycle
+from gbspec.training.optimise.adam_update import AdamMoments, one_cycle
 from gbspec.training.optimise.priors import priors_at
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
 from gbspec.training.options import TrainOptions
@@ -49,7 +49,7 @@ class Adam:
         packed = engine.problem.packed
         measured = np.bincount(packed.row_trajectory, engine.problem.seen.sum(1), packed.trajectories)
         priors = priors_at(engine, theta)
-        moments = Moments(state["first"], state["second"], int(scalar(state, "updates")))
+        moments = AdamMoments(state["first"], state["second"], int(scalar(state, "updates")))
         order = np.random.default_rng([self.seed, 61, iteration]).permutation(packed.trajectories)
         batch = self.options.batch_size
         total = -(-len(order) // batch) * self.total

@@ -15,7 +15,7 @@ BETAS, EPSILON, CLIP = (0.9, 0.999), 1e-8, 1.0
 
 
 @dataclass(frozen=True)
-class Moments:
+class AdamMoments:
     """Running means of gradients and of their squares, and the number of updates."""
 
     first: Array
@@ -23,18 +23,18 @@ class Moments:
     updates: int = 0
 
     @staticmethod
-    def zero(size: int) -> Moments:
+    def zero(size: int) -> AdamMoments:
         """The moments before the first update."""
-        return Moments(np.zeros(size), np.zeros(size))
+        return AdamMoments(np.zeros(size), np.zeros(size))
 
-    def advance(self, gradient: Array, rate: float) -> tuple[Moments, Array]:
+    def advance(self, gradient: Array, rate: float) -> tuple[AdamMoments, Array]:
         """The moments after a gradient (clipped to norm 1), and the step at a learning rate."""
         gradient = gradient * min(1.0, CLIP / max(float(np.linalg.norm(gradient)), 1e-300))
         n = self.updates + 1
         first = BETAS[0] * self.first + (1 - BETAS[0]) * gradient
         second = BETAS[1] * self.second + (1 - BETAS[1]) * gradient**2
         unbiased = np.sqrt(second / (1 - BETAS[1] ** n)) + EPSILON
-        return Moments(first, second, n), -rate / (1 - BETAS[0] ** n) * first / unbiased
+        return AdamMoments(first, second, n), -rate / (1 - BETAS[0] ** n) * first / unbiased
 
 
 def one_cycle(update: int, total: int, peak: float, rise: float = 0.1) -> float:

@@ -191,7 +191,7 @@ class NormalEquations:
         return float(np.mean([-probe @ self.times(self.respond(probe, damping)) for probe in probes]))
 
     def _sketched(self, of: Callable[[Sketch], Found]) -> Found | None:
-        """What the sketch gives; None where the matrices must be factored, from then on."""
+        """The result by the sketch; None if that is too slow, now or earlier: the matrices are then factored."""
         if self.sketch is None:
             return None
         try:

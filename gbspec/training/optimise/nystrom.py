@@ -5,7 +5,7 @@ normal matrix has about 160 eigenvalues above the damping, and three quarters ar
 `(K + D) x = g` are solved by conjugate gradients, whose products with `K = A^T (I - P) A` cost no more than reading the
 Jacobian, preconditioned by Nystroem's approximation of K from its products with random vectors (Frangella, Tropp and
 Udell 2023, "Randomized Nystroem preconditioning", SIAM J. Matrix Anal. Appl. 44(2)); a few iterations make the
-solution exact. A are the shared columns; P takes out what the trajectories' own columns account for.
+solution exact. A are the shared columns; I - P removes what the trajectories' own columns account for.
 """
 
 from __future__ import annotations

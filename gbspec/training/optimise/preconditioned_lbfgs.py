@@ -77,7 +77,7 @@ class Penalised:
         return self.priors.penalty(theta) + 0.5 * self.ridge * float(moved @ moved)
 
     def _displaced(self, theta: Array) -> Array:
-        """The weights minus the centre of their prior [n_weights]."""
+        """The weights minus the center of their prior [n_weights]."""
         return np.asarray(theta[: self.parameters.n_weights] - self.center, dtype=np.float64)
 
     def equations(self, theta: Array) -> NormalEquations:

@@ -25,16 +25,16 @@ LEAST_NOISE = 1e-6
 vanish."""
 
 
-def spread_of(prior: Prior) -> float:
+def prior_sd(prior: Prior) -> float:
     """The standard deviation of a constant, or of its logarithm under a lognormal prior."""
     return prior.scale if prior.kind == "normal" else float(np.sqrt(np.log1p(prior.scale**2)))
 
 
 def standardised(prior: Prior, value: Tensor) -> Tensor:
-    """The difference of values from the prior's centre, in units of its standard deviation."""
+    """The difference of values from the prior's center, in units of its standard deviation."""
     if prior.kind == "normal":
         return (value - prior.location) / prior.scale
-    return (torch.log(value) - float(np.log(prior.location))) / spread_of(prior)
+    return (torch.log(value) - float(np.log(prior.location))) / prior_sd(prior)
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def _sub_step_of(packed: Packed, time: Array) -> Integers:
     given = np.flatnonzero(np.isfinite(time) & (packed.steps[owner] > 0))
     given = given[np.argsort(owner[given], kind="stable")]
     whose, first = np.unique(owner[given], return_index=True)
-    # Without doses there is still one part, without trajectories.
+    # Not strict: without doses `whose` is empty, but np.split still returns one (empty) array.
     for i, mine in zip(whose, np.split(given, first[1:]), strict=False):
         n = packed.steps[i]
         begins, end = packed.t[:n, i], packed.t[n - 1, i] + packed.h[n - 1, i]

@@ -5,10 +5,11 @@ initial states are refitted each time (Raue et al. 2009, Bioinformatics 25, 1923
 states are fitted. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
 deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval.
 
-The weights' prior is centred on the weights of the run, with the precision that the evidence gives there. A network has
-far more weights than the data determine, and whole solutions are nonlinear in the others: if the fit does not converge
-under that precision, the precision is raised until it does, and the resulting decrease of the interval is reported.
-Each fit starts from the prediction of the linearised fit, and every fit is stored in the run directory for reuse.
+The weights' prior is centered at the weights of the run, with the precision that the evidence gives there. A network
+has far more weights than the data determine, and whole solutions are nonlinear in the others: if the fit does not
+converge under that precision, the precision is raised until it does, and the resulting decrease of the interval is
+reported. Each fit starts from the prediction of the linearised fit, and every fit is stored in the run directory for
+reuse.
 """
 
 from __future__ import annotations

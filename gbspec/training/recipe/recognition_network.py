@@ -35,8 +35,8 @@ def recognition(context: Context, parameters: Parameters, theta: Array, blend: f
     number = np.unique(owner, return_inverse=True)[1]
     last = np.arange(len(x)) >= len(x) * (HELD - 1) // HELD
     judge: Mask = number % HELD == HELD - 1 if number.max() >= HELD - 1 else last
-    center, scale = x.mean(axis=0), _spread(x)
-    state_center, state_scale = y.mean(axis=0), _spread(y)
+    center, scale = x.mean(axis=0), _column_sds(x)
+    state_center, state_scale = y.mean(axis=0), _column_sds(y)
     layers, error = _fit((x - center) / scale, (y - state_center) / state_scale, judge, context.seed)
     arrays = {"offsets": offsets, "center": center, "scale": scale, "state_center": state_center}
     arrays |= {"state_scale": state_scale, "error": error * state_scale, **layers}
@@ -66,7 +66,7 @@ def _examples(
     return np.array(inputs).reshape(-1, width), np.array(targets).reshape(-1, states.shape[1]), np.array(owners)
 
 
-def _spread(columns: Array) -> Array:
+def _column_sds(columns: Array) -> Array:
     found = columns.std(axis=0)
     return np.where(found > 0, found, 1.0)
 

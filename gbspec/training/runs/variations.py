@@ -14,7 +14,7 @@ from gbspec.training.options import TrainOptions
 
 Setting: TypeAlias = Any
 """The value of an option: of the type of the field that it names."""
-# A type as annotated is `Any` here: a class, a union and `tuple[int, ...]` have no type in common.
+# A type annotation is `Any` here: a class, a union and `tuple[int, ...]` have no common type.
 FIXED = frozenset({"resume", "workers", "threads", "scheduler"})
 """Options of a call, which a sweep accepts but does not vary."""
 

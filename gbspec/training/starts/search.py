@@ -12,7 +12,7 @@ from gbspec.training.problem import mean_loss
 from gbspec.training.stages import StageName
 
 CANDIDATES, KEPT, IMPROVEMENTS = 64, 4, 12
-SPREAD = 1.0
+HALF_WIDTH = 1.0
 """Half width of the candidates' box in trainable units: a factor of e^3 either way, or most of a bounded range."""
 
 
@@ -45,7 +45,7 @@ class Search:
         columns = slice(parameters.n_weights, parameters.n_shared)
         own = len(parameters.own)
         draws = np.random.default_rng([self.seed, 71]).uniform(
-            -SPREAD, SPREAD, (CANDIDATES, len(parameters.shared) + own)
+            -HALF_WIDTH, HALF_WIDTH, (CANDIDATES, len(parameters.shared) + own)
         )
         out = [theta, declared]
         for i, draw in enumerate(draws):

@@ -18,7 +18,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.ir import NN, Model
-from gbspec.training.optimise import Moments, one_cycle, spread_of
+from gbspec.training.optimise import AdamMoments, one_cycle, prior_sd
 from gbspec.training.problem import Bijections, Parameters, Weights
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 
@@ -103,19 +103,19 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
     u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
     width = np.median(np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()) if count else 1.0
     damping, best = 1e-2, np.inf
-    centre, deviation = _prior_of_constants(model, start)
+    center, deviation = _prior_of_constants(model, start)
     for _ in range(ELIMINATION_STEPS):
         r, jac_o, jac_k = mismatch.linear(u, outputs)
         if not np.isfinite(r).all():
             break
-        spread = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
-        w = 1.0 / (1.0 + (r / (3 * spread)) ** 2)
-        value = float(np.log1p((r / (3 * spread)) ** 2).sum())
+        sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
+        w = 1.0 / (1.0 + (r / (3 * sd)) ** 2)
+        value = float(np.log1p((r / (3 * sd)) ** 2).sum())
         # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
-        prior = count / points.measurements * (spread / deviation) ** 2
-        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - centre)
+        prior = count / points.measurements * (sd / deviation) ** 2
+        du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - center)
         new_r = mismatch.values(u + du, outputs + do)
-        new = float(np.log1p((new_r / (3 * spread)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
+        new = float(np.log1p((new_r / (3 * sd)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
         if new < value:
             u, outputs, damping = u + du, outputs + do, max(damping / 5, 1e-8)
             if abs(best - new) < 1e-6 * max(new, 1e-12):
@@ -130,16 +130,16 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
 
 def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
     """Prior means and standard deviations of the constants in trainable units [n]: as declared, else around `start`."""
-    centre, deviation = start.copy(), np.full(len(start), PRIOR)
+    center, deviation = start.copy(), np.full(len(start), PRIOR)
     bijections = Bijections.of(model.learnables)
     declared = np.array([0.0 if k.prior is None else k.prior.location for k in model.learnables])
     at = bijections.from_natural(declared)
     slope = np.abs(bijections.derivative(at))
     for i, learnable in enumerate(model.learnables):
         if learnable.prior is not None and slope[i] > 0:
-            width = spread_of(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
-            centre[i], deviation[i] = at[i], width / slope[i]
-    return centre, deviation
+            width = prior_sd(learnable.prior) * (1 if learnable.prior.kind == "normal" else learnable.prior.location)
+            center[i], deviation[i] = at[i], width / slope[i]
+    return center, deviation
 
 
 def _free_outputs(model: Model, module: GeneratedModule, points: Points, start: Array) -> FreeOutputs:
@@ -156,7 +156,7 @@ def _eliminated_step(
 ) -> tuple[Array, Array]:
     """The Gauss-Newton step of constants [n] and free outputs [M, Q]; outputs are eliminated point by point.
 
-    `prior` [n] is the precision of the constants' prior, `offset` [n] their distance from its centre.
+    `prior` [n] is the precision of the constants' prior, `offset` [n] their distance from its center.
     """
     q = jac_o.shape[2]
     weighted = jac_o * w[:, :, None]
@@ -213,7 +213,7 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
 
 
 def _output_scale(model: Model, network: int, outputs: Array) -> tuple[Array, Array]:
-    """Robust centre and scale of the free outputs; with a postulate the centre is its neutral value."""
+    """Robust center and scale of the free outputs; with a postulate the center is its neutral value."""
     unknowns = sorted((u for u in model.unknowns if u.network == network), key=lambda u: u.output)
     width = model.networks[network].sizes[-1]  # outputs beyond those of the unknowns are required by contracts
     center, scale = np.zeros(width), np.ones(width)
@@ -242,7 +242,7 @@ def regress_slopes(parameters: Parameters, module: GeneratedModule, points: Poin
     shared, rest = theta[: parameters.n_shared].copy(), torch.from_numpy(theta[parameters.n_shared :])
     equations = list(points.equations)
     scale = torch.from_numpy(points.scale[equations])
-    moments = Moments.zero(len(shared))
+    moments = AdamMoments.zero(len(shared))
     of_a_point = len(_free_outputs(model, module, points.some(np.arange(1)), np.zeros(len(model.learnables))).neutral)
     size = min(BATCH, len(points), EVALUATIONS // max(of_a_point, 1) + 1)
     for i in range(REGRESSION_STEPS):

@@ -15,7 +15,7 @@ import numpy as np
 # is x + h*k; `unpack` splits the last axis (tuples are returned as they are), `pack(like, parts)` stacks parts along
 # a new one in the shape and type of `like`, `column` appends an axis, `columns` to each of several; `fill(like, x)` is
 # a number for each point of a batch. On vectors along the last axis, `part` takes components, `entry` one, `total`
-# their sum; `join` concatenates vectors, `spread` repeats a scalar, `indices` is a range of integers.
+# their sum; `join` concatenates vectors, `repeat` repeats a scalar, `indices` is a range of integers.
 
 
 @functools.cache
@@ -60,7 +60,7 @@ def _torch_arithmetic() -> Any:
         shape = np.broadcast_shapes(like.shape[:-1], *(part.shape[:-1] for part in whole))
         return torch.cat([part.expand(*shape, part.shape[-1]) for part in whole], -1)
 
-    def spread(like: Any, x: Any, count: int) -> Any:
+    def repeat(like: Any, x: Any, count: int) -> Any:
         x = column(x) if isinstance(x, Tensor) else like.new_tensor(x)
         return x.expand(*np.broadcast_shapes(like.shape[:-1], x.shape[:-1]), count)
 
@@ -87,7 +87,7 @@ def _torch_arithmetic() -> Any:
         entry=lambda x, place: x[..., place],
         total=lambda x: x.sum(-1),
         join=join,
-        spread=spread,
+        repeat=repeat,
         indices=lambda like, *ends: torch.arange(*ends, dtype=like.dtype, device=like.device).expand(
             *like.shape[:-1], ends[1] - ends[0]
         ),
@@ -124,7 +124,7 @@ def _casadi_arithmetic() -> Any:
         entry=lambda x, place: x[place],
         total=ca.sum1,
         join=lambda like, *parts: ca.vertcat(*parts),
-        spread=lambda like, x, count: ca.repmat(type(like)(x), count, 1),
+        repeat=lambda like, x, count: ca.repmat(type(like)(x), count, 1),
         indices=lambda like, *ends: type(like)(ca.DM(range(*ends))),
         pi=np.pi,
         inf=np.inf,
@@ -139,7 +139,7 @@ def _numpy_arithmetic() -> Any:
         shape = np.broadcast_shapes(np.shape(like)[:-1], *(part.shape[:-1] for part in whole))
         return np.concatenate([np.broadcast_to(part, (*shape, part.shape[-1])) for part in whole], -1)
 
-    def spread(like: Any, x: Any, count: int) -> Any:
+    def repeat(like: Any, x: Any, count: int) -> Any:
         return np.broadcast_to(np.expand_dims(x, -1), (*np.broadcast_shapes(np.shape(like)[:-1], np.shape(x)), count))
 
     names = "exp log sin cos tan tanh sinh cosh sqrt abs sign minimum maximum logical_and logical_or logical_not where"
@@ -163,7 +163,7 @@ def _numpy_arithmetic() -> Any:
         entry=lambda x, place: x[..., place],
         total=lambda x: np.sum(x, -1),
         join=join,
-        spread=spread,
+        repeat=repeat,
         indices=lambda like, *ends: np.broadcast_to(
             np.arange(*ends, dtype=np.float64), (*np.shape(like)[:-1], ends[1] - ends[0])
         ),

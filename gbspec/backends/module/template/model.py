@@ -78,7 +78,7 @@ class Template:  # {{class}}
 
         @classmethod
         def initial(cls, math: Any, state: Any, condition: Any, constants: Any) -> Any:
-            """The start `state` with every start put in that the model expresses."""
+            """The initial state: `state`, with the initial values that the model gives inserted."""
             return state
 
         @classmethod
@@ -88,7 +88,7 @@ class Template:  # {{class}}
 
         @staticmethod
         def grid(math: Any, t: Any, h: Any) -> Any:
-            """A step of size h from t: the times at which it needs inputs, parts of its size."""
+            """The times at which a step of size h from t needs inputs, and the fractions of h that it uses."""
             return (), ()
 
         @staticmethod

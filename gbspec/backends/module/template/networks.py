@@ -76,9 +76,9 @@ def _layers(network: dict[str, Any], weights: Any, m: Any, like: Any) -> tuple[l
 class _Raw:
     """A network with unscaled outputs; a contract's form applies their centers and scales (lists of numbers)."""
 
-    def __init__(self, call: Any, center: Any, scale: Any, spread: Any) -> None:
+    def __init__(self, call: Any, center: Any, scale: Any, input_scale: Any) -> None:
         self.call = call
-        self.center, self.scale, self.spread = center.tolist(), scale.tolist(), spread.tolist()
+        self.center, self.scale, self.input_scale = center.tolist(), scale.tolist(), input_scale.tolist()
 
     def __call__(self, *arguments: Any) -> Any:
         return self.call(*arguments)
@@ -213,16 +213,16 @@ def _casadi_network(network: dict[str, Any], weights: Any) -> Any:
         lambda parts: ca.vertcat(*parts),
     )
 
-    def beside(column: Any, count: int) -> Any:
+    def repeated(column: Any, count: int) -> Any:
         return ca.repmat(ca.DM(column), 1, count)
 
     def call(*arguments: Any) -> Any:
         count = max(getattr(argument, "shape", (1,))[0] for argument in arguments)  # of points, one per column
         rows = [ca.repmat(a, 1, count) if getattr(a, "shape", (1,))[0] == 1 else a.T for a in arguments]
-        a = (ca.vertcat(*rows) - beside(center, count)) / beside(scale, count)
+        a = (ca.vertcat(*rows) - repeated(center, count)) / repeated(scale, count)
         for i, (weight, bias) in enumerate(layers):
-            a = ca.mtimes(ca.DM(weight), activations[i - 1](a) if i else a) + beside(bias, count)
-        out = a if network["raw"] else beside(output_center, count) + beside(output_scale, count) * a
+            a = ca.mtimes(ca.DM(weight), activations[i - 1](a) if i else a) + repeated(bias, count)
+        out = a if network["raw"] else repeated(output_center, count) + repeated(output_scale, count) * a
         return tuple(row.T for row in ca.vertsplit(out))
 
     return _Raw(call, output_center, output_scale, scale) if network["raw"] else call

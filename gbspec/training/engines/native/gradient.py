@@ -17,7 +17,7 @@ from torch import Tensor
 from gbspec.training.engines.native.kernel import Swept
 
 Context: TypeAlias = Any
-"""What torch hands to both methods: its class does not declare `saved_tensors`."""
+"""The context that torch passes to both methods; its class does not declare `saved_tensors`."""
 
 
 class HalfSquares(torch.autograd.Function):

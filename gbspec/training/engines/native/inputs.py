@@ -55,7 +55,7 @@ def _layer_weights(networks: list[NetworkLayers], like: Tensor) -> Tensor:
 
 
 def _numbers(networks: list[NetworkLayers]) -> Array:
-    """Centres and scales of outputs and scales of arguments, network by network."""
-    names = {"center": "output_center", "scale": "output_scale", "spread": "input_scale"}
+    """Centers and scales of outputs and scales of arguments, network by network."""
+    names = {"center": "output_center", "scale": "output_scale", "input_scale": "input_scale"}
     parts = [getattr(network, names[word]).detach().numpy() for network in networks for word in NUMBER_WORDS]
     return np.concatenate([*(part.ravel() for part in parts), np.zeros(0)])

@@ -162,7 +162,7 @@ class _Probe:
 
     def __init__(self, network: Network, calls: _Calls) -> None:
         if hasattr(network, "scale"):
-            self.center, self.scale, self.spread = network.center, network.scale, network.spread
+            self.center, self.scale, self.input_scale = network.center, network.scale, network.input_scale
         self._calls = calls
         self._network = network.call if hasattr(network, "call") else network
         if not hasattr(self._network, "through") or len(self._network.layers) < 2:

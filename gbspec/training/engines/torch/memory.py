@@ -1,8 +1,8 @@
-"""The memory of the torch graph for its backward pass, and the parts into which a graph that needs too much is cut.
+"""The memory of the torch graph for its backward pass, and checkpoint intervals for a graph that needs too much.
 
-Of a graph in parts only the states at the parts' starts are kept; the backward pass recomputes each part from them.
-This costs another forward pass and does not change the gradient. The parts are as long as `GRAPH_BYTES` allows, so
-that, apart from the states, the peak does not grow with the length of a trajectory.
+Only the states at the starts of the intervals are kept; the backward pass recomputes each interval from them. This
+costs another forward pass and does not change the gradient. The intervals are as long as `GRAPH_BYTES` allows, so that,
+apart from the states, the peak does not grow with the length of a trajectory.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 GRAPH_BYTES = 512 * 1024**2
-"""A graph that needs more than this is cut into parts of at most this size."""
+"""A graph that needs more than this is cut into checkpoint intervals of at most this size."""
 FEW = 5000
 """A graph with at most this many sub-steps, counted over all rows, is assumed to be small."""
 
@@ -38,11 +38,11 @@ def _kept(function: Callable[[], Tensor]) -> int:
     return sum(sizes.values())
 
 
-def parts(live: Sequence[int], row_bytes: Callable[[], int]) -> list[tuple[int, int]]:
-    """First and last (excluded) sub-steps of the parts of a graph with `live` rows in each sub-step.
+def checkpoint_intervals(live: Sequence[int], row_bytes: Callable[[], int]) -> list[tuple[int, int]]:
+    """First and last (excluded) sub-steps of the intervals of a graph with `live` rows in each sub-step.
 
     `row_bytes` returns the memory of one sub-step of one row; it is called only if the graph may be too large. If there
-    is one part, the whole graph is kept.
+    is one interval, the whole graph is kept.
     """
     steps = len(live)
     if sum(live) <= FEW:

@@ -48,10 +48,10 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
 def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
     """States of the live segments at their starts and at the end of each sub-step, from `x` [P, n_states]."""
     passed, steps = [x], schedule.steps
-    # Computed in advance, so that a part that is recomputed uses the same values as the first time.
+    # Computed in advance, so that an interval that is recomputed uses the same values as the first time.
     flows = {live: motion.of(slice(live)) for live in {len(step.t) for step in steps}}
 
-    def part(x: Tensor, begin: int, end: int) -> tuple[Tensor, ...]:
+    def interval(x: Tensor, begin: int, end: int) -> tuple[Tensor, ...]:
         out = []
         for reset, step in zip(schedule.resets[begin:end], steps[begin:end], strict=True):
             if reset is not None:
@@ -70,12 +70,12 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
 
     every = [(0, len(steps))]
     if torch.is_grad_enabled():
-        every = memory.parts([len(step.t) for step in steps], lambda: memory.kept_bytes(single))
+        every = memory.checkpoint_intervals([len(step.t) for step in steps], lambda: memory.kept_bytes(single))
     for begin, end in every:
         if len(every) == 1:
-            passed += part(passed[-1], begin, end)
+            passed += interval(passed[-1], begin, end)
         else:
-            passed += checkpoint(part, passed[-1], begin, end, use_reentrant=False, preserve_rng_state=False)
+            passed += checkpoint(interval, passed[-1], begin, end, use_reentrant=False, preserve_rng_state=False)
     return passed
 
 

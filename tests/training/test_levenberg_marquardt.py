@@ -1,4 +1,4 @@
-"""A damped step, followed along the curved valley by corrections with the equations at hand."""
+"""A damped step of Levenberg-Marquardt, corrected along a curved valley without another factorisation."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def fit_at(stage: LevenbergMarquardt, theta: Array) -> _Fit:
     return _Fit(engine, system, theta, stage.threshold(system.residuals.numpy()), 0.0)
 
 
-def test_corrections_bring_a_long_step_to_where_the_linear_model_foretold(
+def test_corrections_bring_a_long_step_to_where_the_linear_model_predicted(
     stage: tuple[LevenbergMarquardt, Array],
 ) -> None:
     fit = fit_at(*stage)

@@ -11,7 +11,7 @@ import sympy
 
 from gbspec.diagnostics import Defect, Findings
 from gbspec.ir.dumping import dump
-from gbspec.ir.forms import center, raw, scale, spread
+from gbspec.ir.forms import center, input_scale, raw, scale
 from gbspec.ir.model import Activation, Channel, Constant, Learnable, Model, Range, symbol, unknown_function
 from gbspec.ir.verification import verify
 from gbspec.passes.contracts import with_contracts
@@ -29,7 +29,7 @@ x, k = symbol("x"), symbol("k")
 
 BREAKAGES: dict[str, Callable[[Model], Model]] = {
     "a balance too few": lambda m: dataclasses.replace(m, balances=m.balances[:1]),
-    "a stranger in a balance": lambda m: dataclasses.replace(m, balances=(symbol("q"), m.balances[1])),
+    "an unknown name in a balance": lambda m: dataclasses.replace(m, balances=(symbol("q"), m.balances[1])),
     "an application of nothing": lambda m: dataclasses.replace(m, balances=(unknown_function("h")(x), x)),
     "an application with one argument": lambda m: dataclasses.replace(m, balances=(unknown_function("f")(x), x)),
     "infinity": lambda m: dataclasses.replace(m, balances=(sympy.zoo, x)),
@@ -41,7 +41,7 @@ BREAKAGES: dict[str, Callable[[Model], Model]] = {
     "a start outside": lambda m: dataclasses.replace(m, learnables=(Learnable("k", 5.0, Range(0, 1)),)),
     "a constant that is no number": lambda m: dataclasses.replace(m, constants=(Constant("a", float("nan")),)),
     "a network without its outputs": lambda m: dataclasses.replace(m, unknowns=m.unknowns[:1]),
-    "a truth with a stranger": lambda m: dataclasses.replace(
+    "a truth with an unknown name": lambda m: dataclasses.replace(
         m, truth_functions=(dataclasses.replace(m.truth_functions[0], value=symbol("y")),)
     ),
     "a range the wrong way": lambda m: dataclasses.replace(
@@ -72,7 +72,7 @@ def relaid(**changes: object) -> Model:
 
 def test_a_form_that_a_pass_made_is_verified() -> None:
     verify(FORMED)
-    for wrong in (raw(7, 0), raw(0, 5), scale(9), center(9), spread(2), symbol("Da"), sympy.Symbol("raw 0")):
+    for wrong in (raw(7, 0), raw(0, 5), scale(9), center(9), input_scale(2), symbol("Da"), sympy.Symbol("raw 0")):
         with pytest.raises(Defect, match="the form of `f` uses"):
             verify(reformed(value=wrong))
     with pytest.raises(Defect, match="the evaluations of the form of `f`"):

@@ -1,4 +1,4 @@
-"""Runs of other editions: one of the first, with the module interface 1, still serves; one of a newer says so."""
+"""Runs of other versions: one of 0.1.0, with the module interface 1, still works; one of a newer is refused."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import gbspec
 from gbspec.backends.module import INTERFACE
 from gbspec.diagnostics import UserError
 from gbspec.runs import open_run
-from tests.runs.test_record import EDITION_1
+from tests.runs.test_record import VERSION_0_1_0
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of a run directory that gbspec 0.1.0 wrote, beside its data."""
-    shutil.copy(EDITION_1 / "data.csv", tmp_path / "data.csv")
-    shutil.copytree(EDITION_1 / "run", tmp_path / "run")
+    shutil.copy(VERSION_0_1_0 / "data.csv", tmp_path / "data.csv")
+    shutil.copytree(VERSION_0_1_0 / "run", tmp_path / "run")
     monkeypatch.chdir(tmp_path)
     return tmp_path / "run"
 
 
-def test_a_run_of_the_first_edition_is_validated_predicted_drawn_and_reported(run: Path) -> None:
+def test_a_run_of_version_0_1_0_is_validated_predicted_drawn_and_reported(run: Path) -> None:
     fitted = gbspec.open_run(run)
     written = fitted.run.fit.members[0]
     found = fitted.validate("data.csv")
@@ -38,7 +38,7 @@ def test_a_run_of_the_first_edition_is_validated_predicted_drawn_and_reported(ru
     assert Path("f.png").stat().st_size > 0 and "learn k" in Path("r.html").read_text()
 
 
-def test_a_run_of_the_first_edition_is_resumed_with_another_member(run: Path) -> None:
+def test_a_run_of_version_0_1_0_is_resumed_with_another_member(run: Path) -> None:
     before = open_run(run).member(0).weights
     options = {"effort": "low", "threads": 1, "workers": 1}
     resumed = gbspec.load(run / "model.gb").train("data.csv", run, members=2, resume=True, **options)  # type: ignore[arg-type]
