@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, assert_never
 
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import Sheet
@@ -101,8 +101,10 @@ def describe(quantity: Quantity) -> str:
             return f"the standard deviation of `{quantity.name}`"
         case "dose":
             return f"the doses to `{quantity.name}`"
-        case _:
+        case "condition" | "input":
             return f"the {quantity.role} `{quantity.name}`"
+        case role:
+            assert_never(role)
 
 
 def _notes(quantity: Quantity) -> tuple[str, ...]:

@@ -1,3 +1,4 @@
+from . import model as model
 from .affinity import is_affine as is_affine
 from .arrays import Element as Element
 from .arrays import Family as Family

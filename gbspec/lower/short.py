@@ -9,7 +9,7 @@ import sympy
 
 from gbspec.ir import Element, Expr, Family, StateArray, Total, Vector, symbol
 from gbspec.lower.expressions import is_finite
-from gbspec.semantics import Checked, arrays, walk
+from gbspec.semantics import Checked, running_index, walk
 from gbspec.syntax import ast, target_name
 
 Build = Callable[[ast.Expression, Mapping[str, Expr]], Expr]
@@ -97,7 +97,7 @@ class ShortForms:
     ) -> Iterator[Family]:
         """The families of a statement about a name, an element, or all elements of an array."""
         array = self._checked.arrays.get(target_name(target).text)
-        loop = arrays.running_index(target, self._checked.constants)
+        loop = running_index(target, self._checked.constants)
         if array is None or (loop is None and isinstance(target, ast.Index)):
             name = self.name_of(target, self._build(target.index, {})) if isinstance(target, ast.Index) else target.text
             if vector != "starts":

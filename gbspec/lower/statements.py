@@ -19,7 +19,7 @@ from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
-from gbspec.semantics import Checked, Term, default_start, truth_parameters, unknowns
+from gbspec.semantics import Checked, Term, default_start, network_activation, network_widths, truth_parameters
 from gbspec.syntax import Kind, ast, target_name
 
 
@@ -356,8 +356,8 @@ class _Lowering:
             network = ir.Network(
                 tuple(n.text for n in s.names),
                 arguments,
-                unknowns.widths(s.network, self._checked.numbers),
-                cast(ir.Activation, unknowns.activation(s.network)),
+                network_widths(s.network, self._checked.numbers),
+                cast(ir.Activation, network_activation(s.network)),
             )
             units = s.units if len(s.units) == len(s.names) else s.units * len(s.names)
             for output, name in enumerate(s.names):

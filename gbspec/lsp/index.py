@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, assert_never
 
 from gbspec.diagnostics import Span
 from gbspec.syntax import FUNCTIONS, ast, children, walk
@@ -104,7 +104,7 @@ def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]
     """The unknowns that occur somewhere in an expression without parentheses."""
     found: set[str] = set()
     for statement in (s for file in files for s in file.statements):
-        if isinstance(statement, ast.AllowStatement | ast.WithoutStatement):
+        if isinstance(statement, ast.Remark):
             continue
         skipped = {id(name) for name in statement.declares()}
         if isinstance(statement, ast.TruthStatement):
@@ -128,15 +128,20 @@ def _lent(files: Sequence[ast.File]) -> dict[str, frozenset[str]]:
     unknowns: dict[str, ast.UnknownStatement] = {}
     for statement in (s for file in files for s in file.statements):
         match statement:
-            case ast.StateStatement(declarator=ast.Declarator(name=name, first=None), range=range):
-                ranged.setdefault(name.text, range is not None)
+            case ast.StateStatement(declarator=ast.Declarator(name=name, first=first), range=range):
+                if first is None:
+                    ranged.setdefault(name.text, range is not None)
             case ast.ConditionStatement(name=name, range=range) | ast.InputStatement(name=name, range=range):
                 ranged.setdefault(name.text, range is not None)
             case ast.UnknownStatement(names=outputs):
                 for name in outputs:
                     unknowns.setdefault(name.text, statement)
-            case _:
+            case ast.Remark() | ast.Formula() | ast.About() | ast.TimeStatement() | ast.ConstStatement():
                 pass
+            case ast.LearnStatement():
+                pass  # its range bounds an estimate, and is not the domain of an argument
+            case _:
+                assert_never(statement)
     return {
         output: frozenset(
             a.name.text for a in s.arguments if s.contracts and a.range is None and ranged.get(a.name.text, False)
@@ -154,21 +159,20 @@ class _Statement:
 
     def all(self) -> list[Occurrence]:
         """Every name of the statement."""
-        match self.statement:
-            case ast.ModelStatement(name=name):
-                self._add(Symbol("model", name.text), name.span, declares=True)
-            case ast.UnitStatement(name=name):
-                self._add(Symbol("unit", name.text), name.span, declares=True)
-            case ast.AllowStatement(code=code, name=subject):
-                self._add(Symbol("code", code.text.upper()), code.span)
-                if subject is not None:
-                    self._name(subject, {})
-            case ast.WithoutStatement(kind=kind, name=name):
-                is_unit = kind is not None and kind.text == "unit"
-                self._add(Symbol("unit" if is_unit else "name", name.text), name.span)
-            case _:
-                self._parts()
+        if isinstance(self.statement, ast.Remark):
+            for mention in self.statement.mentions():
+                self._mentioned(mention)
+        else:
+            self._parts()
         return self.found
+
+    def _mentioned(self, mention: ast.Mention) -> None:
+        name, space = mention.name, mention.space
+        if space == "name":
+            self._name(name, {})
+        else:
+            text = name.text.upper() if space == "code" else name.text
+            self._add(Symbol(space, text), name.span, declares=mention.declares)
 
     def _parts(self) -> None:
         """The declared names, the statement's own names, and its expressions."""
@@ -183,22 +187,20 @@ class _Statement:
     def _scope(self) -> tuple[dict[str, Symbol], set[int]]:
         """The names local to the statement, and the nodes that declare them."""
         match self.statement:
-            case ast.FunctionStatement(parameters=parameters):
-                return self._own(parameters), {id(p) for p in parameters}
             case ast.UnknownStatement(names=outputs, arguments=arguments):
                 return self._arguments(home(self.statement), [a.name.text for a in arguments], outputs), set()
-            case ast.TruthStatement(parameters=parameters) if parameters is not None:
-                return self._own(parameters), {id(p) for p in parameters}
-            case ast.TruthStatement(target=name) if name.text in self.names.arguments:
+            case ast.TruthStatement(target=name, parameters=None) if name.text in self.names.arguments:
                 return self._arguments(*self.names.arguments[name.text], (name,)), set()
-            case (
-                ast.BalanceStatement(target=ast.Index(index=index))
-                | ast.InitialStatement(target=ast.Index(index=index))
-            ):
-                counters = [n for n in walk(index) if isinstance(n, ast.Name) and n.text not in self.names.declared]
-                return self._own(counters), {id(counter) for counter in counters}
-            case _:
-                return {}, set()
+            case statement:
+                own = (*statement.formals(), *self._counters(statement))
+                return self._own(own), {id(name) for name in own}
+
+    def _counters(self, statement: ast.Statement) -> tuple[ast.Name, ...]:
+        """The running indices of a statement about every element of an array: `i` of `c[i]`."""
+        if not isinstance(statement, ast.About) or not isinstance(statement.target, ast.Index):
+            return ()
+        index = walk(statement.target.index)
+        return tuple(n for n in index if isinstance(n, ast.Name) and n.text not in self.names.declared)
 
     def _own(self, parameters: Sequence[ast.Name]) -> dict[str, Symbol]:
         return {p.text: Symbol("argument", p.text, home(self.statement)) for p in parameters}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.diagnostics import Span
-from gbspec.syntax import ast, target_text
+from gbspec.syntax import ast
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,4 @@ def outline(file: ast.File) -> tuple[Group, ...]:
 def _entries(statement: ast.Statement) -> list[Entry]:
     text = getattr(statement, "description", None) or getattr(statement, "title", None)
     detail = text.value if isinstance(text, ast.Text) else statement.entry.role.split(",")[0]
-    match statement:
-        case ast.BalanceStatement(target=target):
-            named: tuple[tuple[str, Span], ...] = ((f"{target_text(target)}'", target.span),)
-        case ast.About(target=target) | ast.ClosureStatement(target=target):
-            named = ((target_text(target), target.span),)
-        case ast.Remark():
-            name = getattr(statement, "name", None)
-            named = ((name.text, name.span),) if isinstance(name, ast.Name) else ()
-        case _:
-            named = tuple((name.text, name.span) for name in statement.declares())
-    return [Entry(name, detail, statement.span, span) for name, span in named]
+    return [Entry(name, detail, statement.span, span) for name, span in statement.outlined()]

@@ -1,3 +1,4 @@
+from . import files as files
 from .record import DAMAGED as DAMAGED
 from .record import ConstantRecord as ConstantRecord
 from .record import DataRecord as DataRecord

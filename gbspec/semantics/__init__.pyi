@@ -1,3 +1,4 @@
+from .arrays import running_index as running_index
 from .checked import Checked as Checked
 from .checking import check as check
 from .contracts import outputs_of as outputs_of
@@ -9,5 +10,7 @@ from .expressions import walk as walk
 from .numbers import default_start as default_start
 from .processes import Term as Term
 from .sites import truth_parameters as truth_parameters
+from .unknowns import network_activation as network_activation
+from .unknowns import network_widths as network_widths
 from .vocabulary import ACTIVATIONS as ACTIVATIONS
 from .vocabulary import suggestion as suggestion

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
-from typing import cast
+from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
@@ -70,15 +70,8 @@ def _mentions_index(statement: ast.Statement) -> bool:
     return any(
         isinstance(part, ast.Index | ast.ClosureStatement) or _is_sum(part)
         for root in (statement, *children(statement))
-        for part in (_inside(root) if isinstance(root, _EXPRESSIONS) else (root,))
+        for part in (walk(root) if isinstance(root, ast.Expression) else (root,))
     )
-
-
-_EXPRESSIONS = (ast.Number, ast.Name, ast.Call, ast.Index, ast.Unary, ast.Binary, ast.Conditional, ast.Group)
-
-
-def _inside(root: ast.Node) -> Iterator[ast.Node]:
-    return iter(walk(cast(ast.Expression, root)))
 
 
 def _is_sum(node: ast.Node) -> bool:
@@ -220,10 +213,19 @@ class _Expansion:
                     self._item(one, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
                     for n in names
                 ]
-            case ast.About(target=target) if not isinstance(statement, ast.TruthStatement):
+            case (
+                ast.BalanceStatement(target=target)
+                | ast.InitialStatement(target=target)
+                | ast.ObserveStatement(target=target)
+                | ast.DoseStatement(target=target)
+            ):
                 return self._about(item, target)
-            case _:
+            case ast.Remark() | ast.Formula() | ast.UnknownStatement() | ast.LearnStatement() | ast.ConstStatement():
                 return [self._rewritten(item, {})]
+            case ast.StateStatement() | ast.ConditionStatement() | ast.InputStatement() | ast.TimeStatement():
+                return [self._rewritten(item, {})]
+            case _:
+                assert_never(statement)
 
     @staticmethod
     def _at(name: ast.Name, text: str) -> ast.Name:
@@ -314,8 +316,12 @@ class _Expansion:
                     return self._index(node, values, formals, within)
                 case ast.Call(function=ast.Name(text="sum")):
                     return self._sum(node)
-                case _:
+                case ast.Name() | ast.Call() | ast.Number() | ast.Unary() | ast.Binary():
                     return node
+                case ast.Comparison() | ast.Logic() | ast.Conditional() | ast.Group():
+                    return node
+                case _:
+                    assert_never(node)
 
         return rebuilt(root, put, _is_place)
 

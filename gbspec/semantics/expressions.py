@@ -32,6 +32,13 @@ def chain(node: ast.Binary) -> list[tuple[bool, ast.Expression]]:
 
 def operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
     """The operands of an expression, chains of `+ -` and of `* /` flattened; empty for numbers and names."""
+    if isinstance(node, ast.Binary) and node.operator != "^":
+        return tuple(part for _, part in chain(node))
+    return written_operands(node)
+
+
+def written_operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
+    """The operands of an expression in the tree as it was read, with two for each `+ - * /`."""
     match node:
         case ast.Number() | ast.Name():
             return ()
@@ -41,11 +48,11 @@ def operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
             return (index,)
         case ast.Unary(operand=operand):
             return (operand,)
-        case ast.Binary(operator="^", left=left, right=right):
-            return left, right
-        case ast.Binary():
-            return tuple(part for _, part in chain(node))
-        case ast.Comparison(left=left, right=right) | ast.Logic(left=left, right=right):
+        case (
+            ast.Binary(left=left, right=right)
+            | ast.Comparison(left=left, right=right)
+            | ast.Logic(left=left, right=right)
+        ):
             return left, right
         case ast.Conditional(condition=condition, then=then, otherwise=otherwise):
             return condition, then, otherwise

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import cast
+from typing import assert_never, cast
 
+from gbspec.semantics.expressions import written_operands
 from gbspec.syntax import Place, ast
 
 
@@ -22,14 +23,14 @@ def rebuilt(
         if count < 0 and wanted(node):
             results.append(put(node))
         elif count < 0:
-            below = _operands(node)
+            below = written_operands(node)
             stack.append((node, len(below)))
             stack.extend((part, -1) for part in reversed(below))
         else:
             split = len(results) - count
             parts = results[split:]
             del results[split:]
-            same = all(new is old for new, old in zip(parts, _operands(node), strict=True))
+            same = all(new is old for new, old in zip(parts, written_operands(node), strict=True))
             results.append(node if same else _with_operands(node, parts))
     return results[0]
 
@@ -53,30 +54,14 @@ def with_expressions(statement: ast.Statement, change: Callable[[Place], ast.Exp
     return cast(ast.Statement, put(statement))
 
 
-def _operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
-    match node:
-        case ast.Call(arguments=arguments):
-            return arguments
-        case ast.Unary(operand=operand):
-            return (operand,)
-        case (
-            ast.Binary(left=left, right=right)
-            | ast.Comparison(left=left, right=right)
-            | ast.Logic(left=left, right=right)
-        ):
-            return left, right
-        case ast.Conditional(condition=condition, then=then, otherwise=otherwise):
-            return condition, then, otherwise
-        case ast.Group(inner=inner):
-            return (inner,)
-        case _:
-            return ()
-
-
 def _with_operands(node: ast.Expression, parts: list[ast.Expression]) -> ast.Expression:
     match node:
+        case ast.Number() | ast.Name():
+            return node
         case ast.Call():
             return dataclasses.replace(node, arguments=tuple(parts))
+        case ast.Index():
+            return dataclasses.replace(node, index=parts[0])
         case ast.Unary():
             return dataclasses.replace(node, operand=parts[0])
         case ast.Binary() | ast.Comparison() | ast.Logic():
@@ -86,4 +71,4 @@ def _with_operands(node: ast.Expression, parts: list[ast.Expression]) -> ast.Exp
         case ast.Group():
             return dataclasses.replace(node, inner=parts[0])
         case _:
-            return node
+            assert_never(node)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from gbspec.diagnostics import Span
 from gbspec.semantics.merge import Item
 from gbspec.semantics.table import Table
-from gbspec.syntax import Kind, Place, ast, rules
+from gbspec.syntax import TRUTH_NUMBER, Kind, Place, ast
 
 
 @dataclass
@@ -59,7 +59,7 @@ def _sites(items: Iterable[Item], table: Table) -> Iterator[Site]:
                 site.formals = frozenset(truth_parameters(item.statement, table))
                 declaration = table.get(item.statement.target.text)
                 if declaration is not None and declaration.kind is Kind.LEARN:
-                    site.rule = rules.TRUTH_NUMBER
+                    site.rule = TRUTH_NUMBER
             yield site
 
 

@@ -127,14 +127,14 @@ def _option(option: ast.Option, seen: set[str], findings: Findings) -> None:
     seen.add(name)
 
 
-def widths(network: ast.NetworkSpec | None, numbers: Numbers) -> tuple[int, ...]:
+def network_widths(network: ast.NetworkSpec | None, numbers: Numbers) -> tuple[int, ...]:
     """Widths of the hidden layers of a checked network."""
     if network is None or not network.widths:
         return DEFAULT_WIDTHS
     return tuple(int(numbers.value(width) or 0) for width in network.widths)
 
 
-def activation(network: ast.NetworkSpec | None) -> str:
+def network_activation(network: ast.NetworkSpec | None) -> str:
     """The activation of a checked network."""
     for option in network.options if network is not None else ():
         value = ungrouped(option.value)

@@ -1,3 +1,4 @@
+from . import ast as ast
 from .ast import File as File
 from .ast import ModelStatement as ModelStatement
 from .dumping import dump as dump
@@ -21,6 +22,7 @@ from .reading import decode as decode
 from .reading import read_source as read_source
 from .rules import ANY as ANY
 from .rules import CONST_VALUE as CONST_VALUE
+from .rules import TRUTH_NUMBER as TRUTH_NUMBER
 from .settings import with_settings as with_settings
 from .statements.base import Key as Key
 from .statements.base import Place as Place

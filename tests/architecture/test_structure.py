@@ -47,7 +47,7 @@ def trees() -> dict[str, tuple[Path, ast.Module]]:
 
 @cache
 def door(package: str) -> dict[str, str]:
-    """What a package offers at its door: the module of each name; empty where it has none."""
+    """What a package offers at its door: the module of each name, or the module so named; empty where it has none."""
     path = trees()[package][0].with_suffix(".pyi")
     if path.name != "__init__.pyi" or not path.is_file():
         return {}
@@ -55,7 +55,7 @@ def door(package: str) -> dict[str, str]:
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         assert isinstance(node, ast.ImportFrom) and node.level == 1, f"{path} holds more than imports"
         for alias in node.names:
-            found[alias.name] = f"{package}.{node.module}"
+            found[alias.name] = f"{package}.{node.module or alias.name}"
     return found
 
 
@@ -173,19 +173,39 @@ def _private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__")
 
 
+def entered(path: Path, module: str) -> Iterator[str]:
+    """The modules that a module enters from outside of the packages that it stands in, past what these offer."""
+    known = trees()
+    own = (module if path.name == "__init__.py" else module.rpartition(".")[0]).split(".")
+
+    def deep(name: str) -> bool:
+        parts = name.split(".")
+        return len(parts) > len([*takewhile(lambda pair: pair[0] == pair[1], zip(own, parts, strict=False))]) + 1
+
+    for node in ast.walk(known[module][1]):
+        if isinstance(node, ast.ImportFrom) and node.module in known:
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                if deep(node.module):
+                    yield node.module
+                elif whole in known and deep(whole) and door(node.module).get(alias.name) != whole:
+                    yield whole
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known and deep(alias.name))
+
+
 def test_packages_are_entered_by_their_doors() -> None:
-    """An import reaches no deeper than into a package beside one of those that the importing module stands in."""
-    known, found = trees(), set()
-    for module, (path, tree) in known.items():
-        own = (module if path.name == "__init__.py" else module.rpartition(".")[0]).split(".")
-        for node in ast.walk(tree):
-            if not isinstance(node, ast.ImportFrom) or node.module not in known:
-                continue
-            parts = node.module.split(".")
-            shared = len([*takewhile(lambda pair: pair[0] == pair[1], zip(own, parts, strict=False))])
-            # the template is text of a generated module, and reads as one
-            if len(parts) > shared + 1 and ".template" not in f"{module} {node.module}":
-                found.add(f"{module} imports from {node.module}")
+    """An import reaches no deeper than into a package beside one of those that the importing module stands in.
+
+    A module inside of such a package is taken whole, and only if the package offers it.
+    """
+    found = {
+        f"{module} imports from {target}"
+        for module, (path, _) in trees().items()
+        for target in entered(path, module)
+        # the template is text of a generated module, and reads as one
+        if ".template" not in f"{module} {target}"
+    }
     compare("imports from inside of other packages", found, set())
 
 
@@ -193,5 +213,9 @@ def test_doors_offer_what_there_is() -> None:
     for package in trees():
         for name, module in door(package).items():
             assert module in trees(), f"{package} offers {name} from {module}, which does not exist"
-            assert f"{package}.{name}" not in trees(), f"{package} offers {name} and has a module of that name"
-            assert getattr(import_module(package), name) is getattr(import_module(module), name)
+            whole, offered = import_module(module), getattr(import_module(package), name)
+            if module == f"{package}.{name}":
+                assert offered is whole
+            else:
+                assert f"{package}.{name}" not in trees(), f"{package} offers {name} and has a module of that name"
+                assert offered is getattr(whole, name)

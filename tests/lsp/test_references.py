@@ -57,6 +57,17 @@ def renamed(workspace: Workspace, path: Path, what: str, name: str, nth: int = 0
     return replaced(rename(workspace, path, offset, name).places[key(path)], name)
 
 
+def test_a_running_index_is_local_to_its_statement(tmp_path: Path) -> None:
+    text = (
+        "model m\nconst N = 3\nstate c[1..N]\nc[i]' = -i*c[i]\ninitial c[i] = i/N\n"
+        "observe c[i]\ndose c[i] times i/N lag i\n"
+    )
+    workspace, path = model(tmp_path, text)
+    assert renamed(workspace, path, "i]' ", "j") == text.replace("c[i]' = -i*c[i]", "c[j]' = -j*c[j]")
+    assert renamed(workspace, path, "i]\ndose", "j") == text.replace("observe c[i]", "observe c[j]")
+    assert renamed(workspace, path, "i] times", "j") == text.replace("c[i] times i/N lag i", "c[j] times j/N lag j")
+
+
 def test_a_state_is_renamed_everywhere_but_where_an_argument_shadows_it(tmp_path: Path) -> None:
     text = MODEL.replace("mu(u, x) >=", "mu(u, x in [0, 2]) >=")
     new = renamed(*model(tmp_path, text), "x in", "conv")

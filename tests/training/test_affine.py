@@ -16,10 +16,10 @@ from gbspec.diagnostics import Findings
 from gbspec.ir.affinity import is_affine
 from gbspec.ir.model import Model
 from gbspec.passes.contracts import with_contracts
+from gbspec.training.engines import torch_arithmetic
 from gbspec.training.engines.objective import objective
 from gbspec.training.engines.torch.affine import Form, NotAffineError, affine
 from gbspec.training.engines.torch.engine import TorchEngine
-from gbspec.training.problem.problem import torch_arithmetic
 from tests.training.conftest import URP, model_of, problem_of, urp_data
 from tests.training.reference import unroll
 

@@ -13,10 +13,11 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.engines.torch.segments import cut
-from gbspec.training.engines.torch.unroll import graph_residuals, observe_rows
+from gbspec.training.engines.torch.unroll import graph_residuals
 from gbspec.training.problem.forcing import Forcing
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
@@ -26,7 +27,7 @@ from tests.training.reference import schedule_of, unroll
 
 def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Tensor, Tensor]:
     """Residuals [R, C] and states after resets [R, n_states]: every trajectory by itself, whole, step by step."""
-    packed, module = problem.packed, problem.module
+    packed, module, ops = problem.packed, problem.module, torch_arithmetic(problem.module)
     networks = module.torch_networks(parameters.weights(theta))
     constants, starts = parameters.constants(theta), parameters.starts(theta)
     condition = torch.from_numpy(packed.condition)
@@ -34,14 +35,14 @@ def by_hand(problem: Problem, parameters: Parameters, theta: Tensor) -> tuple[Te
     after = list(before)
     for i in range(packed.trajectories):
         c, k = condition[i : i + 1], tuple(constants[i : i + 1].unbind(1))
-        x = module.equations.initial(problem.ops, starts[i : i + 1], c, k)
+        x = module.equations.initial(ops, starts[i : i + 1], c, k)
         done = 0
         for row in np.flatnonzero(packed.row_trajectory == i):
             for s in range(done, packed.row_step[row]):
                 t, h = (torch.from_numpy(table[s, i : i + 1]) for table in (packed.t, packed.h))
                 nodes = torch.from_numpy(packed.inputs[s, i : i + 1]).unbind(1)
-                field = module.equations.field(problem.ops, c, k, networks)
-                x = module.equations.step(problem.ops, field, module.equations.grid(problem.ops, t, h), x, nodes)
+                field = module.equations.field(ops, c, k, networks)
+                x = module.equations.step(ops, field, module.equations.grid(ops, t, h), x, nodes)
             done = int(packed.row_step[row])
             before[row] = x[0]
             value, weight = (torch.from_numpy(table[row]) for table in (problem.forcing.value, problem.forcing.weight))

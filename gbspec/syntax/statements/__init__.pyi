@@ -2,6 +2,7 @@ from .allow import AllowStatement as AllowStatement
 from .balance import BalanceStatement as BalanceStatement
 from .base import About as About
 from .base import Formula as Formula
+from .base import Mention as Mention
 from .base import Remark as Remark
 from .closure import ClosureStatement as ClosureStatement
 from .condition import ConditionStatement as ConditionStatement

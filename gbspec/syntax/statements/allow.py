@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
 from gbspec.syntax.nodes import Name
-from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.statements.base import Entry, Key, Mention, Remark
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
@@ -27,3 +28,9 @@ class AllowStatement(Remark):
     def replaces(self) -> tuple[Key, ...]:
         """Nothing: the remarks of both files are kept."""
         return ()
+
+    def mentions(self) -> Iterator[Mention]:
+        """The code, and the name that the warning is about."""
+        yield Mention(self.code, "code")
+        if self.name is not None:
+            yield Mention(self.name, "name")

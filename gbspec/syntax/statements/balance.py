@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
+from gbspec.diagnostics import Span
 from gbspec.syntax import rules
 from gbspec.syntax.nodes import Expression, Text
-from gbspec.syntax.statements.base import About, Entry, Formula, Place
+from gbspec.syntax.statements.base import About, Entry, Formula, Place, target_text
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
@@ -36,3 +37,7 @@ class BalanceStatement(About, Formula):
     def places(self) -> Iterator[Place]:
         """The right side."""
         yield Place(self.value, rules.ANY)
+
+    def outlined(self) -> tuple[tuple[str, Span], ...]:
+        """The target as it is written."""
+        return ((f"{target_text(self.target)}'", self.target.span),)

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Self
 
+from gbspec.diagnostics import Span
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Distribution, Expression, Index, Interval, Name, Node
 from gbspec.syntax.rules import CONSTANT, Rule
@@ -62,6 +63,15 @@ class Place:
     """Whether an occurrence of a name here counts as a use (not in a truth: it uses no learnable)."""
 
 
+@dataclass(frozen=True)
+class Mention:
+    """A name in a remark: of a model, a unit, a code, or a name of the model; and whether the remark declares it."""
+
+    name: Name
+    space: Literal["model", "unit", "code", "name"]
+    declares: bool = False
+
+
 class StatementNode(Node, ABC):
     """A statement: its entry, how it is built, what it declares and replaces, and its expressions."""
 
@@ -83,6 +93,14 @@ class StatementNode(Node, ABC):
     @abstractmethod
     def places(self) -> Iterator[Place]:
         """All its expressions; the index of a target is not among them."""
+
+    def formals(self) -> tuple[Name, ...]:
+        """The parameters in parentheses behind its name, which are local to it."""
+        return ()
+
+    def outlined(self) -> tuple[tuple[str, Span], ...]:
+        """The lines of an outline for it: each a text, and the place of the name."""
+        return tuple((name.text, name.span) for name in self.declares())
 
 
 class Declaration(StatementNode):
@@ -118,6 +136,10 @@ class About(StatementNode):
         """The kind of statement and its target."""
         return ((self.entry.word, target_text(self.target)),)
 
+    def outlined(self) -> tuple[tuple[str, Span], ...]:
+        """The target."""
+        return ((target_text(self.target), self.target.span),)
+
 
 class Formula(StatementNode):
     """A statement without numbers outside its expressions and without a column of the data."""
@@ -133,6 +155,14 @@ class Remark(StatementNode):
     def places(self) -> Iterator[Place]:
         """No expressions."""
         return iter(())
+
+    @abstractmethod
+    def mentions(self) -> Iterator[Mention]:
+        """All names in it."""
+
+    def outlined(self) -> tuple[tuple[str, Span], ...]:
+        """The names that it declares outside the namespace of expressions."""
+        return tuple((found.name.text, found.name.span) for found in self.mentions() if found.declares)
 
 
 def target_name(target: Name | Index) -> Name:

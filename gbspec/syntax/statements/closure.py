@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
+from gbspec.diagnostics import Span
 from gbspec.syntax import rules
 from gbspec.syntax.nodes import Expression, Index, Name
 from gbspec.syntax.statements.base import Entry, Formula, Key, Place, target_text
@@ -43,3 +44,7 @@ class ClosureStatement(Formula):
     def places(self) -> Iterator[Place]:
         """The right side."""
         yield Place(self.value, rules.ANY)
+
+    def outlined(self) -> tuple[tuple[str, Span], ...]:
+        """The element that it defines."""
+        return ((target_text(self.target), self.target.span),)

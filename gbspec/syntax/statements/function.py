@@ -45,3 +45,7 @@ class FunctionStatement(Named, Formula):
     def places(self) -> Iterator[Place]:
         """The value."""
         yield Place(self.value, rules.ANY, self.name.text, frozenset(p.text for p in self.parameters))
+
+    def formals(self) -> tuple[Name, ...]:
+        """The parameters."""
+        return self.parameters

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
 from gbspec.syntax.nodes import Name, Text
-from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.statements.base import Entry, Key, Mention, Remark
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
@@ -34,3 +35,7 @@ class ModelStatement(Remark):
     def replaces(self) -> tuple[Key, ...]:
         """One key: a model has one such statement."""
         return (("model", ""),)
+
+    def mentions(self) -> Iterator[Mention]:
+        """The model's name."""
+        yield Mention(self.name, "model", declares=True)

@@ -37,5 +37,9 @@ class TruthStatement(About, Formula):
 
     def places(self) -> Iterator[Place]:
         """The value; its rule is judged from this statement only (parameters: the truth of an unknown)."""
-        formals = frozenset(parameter.text for parameter in self.parameters or ())
+        formals = frozenset(parameter.text for parameter in self.formals())
         yield Place(self.value, rules.TRUTH, None, formals, counts=False)
+
+    def formals(self) -> tuple[Name, ...]:
+        """The parameters, if they are written."""
+        return self.parameters or ()

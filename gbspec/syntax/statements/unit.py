@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
 from gbspec.syntax.nodes import Name, Text
-from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.statements.base import Entry, Key, Mention, Remark
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
@@ -33,3 +34,7 @@ class UnitStatement(Remark):
     def replaces(self) -> tuple[Key, ...]:
         """One key; units have a namespace separate from that of expressions."""
         return (("unit", self.name.text),)
+
+    def mentions(self) -> Iterator[Mention]:
+        """The unit."""
+        yield Mention(self.name, "unit", declares=True)

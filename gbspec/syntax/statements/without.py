@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
 from gbspec.syntax.nodes import Name
-from gbspec.syntax.statements.base import Entry, Key, Remark
+from gbspec.syntax.statements.base import Entry, Key, Mention, Remark
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
@@ -41,3 +42,7 @@ class WithoutStatement(Remark):
     def replaces(self) -> tuple[Key, ...]:
         """Nothing: it removes a statement instead."""
         return ()
+
+    def mentions(self) -> Iterator[Mention]:
+        """What it removes: a unit, or a name of the model."""
+        yield Mention(self.name, "unit" if self.kind is not None and self.kind.text == "unit" else "name")

@@ -1,3 +1,4 @@
+from .arithmetic import torch_arithmetic as torch_arithmetic
 from .choice import Choice as Choice
 from .choice import choose as choose
 from .device import device_of as device_of

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
 from gbspec.training.engines.linearised import Observed
-from gbspec.training.engines.torch import observe_rows
 from gbspec.training.problem import STRETCH, Parameters, Problem
 
 Taped = list[tuple[int, int, Tensor, Tensor]]
@@ -82,7 +82,8 @@ class Columns:
         problem = self.problem
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
-        out = problem.module.equations.initial(problem.ops, x0, self.tensor(problem.packed.condition), tuple(k))
+        ops, condition = torch_arithmetic(problem.module), self.tensor(problem.packed.condition)
+        out = problem.module.equations.initial(ops, x0, condition, tuple(k))
         rows = [gradients(out[:, i].sum(), [x0, *k]) for i in range(out.shape[1])]
         return [torch.stack([row[j] for row in rows], 1) for j in range(1 + len(k))]
 

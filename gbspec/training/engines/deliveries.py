@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.problem import Parameters, Path, Problem, path_of
 
 Terms = list[tuple[Tensor | float, Tensor | float]]
@@ -19,14 +20,14 @@ def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Terms:
     """Fraction and lag of each of the model's doses for B trajectories, from their conditions [B, n_conditions] and
     constants ([B] or [] each). A lag that is undefined under the conditions has no gradient, which would not be
     finite."""
-    terms: Terms = list(problem.module.equations.doses(problem.ops, condition, k))
+    terms: Terms = list(problem.module.equations.doses(torch_arithmetic(problem.module), condition, k))
     for kind, (fraction, lag) in enumerate(terms):
         if not isinstance(lag, Tensor) or not lag.requires_grad or not lag.ndim:
             continue
         sound = torch.isfinite(lag.detach())
         if not bool(sound.all()):
             some = [column[sound] if column.ndim else column for column in k]
-            of_some = problem.module.equations.doses(problem.ops, condition[sound], some)[kind][1]
+            of_some = problem.module.equations.doses(torch_arithmetic(problem.module), condition[sound], some)[kind][1]
             terms[kind] = fraction, lag.detach().masked_scatter(sound, of_some)
     return terms
 

@@ -12,7 +12,6 @@ from .parameters import Weights as Weights
 from .path import Path as Path
 from .path import path_of as path_of
 from .problem import Problem as Problem
-from .problem import torch_arithmetic as torch_arithmetic
 from .residuals import mean_loss as mean_loss
 from .residuals import measured_only as measured_only
 from .residuals import residual_slopes as residual_slopes

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal, assert_never
 
 import numpy as np
 import torch
@@ -17,6 +18,9 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import Learnable
+
+Bounds = Literal["both", "low", "high", "none"]
+"""The bounds that a constant has."""
 
 STRETCH = 3.0
 MARGIN = 1e-3
@@ -40,8 +44,8 @@ class Bijections:
             np.array([abs(k.start) if k.start != 0 else 1.0 for k in learnables], dtype=np.float64),
         )
 
-    def kind(self, i: int) -> str:
-        """`both`, `low`, `high` or `none`: the bounds that constant i has."""
+    def kind(self, i: int) -> Bounds:
+        """The bounds that constant i has."""
         low, high = math.isfinite(self.low[i]), math.isfinite(self.high[i])
         return "both" if low and high else "low" if low else "high" if high else "none"
 
@@ -57,8 +61,10 @@ class Bijections:
                     value = self.low[i] + self.scale[i] * torch.exp(raw[..., i])
                 case "high":
                     value = self.high[i] - self.scale[i] * torch.exp(raw[..., i])
-                case _:
+                case "none":
                     value = self.scale[i] * raw[..., i]
+                case unknown:
+                    assert_never(unknown)
             parts.append(value)
         return torch.stack(parts, -1) if parts else u
 
@@ -83,7 +89,9 @@ class Bijections:
                     raw = np.log(np.maximum((v - low) / scale, MARGIN))
                 case "high":
                     raw = np.log(np.maximum((high - v) / scale, MARGIN))
-                case _:
+                case "none":
                     raw = v / scale
+                case unknown:
+                    assert_never(unknown)
             out[..., i] = raw / STRETCH
         return out

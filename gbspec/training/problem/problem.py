@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.backends import Arithmetic, GeneratedModule
+from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
 from gbspec.ir import METHODS, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
@@ -34,11 +34,6 @@ class Problem:
     def __post_init__(self) -> None:
         if self.packed.nodes != tuple(map(float, METHODS[self.module.solver].nodes)):
             raise Defect(f"data were packed for another method than `{self.module.solver}`")
-
-    @property
-    def ops(self) -> Arithmetic:
-        """The arithmetic in which the module's expressions are evaluated (torch)."""
-        return torch_arithmetic(self.module)
 
     @cached_property
     def seen(self) -> Mask:
@@ -77,8 +72,3 @@ class Problem:
 def matching_rows(whole: Packed, part: Packed, index: NDArray[np.int64]) -> NDArray[np.int64]:
     """The row of `whole` for each row of `part = whole.take(index)`."""
     return np.asarray(whole.row_table[index[part.row_trajectory], part.row_index], dtype=np.int64)
-
-
-def torch_arithmetic(module: GeneratedModule) -> Arithmetic:
-    """The generated module's torch arithmetic."""
-    return module.arithmetic("torch")

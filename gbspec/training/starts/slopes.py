@@ -13,7 +13,8 @@ from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, Network, Networks
 from gbspec.data import Signal, Trajectories, evaluate
 from gbspec.ir import Model
-from gbspec.training.problem import Integers, torch_arithmetic
+from gbspec.training.engines import torch_arithmetic
+from gbspec.training.problem import Integers
 from gbspec.training.starts.splines import Curves
 
 POINTS = 6000

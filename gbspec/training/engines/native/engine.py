@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.engines.arithmetic import observe_rows
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group
@@ -18,7 +19,6 @@ from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.jacobian import jacobian
 from gbspec.training.engines.native.kernel import Kernel, Swept
 from gbspec.training.engines.native.tables import Tables
-from gbspec.training.engines.torch import observe_rows
 from gbspec.training.problem import Integers, Parameters, Path, Problem, residual_slopes
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.backends import NUMBER_WORDS, Library, NetworkLayers, Struct, network_layers
+from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import delivered
 from gbspec.training.problem import Parameters, Problem
 
@@ -35,9 +36,9 @@ class KernelInputs:
         constants = parameters.constants(vector)
         condition = torch.from_numpy(problem.packed.condition)
         initial = problem.module.equations.initial(
-            problem.ops, parameters.starts(vector), condition, constants.unbind(1)
+            torch_arithmetic(problem.module), parameters.starts(vector), condition, constants.unbind(1)
         )
-        networks = network_layers(problem.module, parameters.weights(vector), problem.ops)
+        networks = network_layers(problem.module, parameters.weights(vector), torch_arithmetic(problem.module))
         layers = _layer_weights(networks, vector)
         return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))
 

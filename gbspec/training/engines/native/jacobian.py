@@ -14,6 +14,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import network_layers
+from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import terms_of
 from gbspec.training.engines.engine import Moments
@@ -183,7 +184,7 @@ def _trained(problem: Problem, parameters: Parameters, theta: Array) -> tuple[Ar
     weights = parameters.weights(torch.from_numpy(theta))
     slopes = problem.module.weight_slopes({name: value.numpy() for name, value in weights.items()})
     factors, shifts = [np.zeros(0)], [np.zeros(0)]
-    for network in network_layers(problem.module, weights, problem.ops):
+    for network in network_layers(problem.module, weights, torch_arithmetic(problem.module)):
         center, scale = network.input_center.numpy(), network.input_scale.numpy()
         output_scale = network.output_scale.numpy()
         for i, (weight, bias) in enumerate(network.layers):

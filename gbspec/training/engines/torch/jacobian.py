@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.columns import Columns, Taped, gradients
 from gbspec.training.engines.engine import Moments
 from gbspec.training.engines.linearised import Batch, Jacobian, Observed
@@ -122,7 +123,7 @@ class _Intervals:
             live = batch.live(j)
             step = sub_step(problem, self.path, batch.first[:live] + j, batch.owner[:live], x.detach())
             rhs = problem.module.equations.field(
-                problem.ops, condition[:live], tuple(column[:live] for column in k), networks
+                torch_arithmetic(problem.module), condition[:live], tuple(column[:live] for column in k), networks
             )
             state = advance(state, step, deliveries, rhs)
             calls.append(len(tape))

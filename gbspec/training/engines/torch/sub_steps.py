@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from gbspec.backends import Value
+from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.problem import Integers, Path, Problem
@@ -50,7 +51,8 @@ def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like:
         if (doses >= 0).any() or (end >= 0).any():
             slope = path.slope[steps, who] if path.cuts.any() else np.zeros((len(steps), packed.inputs.shape[3]))
             arrivals = Arrivals(doses, begin, end, like.new_tensor(slope))
-    return SubStep(t, h, inputs.unbind(1), problem.module.equations.grid(problem.ops, t, h), arrivals)
+    grid = problem.module.equations.grid(torch_arithmetic(problem.module), t, h)
+    return SubStep(t, h, inputs.unbind(1), grid, arrivals)
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class Deliveries:
         The displacements added to the ends are zero; they carry the derivatives.
         """
         begin, end = (self._move(cutting, step.t) for cutting in (arrivals.begin, arrivals.end))
-        grid = self.problem.module.equations.grid(self.problem.ops, step.t + begin, step.h + (end - begin))
+        module = self.problem.module
+        grid = module.equations.grid(torch_arithmetic(module), step.t + begin, step.h + (end - begin))
         if not step.nodes[0].shape[1]:
             return grid, step.nodes
         shares = [begin + node * (end - begin) for node in self.problem.packed.nodes]
@@ -113,5 +116,5 @@ def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field) -> Ten
         x = deliveries.added(x, step.arrivals)
         if (step.arrivals.begin >= 0).any() or (step.arrivals.end >= 0).any():
             grid, nodes = deliveries.moved(step, step.arrivals)
-    out: Tensor = problem.module.equations.step(problem.ops, rhs, grid, x, nodes)
+    out: Tensor = problem.module.equations.step(torch_arithmetic(problem.module), rhs, grid, x, nodes)
     return out

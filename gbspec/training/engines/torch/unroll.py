@@ -10,6 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from gbspec.backends import Networks, Value
 from gbspec.ir import residuals
+from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
 from gbspec.training.engines.torch.segments import Schedule
@@ -35,7 +36,8 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
     k = tuple(constants.unbind(1))
-    initial = module.equations.initial(problem.ops, parameters.starts(theta), theta.new_tensor(packed.condition), k)
+    condition = theta.new_tensor(packed.condition)
+    initial = module.equations.initial(torch_arithmetic(module), parameters.starts(theta), condition, k)
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
     motion = Motion(problem, schedule, parameters, constants, networks)
     before = torch.cat(_run(schedule, motion, x))[schedule.row]
@@ -96,7 +98,8 @@ class Motion:
         self.deliveries = Deliveries.of(problem, schedule.condition, self._constants)
         self._affine: Affine | None = None
         if affine_by_model(problem.model, problem.module):
-            self._affine = affine(problem.module, problem.ops, schedule.condition, self._constants, networks)
+            ops = torch_arithmetic(problem.module)
+            self._affine = affine(problem.module, ops, schedule.condition, self._constants, networks)
 
     def of(self, rows: slice | Tensor) -> Field:
         """The right-hand side for some of the segments."""
@@ -104,24 +107,13 @@ class Motion:
             return self._affine.at(rows)
         k = tuple(value[rows] if value.ndim else value for value in self._constants)
         field: Field = self._problem.module.equations.field(
-            self._problem.ops, self._condition[rows].unbind(1), k, self._networks
+            torch_arithmetic(self._problem.module), self._condition[rows].unbind(1), k, self._networks
         )
         return field
 
     def grid(self, t: Tensor, h: Tensor) -> Value:
         """The quantities that the solver's step derives from times and lengths [B]."""
-        return self._problem.module.equations.grid(self._problem.ops, t, h)
-
-
-def observe_rows(problem: Problem, states: Tensor, constants: Tensor, networks: Networks) -> Tensor:
-    """Predicted channels at the key rows [R, C], from states [R, n_states] and constants [R, n_constants]."""
-    packed = problem.packed
-    c = states.new_tensor(packed.condition[packed.row_trajectory])
-    t, u = states.new_tensor(packed.row_time), states.new_tensor(packed.row_inputs)
-    predicted: Tensor = problem.module.equations.observe(
-        problem.ops, t, states, c, u, tuple(constants.unbind(1)), networks
-    )
-    return predicted
+        return self._problem.module.equations.grid(torch_arithmetic(self._problem.module), t, h)
 
 
 def graph_residuals(problem: Problem, mean: Tensor) -> Tensor:
