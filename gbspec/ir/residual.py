@@ -16,12 +16,13 @@ units of r) is the negative log likelihood up to terms that do not depend on p.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gbspec.ir.model import Model
+if TYPE_CHECKING:
+    from gbspec.ir.model import Model
 
 Value: TypeAlias = Any
 """An array, or a tensor: the same text serves numpy and torch, which share no type."""
