@@ -13,8 +13,7 @@ from pathlib import Path
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
-from gbspec.json_values import JsonObject
-from gbspec.runs import files
+from gbspec.runs import Option, files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.runs.fit import Fitting
@@ -24,6 +23,8 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.variations import Point
 
 TABLE = "sweep.csv"
+Row = dict[str, Option]
+"""A row of the table: texts and numbers by column."""
 
 
 def sweep(
@@ -33,7 +34,7 @@ def sweep(
     options: TrainOptions,
     directory: Path,
     progress: Progress | None = None,
-) -> list[JsonObject]:
+) -> list[Row]:
     """Fits every point in its own run directory under `directory`; returns (and writes) a row for each.
 
     `options` are those of the call: workers, threads, scheduler. A row has the run's name, the varied options, the
@@ -81,8 +82,8 @@ def _least(run: Fitting) -> float:
     return min((result.loss for result in run.results.values()), default=math.nan)
 
 
-def _row(point: Point, run: Fitting) -> JsonObject:
-    row: JsonObject = {"run": point.name, **point.varied, "members": len(run.results)}
+def _row(point: Point, run: Fitting) -> Row:
+    row: Row = {"run": point.name, **point.varied, "members": len(run.results)}
     best = min(run.results.values(), key=lambda result: result.loss, default=None)
     if best is not None:
         row |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
@@ -90,9 +91,9 @@ def _row(point: Point, run: Fitting) -> JsonObject:
     return row
 
 
-def _write(path: Path, rows: Sequence[JsonObject]) -> None:
+def _write(path: Path, rows: Sequence[Row]) -> None:
     """Writes the table; its columns are those of the row with the most entries."""
-    fullest: JsonObject = max(rows, key=len)
+    fullest: Row = max(rows, key=len)
     text = io.StringIO()
     writer = csv.DictWriter(text, list(fullest), lineterminator="\n")
     writer.writeheader()
