@@ -6,8 +6,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbspec.data import Trajectories
@@ -23,8 +23,19 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.variations import Point
 
 TABLE = "sweep.csv"
-Row = dict[str, Option]
-"""A row of the table: texts and numbers by column."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table: the run's name, the varied options, and the numbers of its results by column."""
+
+    run: str
+    varied: Mapping[str, Option]
+    numbers: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Option]:
+        """Its cells by column."""
+        return {"run": self.run, **self.varied, **self.numbers}
 
 
 def sweep(
@@ -83,19 +94,20 @@ def _least(run: Fitting) -> float:
 
 
 def _row(point: Point, run: Fitting) -> Row:
-    row: Row = {"run": point.name, **point.varied, "members": len(run.results)}
+    numbers: dict[str, float] = {"members": len(run.results)}
     best = min(run.results.values(), key=lambda result: result.loss, default=None)
     if best is not None:
-        row |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
-        row |= {**best.constants, "seconds": sum(result.seconds for result in run.results.values())}
-    return row
+        numbers |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
+        numbers |= {**best.constants, "seconds": sum(result.seconds for result in run.results.values())}
+    return Row(point.name, point.varied, numbers)
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:
     """Writes the table; its columns are those of the row with the most entries."""
-    fullest: Row = max(rows, key=len)
+    cells = [row.to_json() for row in rows]
     text = io.StringIO()
+    fullest = max(cells, key=lambda row: len(row))
     writer = csv.DictWriter(text, list(fullest), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(cells)
     files.write_bytes(path, text.getvalue().encode("utf-8"))
