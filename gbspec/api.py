@@ -366,7 +366,8 @@ def study(cases: str | Sequence[str], directory: str | Path, **options: Option) 
 
     chosen = StudyOptions(**options)
     named = [cases] if isinstance(cases, str) else list(cases)
-    return run_study(study_of(named, chosen), Path(directory), chosen, f"gbspec.study({cases!r})", lambda *_: None)
+    command = f"gbspec.study({cases!r})"
+    return run_study(study_of(named, chosen), Path(directory), chosen, command, lambda *_: None).to_json()
 
 
 def _table(data: str | Path | Trajectories, model: Model) -> Trajectories:

@@ -7,13 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gbspec.json_values import JsonObject
-
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
     from gbspec.ir import Model
     from gbspec.runs import Run
-    from gbspec.training import Point, Profile, Progress, TrainOptions
+    from gbspec.training import Point, Profile, Progress, Row, TrainOptions
 
 
 def train(
@@ -52,7 +50,7 @@ def sweep(
     directory: Path,
     options: TrainOptions,
     progress: Progress | None = None,
-) -> list[JsonObject]:
+) -> list[Row]:
     """Trains with each point's options into a separate run directory; returns a row of results for each.
 
     A row's columns are those of `sweep.csv`; each varied option has a column with its name.

@@ -44,14 +44,15 @@ def is_run(path: str | Path) -> bool:
     return Path(path).is_dir()
 
 
-def open_run(path: str | Path, values: Mapping[str, float] | None = None) -> Run:
+def open_run(path: str | Path, values: Mapping[str, float] | None = None, findings: Findings | None = None) -> Run:
     """A trained run, with `values` substituted for constants, learned or known, and for defaults of conditions.
 
+    A warning about the run's version is added to `findings`.
     Raises `UserError`: GB851 to GB853 if the path is not a run, or damaged; GB804 if a name cannot be set.
     """
     from gbspec.runs import open_run as open_directory
 
-    return set_values(open_directory(path), values)
+    return set_values(open_directory(path, findings), values)
 
 
 def set_values(run: Run, values: Mapping[str, float] | None) -> Run:
@@ -84,7 +85,7 @@ def specified(model: Model, values: Mapping[str, float]) -> Model:
 def subject(path: str | Path, values: Mapping[str, float], findings: Findings, member: int | None = None) -> Subject:
     """A MODEL at its truth or a RUN at its learned parameters, with `values` set for constants and conditions."""
     if is_run(path):
-        return learned(open_run(path), values, member)
+        return learned(open_run(path, findings=findings), values, member)
     return reference(frontend.load_model(path, findings), values)
 
 
@@ -141,7 +142,7 @@ def compile_file(path: str | Path, form: str, findings: Findings, solver: str | 
         return _stage(_model_file(path), form, findings)
     chosen = None if solver is None else method_named(solver)
     if is_run(path):
-        run = open_run(path)
+        run = open_run(path, findings=findings)
         run = run.stepped_by(chosen or run.method)
         return _emitted(learned(run) if backends()[form].numbers else run.model, form, run.method)
     model, method = frontend.load_model(path, findings), chosen or RK4

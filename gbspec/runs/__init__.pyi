@@ -11,6 +11,8 @@ from .record import read_record as read_record
 from .store import Run as Run
 from .store import member_numbers as member_numbers
 from .store import open_run as open_run
+from .typed_json import OMITTED as OMITTED
 from .typed_json import JsonError as JsonError
 from .typed_json import decode as decode
 from .typed_json import encode as encode
+from .typed_json import read_object as read_object

@@ -121,7 +121,8 @@ class FitRecord:
 def read_record(directory: Path, findings: Findings) -> FitRecord | None:
     """Reads the `fit.json` of a run directory.
 
-    Returns None if it is damaged (GB852 for each wrong key) or of an interface that this version cannot read (GB857).
+    Returns None if it is damaged (GB852 for each wrong key) or of an interface that this version cannot read (GB857);
+    an older interface is a warning (GB857).
     """
     path = directory / files.FIT
     if not path.is_file():
@@ -141,6 +142,8 @@ def read_record(directory: Path, findings: Findings) -> FitRecord | None:
             findings.error("GB852", f"`{path}` is damaged: {finding}", None, help=DAMAGED)
     else:
         if record.solver in METHODS:
+            if record.interface < INTERFACE:
+                _warn_of_an_older_interface(directory, record, findings)
             return record
         message = f"`{path}` names a solver that this version does not have: `{record.solver}`"
         help_text = f"use the version that wrote it; here there are {', '.join(METHODS)}"
@@ -165,3 +168,12 @@ def _of_another_interface(directory: Path, content: Mapping[str, object], findin
     )
     findings.error("GB857", message, None, help=help_text)
     return True
+
+
+def _warn_of_an_older_interface(directory: Path, record: FitRecord, findings: Findings) -> None:
+    message = (
+        f"the run `{directory}` was written by gbspec {record.gbspec} for the module interface {record.interface}; its "
+        f"module is generated again from `{files.MODEL}` for the interface {INTERFACE}"
+    )
+    help_text = "nothing has to be done; `gbspec train … --resume` with the run's options writes the run as it is now"
+    findings.warning("GB857", message, None, help=help_text)

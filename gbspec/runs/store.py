@@ -120,8 +120,8 @@ class Run:
             return list(csv.DictReader(file))
 
 
-def open_run(path: str | Path) -> Run:
-    """Reads a run directory.
+def open_run(path: str | Path, warnings: Findings | None = None) -> Run:
+    """Reads a run directory; that it is of an older version is added to `warnings` (GB857).
 
     Raises `UserError`: GB851 if it is not a run, GB852 if one of its files is missing or damaged, GB857 if it has
     another version of the generated module, GB853 if no member has weights; also with the errors of its `model.gb`.
@@ -137,6 +137,8 @@ def open_run(path: str | Path) -> Run:
         findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=DAMAGED)
     if fit is None or findings.failed:
         raise UserError(findings)
+    if warnings is not None:
+        warnings.extend(findings)
     model = load_model(directory / files.MODEL, Findings())
     numbers = member_numbers(directory)
     if not numbers:

@@ -2,7 +2,7 @@
 
 A field may be a str, int, float, bool, None, Literal, tuple, Mapping from names, another such dataclass, or a union of
 these. A field without a default is required. A dataclass with a field `others` keeps unknown keys; otherwise they are
-dropped.
+dropped. A field with the metadata OMITTED is left out of the JSON where it is None.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ T = TypeVar("T")
 
 OTHERS = "others"
 """The field of a dataclass that holds unknown keys."""
+OMITTED = {"omitted": True}
+"""The metadata of a field whose value None is left out of the JSON, instead of null; its default is None."""
 WORDS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false", NoneType: "null"}
 LARGEST = 2**64
 """Bound on the magnitude of integers: that of the seeds that torch takes."""
@@ -64,11 +66,16 @@ def decode(kind: type[T], value: object, key: str = "") -> T:
 def encode(value: object) -> Any:
     """The JSON value of a dataclass or of a part of one: keys in the order of the fields, unknown keys last."""
     if is_dataclass(value) and not isinstance(value, type):
-        known = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.name != OTHERS}
+        written = [f.name for f in fields(value) if f.name != OTHERS and not _left_out(f, value)]
+        known = {name: encode(getattr(value, name)) for name in written}
         return known | dict(getattr(value, OTHERS, {}))
     if isinstance(value, Mapping):
         return {name: encode(item) for name, item in value.items()}
     return [encode(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _left_out(declared: Field[Any], value: object) -> bool:
+    return declared.metadata == OMITTED and getattr(value, declared.name) is None
 
 
 def _read(kind: Any, value: Any, key: str, findings: list[str]) -> Any:

@@ -4,6 +4,7 @@ from .crossvalidation import CrossValidation as CrossValidation
 from .crossvalidation import crossvalidate as crossvalidate
 from .folds import Fold as Fold
 from .options import StudyOptions as StudyOptions
+from .record import Record as Record
 from .runner import run_study as run_study
 from .tasks import Task as Task
 from .tasks import study_of as study_of

@@ -20,7 +20,7 @@ from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import finite, write_text
 from gbspec.json_values import JsonObject
-from gbspec.runs import files
+from gbspec.runs import OMITTED, JsonError, decode, encode, files, read_object
 from gbspec.studies.folds import Fold, Over, folds, way
 from gbspec.studies.heldout import Errors, Point, errors, held_out
 
@@ -92,6 +92,24 @@ class CrossValidation:
         }
 
 
+@dataclass(frozen=True)
+class FoldRecord:
+    """A finished fold: its held-out measurements with their predictions, and the reason if its fit failed."""
+
+    fold: int
+    points: tuple[Point, ...]
+    failure: str | None = field(default=None, metadata=OMITTED)
+
+    def to_json(self) -> JsonObject:
+        """The content of the fold's file; predictions that are not finite are left out."""
+        document: JsonObject = encode(self)
+        document["points"] = [
+            {name: value for name, value in point.items() if name not in ("predicted", "sd") or math.isfinite(value)}
+            for point in document["points"]
+        ]
+        return document
+
+
 def crossvalidate(
     model: Model,
     data: Trajectories,
@@ -115,9 +133,9 @@ def crossvalidate(
     for fold in parts:
         path = directory / "folds" / f"{fold.number}.json"
         record = _read(path) or _fitted(model, fold, directory, training, options, progress(fold), path)
-        if record.get("failure"):
-            failures[fold.number] = str(record["failure"])
-        found[fold.number] = [Point(**{"predicted": float("nan"), "sd": float("nan"), **p}) for p in record["points"]]
+        if record.failure is not None:
+            failures[fold.number] = record.failure
+        found[fold.number] = list(record.points)
     if len(failures) == len(parts):
         raise ComputationError(
             f"no fold could be fitted: {failures[0]}", remedy="try `gbspec train` on all of the data"
@@ -136,20 +154,22 @@ def _begin(directory: Path, model: Model, data: Trajectories, training: TrainOpt
     parts = [hashlib.sha256(model.text.encode()).hexdigest(), content, fixed, asdict(options)]
     settings = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
     path = directory / "folds" / "settings.json"
-    before = _read(path)
-    if before is None:
+    try:
+        before = read_object(path).get("settings")
+    except (OSError, JsonError):
         files.write_json(path, {"settings": settings, "options": fixed, **asdict(options)})
-    elif before.get("settings") != settings:
+        return
+    if before != settings:
         message = f"`{directory}` was begun with another model, other data or other options"
         raise UserError([Diagnostic("GB820", message, None, help="name another directory with `-o`")])
 
 
-def _read(path: Path) -> JsonObject | None:
+def _read(path: Path) -> FoldRecord | None:
+    """The record of a finished fold; None if there is none or it is damaged."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+        return decode(FoldRecord, read_object(path))
+    except (OSError, JsonError):
         return None
-    return found if isinstance(found, dict) else None
 
 
 def _fitted(
@@ -160,25 +180,19 @@ def _fitted(
     options: CrossOptions,
     progress: Progress,
     path: Path,
-) -> JsonObject:
+) -> FoldRecord:
     """Fits without a fold, predicts it, and writes its record."""
     from gbspec.operations import fitting
 
     place = directory / "folds" / str(fold.number)
     resumed = replace(training, resume=(place / files.FIT).is_file())
-    record: JsonObject = {"fold": fold.number, "points": []}
     try:
         run = fitting.fit(model, fold.kept, place, resumed, progress)
-        points = held_out(run, fold, options.window)
-        record["points"] = [{k: v for k, v in asdict(p).items() if k in _KNOWN or math.isfinite(v)} for p in points]
+        record = FoldRecord(fold.number, tuple(held_out(run, fold, options.window)))
     except ComputationError as error:
-        record["failure"] = " - ".join(part for part in (error.what, error.where) if part)
-    files.write_json(path, record)
+        record = FoldRecord(fold.number, (), " - ".join(part for part in (error.what, error.where) if part))
+    files.write_json(path, record.to_json())
     return record
-
-
-_KNOWN = ("trajectory", "time", "channel", "measured", "in_logarithms")
-"""The keys that every held-out measurement has; a prediction that is not finite is left out of the record."""
 
 
 def _sds(data: Trajectories) -> dict[str, float]:

@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 class Point:
     """A measurement that was held out, and its prediction: mean over members, standard deviation of a measurement.
 
-    `in_logarithms`: the noise is lognormal, so that the interval is multiplicative.
+    `predicted` and `sd` are NaN where the solution blew up. `in_logarithms`: the noise is lognormal, so that the
+    interval is multiplicative.
     """
 
     trajectory: str
     time: float
     channel: str
     measured: float
-    predicted: float
-    sd: float
+    predicted: float = math.nan
+    sd: float = math.nan
     in_logarithms: bool = False
 
 

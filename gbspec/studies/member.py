@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import platform
 import shutil
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gbspec.diagnostics import ComputationError, Findings, UserError
-from gbspec.json_values import JsonObject
-from gbspec.runs import encode, files
+from gbspec.runs import files
+from gbspec.studies.record import Counts, Eigenvalues, Fitted, InitialStates, Norms, Record
 from gbspec.studies.tasks import Task
 
 if TYPE_CHECKING:
@@ -47,40 +45,24 @@ class Place:
         return self.root / "runs" / task.case.name / f"{task.member}.csv"
 
 
-def read_record(path: Path) -> JsonObject | None:
-    """The record of a finished member; None if there is none or it is damaged."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
-        return None
-    return found if isinstance(found, dict) and "settings" in found else None
-
-
-def fit_member(task: Task, place: Place, threads: int = 1, keep: bool = False) -> JsonObject:
+def fit_member(task: Task, place: Place, threads: int = 1, keep: bool = False) -> Record:
     """Simulates, trains, validates, and writes the member's record; an interrupted fit is continued.
 
     A fit that fails is a result too: its record has a `failure`. Raises KeyboardInterrupt after saving the
     intermediate result.
     """
     resumed = (place.run(task) / files.FIT).is_file()
-    record: JsonObject = {
-        "case": task.case.name,
-        "member": task.member,
-        "seed": task.seed,
-        "settings": task.settings,
-        "resumed": resumed,
-        "finished": "",
-    }
+    record = Record(case=task.case.name, member=task.member, seed=task.seed, settings=task.settings, resumed=resumed)
     began = time.process_time(), time.monotonic()
     try:
-        record |= _reached(task, place, threads, resumed, began)
+        record = replace(record, fitted=_fitted(task, place, threads, resumed, began))
     except ComputationError as error:
-        record["failure"] = " - ".join(part for part in (error.what, error.where) if part)
+        record = replace(record, failure=" - ".join(part for part in (error.what, error.where) if part))
     except UserError as error:
-        record["failure"] = "; ".join(diagnostic.message for diagnostic in error.diagnostics)
-    record["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
-    record["machine"] = f"{platform.machine()} {platform.system()}"
-    files.write_json(place.record(task), record)
+        record = replace(record, failure="; ".join(diagnostic.message for diagnostic in error.diagnostics))
+    finished = datetime.now(UTC).isoformat(timespec="seconds")
+    record = replace(record, finished=finished, machine=f"{platform.machine()} {platform.system()}")
+    record.write(place.record(task))
     if not keep:
         discard(task, place)
     return record
@@ -95,7 +77,7 @@ def discard(task: Task, place: Place) -> None:
             folder.rmdir()
 
 
-def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple[float, float]) -> JsonObject:
+def _fitted(task: Task, place: Place, threads: int, resumed: bool, began: tuple[float, float]) -> Fitted:
     from gbspec import frontend
     from gbspec.operations import fitting
 
@@ -106,19 +88,27 @@ def _reached(task: Task, place: Place, threads: int, resumed: bool, began: tuple
     run = fitting.fit(model, data, place.run(task), options)
     fitted = time.process_time(), time.monotonic()
     found = check(run, data, task)
-    return {
-        "data": {"trajectories": len(data), "rows": data.rows, "values": data.measurements},
-        "cpu_seconds": fitted[0] - prepared[0],
-        "wall_seconds": fitted[1] - prepared[1],
-        "other_cpu_seconds": time.process_time() - fitted[0] + prepared[0] - began[0],
-        "loss": run.fit.members[0].loss,
-        "stages": [encode(stage) for stage in run.fit.members[0].stages],
-        "constants": {name: entry.value for name, entry in run.fit.constants.items()},
-        "max_step": run.max_step,
-        **found,
-        **starts(run, data, task),
-        "versions": {"gbspec": run.fit.gbspec, **run.fit.versions},
-    }
+    member = run.fit.members[0]
+    eigenvalues, initial_states = starts(run, data, task)
+    return Fitted(
+        data=Counts(len(data), data.rows, data.measurements),
+        cpu_seconds=fitted[0] - prepared[0],
+        wall_seconds=fitted[1] - prepared[1],
+        other_cpu_seconds=time.process_time() - fitted[0] + prepared[0] - began[0],
+        loss=member.loss,
+        stages=member.stages,
+        constants={name: entry.value for name, entry in run.fit.constants.items()},
+        max_step=run.max_step,
+        errors=errors_of(found),
+        nrmse={name: errors.nrmse for name, errors in found.channels.items()},
+        unsolved=tuple(found.failed),
+        step_check=found.step_check.record(),
+        step_warning=found.step_check.warning,
+        warnings=(*run.fit.warnings, *found.warnings),
+        eigenvalues=eigenvalues,
+        initial_states=initial_states,
+        versions={"gbspec": run.fit.gbspec, **run.fit.versions},
+    )
 
 
 def measured(task: Task, model: Model, place: Place) -> Trajectories:
@@ -138,33 +128,28 @@ def measured(task: Task, model: Model, place: Place) -> Trajectories:
     return tables.read_data(path, model, Findings())
 
 
-def check(run: Run, data: Trajectories, task: Task) -> JsonObject:
+def check(run: Run, data: Trajectories, task: Task) -> Validation:
     """The errors of a fitted member on its data and against the truth, and the warnings."""
     from gbspec.analysis import validate
 
-    found = validate(run, data, member=0, sampling=task.case.sampling, metrics=task.case.metrics)
-    return {
-        "errors": errors_of(found),
-        "nrmse": {name: errors.nrmse for name, errors in found.channels.items()},
-        "unsolved": list(found.failed),
-        "step_check": found.step_check.to_json(),
-        "step_warning": found.step_check.warning,
-        "warnings": [*run.fit.warnings, *found.warnings],
-    }
+    return validate(run, data, member=0, sampling=task.case.sampling, metrics=task.case.metrics)
 
 
-def starts(run: Run, data: Trajectories, task: Task) -> JsonObject:
+def starts(run: Run, data: Trajectories, task: Task) -> tuple[Eigenvalues | None, InitialStates | None]:
     """The tables on initial states that the case requests, from the known truth of simulated data."""
-    if not task.case.tables or task.case.data is not None:
-        return {}
+    asked = task.case.tables
+    if not asked or task.case.data is not None:
+        return None, None
     from gbspec.studies.starts import Starts
 
     known = Starts.of(run, data, replace(task.case.sampling, seed=task.seed))
-    asked = {"eigenvalues": known.eigenvalues, "initial-states": known.initial_states}
-    return {name.replace("-", "_"): make() for name, make in asked.items() if name in task.case.tables}
+    return (
+        known.eigenvalues() if "eigenvalues" in asked else None,
+        known.initial_states() if "initial-states" in asked else None,
+    )
 
 
-def errors_of(found: Validation) -> dict[str, Mapping[str, float | int]]:
+def errors_of(found: Validation) -> dict[str, Norms]:
     """The norms of each metric against the truth; for constants the mean relative error, as `L2` (the paper's name).
 
     Without a truth, the mean NRMSE of the channels on the data, infinite if a trajectory could not be solved.
@@ -176,7 +161,7 @@ def errors_of(found: Validation) -> dict[str, Mapping[str, float | int]]:
     norms = {"solution": truth.solution, "rhs": truth.rhs}
     if truth.functions:
         norms["functions"] = truth.functions["all"]
-    shown: dict[str, Mapping[str, float | int]] = {
+    shown: dict[str, Norms] = {
         name: {**{norm: getattr(one, norm) for norm in NORMS}, "failed": one.failed} for name, one in norms.items()
     }
     if truth.constants:

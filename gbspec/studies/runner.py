@@ -13,14 +13,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
-from gbspec.json_values import JsonObject
-from gbspec.runs import files
-from gbspec.studies.member import Place, fit_member, read_record
+from gbspec.studies.member import Place, fit_member
 from gbspec.studies.options import StudyOptions
+from gbspec.studies.record import Record, Summary, read_record
 from gbspec.studies.tables import write_tables
 from gbspec.studies.tasks import Study, Task
 
@@ -28,11 +28,11 @@ POLL = 0.2
 """Seconds between polls of the workers."""
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
-Told = Callable[[Task, JsonObject, int, int], None]
+Told = Callable[[Task, Record, int, int], None]
 """Called with a finished task, its record, the number of finished tasks, and the number of all tasks."""
 
 
-def run_study(study: Study, root: Path, options: StudyOptions, command: str, told: Told) -> JsonObject:
+def run_study(study: Study, root: Path, options: StudyOptions, command: str, told: Told) -> Summary:
     """Fits what is not fitted yet (nothing with `--table-only`) and writes the tables; gives `study.json`'s content.
 
     Raises UserError (GB820) if the directory holds a study with other settings, ComputationError if the process of a
@@ -51,12 +51,12 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
     waiting = [task for task in waiting if task.name not in equal]
     summary = write_tables(study, place, command)
 
-    def finished(task: Task) -> None:
+    def finished(task: Task, record: Record) -> None:
         nonlocal summary
         share_records(equal, place)
         summary = write_tables(study, place, command)
-        done = sum(entry["members"] for entry in summary["cases"].values())
-        told(task, read_record(place.record(task)) or {}, done, len(tasks))
+        done = sum(case.members for case in summary.cases.values())
+        told(task, record, done, len(tasks))
 
     with _terminable():
         _fit(waiting, place, options, finished)
@@ -81,7 +81,7 @@ def share_records(equal: Mapping[str, tuple[Task, Task]], place: Place) -> None:
         if read_record(place.record(task)) is None:
             record = read_record(place.record(other))
             if record is not None:
-                files.write_json(place.record(task), record | {"case": task.case.name, "fit_of": other.case.name})
+                replace(record, case=task.case.name, fit_of=other.case.name).write(place.record(task))
 
 
 def check_models(study: Study) -> None:
@@ -104,13 +104,13 @@ def check_settings(tasks: list[Task], place: Place) -> None:
             continue
         if task.case.name not in settings:
             settings[task.case.name] = task.settings
-        if record["settings"] != settings[task.case.name] or record["seed"] != task.seed:
+        if record.settings != settings[task.case.name] or record.seed != task.seed:
             message = f"the study in `{place.root}` was begun with other settings of the case `{task.case.name}`"
             advice = "name another directory with `-o`, or give the options (and the case) as they were"
             raise UserError([Diagnostic("GB820", message, None, help=advice)])
 
 
-def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Callable[[Task], None]) -> None:
+def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Callable[[Task, Record], None]) -> None:
     """Keeps `--workers` processes busy until all tasks have a record."""
     running: dict[BaseProcess, Task] = {}
     lost: list[str] = []
@@ -123,8 +123,9 @@ def _fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Cal
             for process in [one for one in running if not one.is_alive()]:
                 task = running.pop(process)
                 process.join()
-                if read_record(place.record(task)) is not None:
-                    finished(task)
+                record = read_record(place.record(task))
+                if record is not None:
+                    finished(task, record)
                 else:
                     lost.append(f"{task.name} ({_ending(process)})")
             time.sleep(POLL)

@@ -24,12 +24,14 @@ from gbspec.analysis import (
     truth_model,
 )
 from gbspec.arrays import Array
+from gbspec.studies.record import Complex, Eigenvalues, Extent, InitialStates
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
     from gbspec.data import SimulateOptions, Trajectories
     from gbspec.runs import Run
 
+Spectrum = np.ndarray[tuple[int], np.dtype[np.complex128]]
 Spectra = np.ndarray[tuple[int, int], np.dtype[np.complex128]]
 
 
@@ -55,7 +57,7 @@ class Starts:
         found = np.array([learned_start(learned, i, item).state for i, item in enumerate(data.items)])
         return cls(run, data, sampling.dt, truth, learned, true, found)
 
-    def eigenvalues(self) -> dict[str, object]:
+    def eigenvalues(self) -> Eigenvalues:
         """Spectra at the first trajectory's initial state, and median distances to the truth over all trajectories.
 
         `true` are the eigenvalues of the true Jacobian at the true initial state, by decreasing real part;
@@ -66,13 +68,14 @@ class Starts:
         true = self._spectra(self.truth, self.true)
         at_true = matched(self._spectra(self.learned, self.true), true)
         learned = matched(self._spectra(self.learned, self.found), true)
-        named = {"true": true, "learned_at_true": at_true, "learned": learned}
-        return {
-            "trajectory": self.data.items[0].label,
-            **{name: [[float(v.real), float(v.imag)] for v in one[0]] for name, one in named.items()},
-            "error_at_true": np.median(np.abs(at_true - true), axis=0).tolist(),
-            "error": np.median(np.abs(learned - true), axis=0).tolist(),
-        }
+        return Eigenvalues(
+            self.data.items[0].label,
+            _parts(true[0]),
+            _parts(at_true[0]),
+            _parts(learned[0]),
+            tuple(np.median(np.abs(at_true - true), axis=0).tolist()),
+            tuple(np.median(np.abs(learned - true), axis=0).tolist()),
+        )
 
     def _spectra(self, evaluator: Evaluator, states: Array) -> Spectra:
         return np.array([ordered_eigenvalues(self._jacobian(evaluator, i, state)) for i, state in enumerate(states)])
@@ -82,7 +85,7 @@ class Starts:
         inputs = input_values(self.run.model, item, np.array([item.start]))[0]
         return np.asarray(evaluator.jacobian_at(item.start, state, item.condition, inputs), dtype=np.float64)
 
-    def initial_states(self) -> dict[str, object]:
+    def initial_states(self) -> InitialStates:
         """Errors of learned initial states, in standard deviations of the true ones: medians and maxima.
 
         `states` by state, over the `n` trajectories in which it was not measured at the initial time; `fast` and `slow`
@@ -97,8 +100,8 @@ class Starts:
         split = np.array([self._split(i, off[i], scale) for i in np.flatnonzero(free.any(axis=1)).tolist()]).reshape(
             -1, 2
         )
-        states = {state.name: _middle(np.abs(off[free[:, k], k])) for k, state in enumerate(self.run.model.states)}
-        return {"states": states, "fast": _middle(split[:, 0]), "slow": _middle(split[:, 1])}
+        states = {state.name: _extent(np.abs(off[free[:, k], k])) for k, state in enumerate(self.run.model.states)}
+        return InitialStates(states, _extent(split[:, 0]), _extent(split[:, 1]))
 
     def _split(self, index: int, off: Array, scale: Array) -> tuple[float, float]:
         """The lengths of the fast and the slow part of a difference [n] (in standard deviations)."""
@@ -120,8 +123,9 @@ def matched(spectra: Spectra, reference: Spectra) -> Spectra:
     return np.array(rows)
 
 
-def _middle(values: Array) -> dict[str, object]:
-    """Number, median and maximum of some values; null if there are none."""
-    if not len(values):
-        return {"n": 0, "median": None, "worst": None}
-    return {"n": len(values), "median": float(np.median(values)), "worst": float(values.max())}
+def _parts(values: Spectrum) -> tuple[Complex, ...]:
+    return tuple((float(value.real), float(value.imag)) for value in values)
+
+
+def _extent(values: Array) -> Extent:
+    return Extent(len(values), float(np.median(values)), float(values.max())) if len(values) else Extent(0, None, None)

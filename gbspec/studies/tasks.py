@@ -15,7 +15,6 @@ from pathlib import Path
 
 from gbspec.data import FILE, Case, Cases, load_cases, models_folder, overlay, similar
 from gbspec.diagnostics import Cell, Diagnostic, Findings, UserError
-from gbspec.json_values import JsonObject
 from gbspec.studies.options import StudyOptions
 from gbspec.training import TrainOptions
 
@@ -133,7 +132,7 @@ def _training(case: Case, options: StudyOptions, findings: Findings) -> TrainOpt
     def report(code: str, key: str, what: str) -> None:
         findings.error(code, f"`case.{case.name}.training.{key}` {what}", place)
 
-    given: JsonObject = {"effort": options.effort or case.training.effort, **case.training.more}
+    given: dict[str, object] = {"effort": options.effort or case.training.effort, **case.training.more}
     for name in SET_BY_THE_STUDY:
         if given.pop(name, None) is not None:
             report("GB741", name, "is given by the study, not by a case")

@@ -32,7 +32,7 @@ from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 from tests.backends.same_kernel import compare
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of
-from tests.training.reference import linearise, measured_residuals, unroll
+from tests.training.reference import kernel_residuals, linearise, measured_residuals, unroll, whole_jacobian
 from tests.training.test_arrays import COLUMN, column_data
 from tests.training.test_doses import MANY, many_data
 
@@ -220,7 +220,7 @@ def test_solutions_by_torch_native_casadi_and_c_are_the_same(name: str, case: st
     found = predicted(engine, theta)
     initial = found.initial
     close(found.before, graph.before)
-    close(engine.kernel_residuals(theta, engine.plan(theta)), graph.residuals)
+    close(kernel_residuals(engine, theta), graph.residuals)
     packed = problem.packed
     mine = [packed.row_table[i, : len(item.times)] for i, item in enumerate(data.items)]
     for rows, states in zip(mine, solved_by_casadi(problem, parameters, theta, data, initial), strict=True):
@@ -243,7 +243,7 @@ def test_gradients_and_jacobians_of_the_kernel_are_those_of_the_graph(name: str,
 def test_the_jacobian_is_that_of_automatic_differentiation(name: str, case: str) -> None:
     text, make, _ = CASES[case]
     problem, parameters, theta = problem_of(model_of(text), make(), 0.3, blend=0.3, method=METHODS[name])
-    found = linearise(problem, parameters, theta).dense(parameters)
+    found = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.autograd.functional.jacobian(
         lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
     )

@@ -150,3 +150,12 @@ def test_checkpoints_come_back_bit_by_bit(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-4])
     with pytest.raises(ValueError, match="damaged"):
         files.read_tensors(path)
+
+
+def test_a_checkpoint_whose_remarks_have_another_form_is_damaged(run: Path) -> None:
+    files.write_tensors(run / "members" / "0" / "checkpoint.safetensors", {}, {"stage": "first"})
+    options = TrainOptions(members=2, workers=1, method="gradient-matching", resume=True)
+    with pytest.raises(UserError) as caught:
+        train(model_of(URP), urp_data(4, 2.0, 6), options, run)
+    (found,) = caught.value.diagnostics
+    assert found.code == "GB852" and '`stage` is "first"; expected a whole number' in found.message

@@ -7,6 +7,9 @@ from typing import Any
 
 import pytest
 
+from gbspec.runs import StageRecord, StepRecord
+from gbspec.studies.record import Counts, Fitted, Record
+
 DECAY = """\
 model decay "First-order decay, rate unknown"
 state N in [0, 2] = 1
@@ -59,23 +62,38 @@ def cases(tmp_path: Path) -> Path:
     return path
 
 
-def record(member: int, solution: float, **more: Any) -> dict[str, Any]:
-    """A finished member as `gbspec.studies.member` writes it."""
-    return {
-        "case": "ONE",
-        "member": member,
-        "seed": member,
-        "settings": "",
-        "resumed": False,
-        "finished": "2026-01-01",
-        "machine": "here",
+def fitted(solution: float, **more: Any) -> Fitted:
+    """What a finished member reached."""
+    given: dict[str, Any] = {
+        "data": Counts(4, 36, 36),
+        "cpu_seconds": 10.0,
+        "wall_seconds": 20.0,
+        "other_cpu_seconds": 1.0,
+        "loss": 0.5,
+        "stages": (StageRecord("start", 1, 0.5, 0.1),),
+        "constants": {"k": 0.7},
+        "max_step": 0.25,
         "errors": {"solution": {"L1": 2 * solution, "L2": solution, "Linf": 3 * solution, "failed": 0}},
         "nrmse": {"N": 0.1},
-        "constants": {"k": 0.7},
-        "cpu_seconds": 10.0 + member,
-        "wall_seconds": 20.0,
-        "loss": 0.5,
+        "unsolved": (),
+        "step_check": StepRecord(1e-6, 1e-6, 0.25, 4),
         "step_warning": None,
+        "warnings": (),
         "versions": {"gbspec": "1"},
-        **more,
     }
+    return Fitted(**given | more)
+
+
+def record(member: int, solution: float, *, case: str = "ONE", seed: int | None = None, settings: str = "",
+           resumed: bool = False, **more: Any) -> Record:  # fmt: skip
+    """A finished member as `gbspec.studies.member` writes it; `more` are fields of what it reached."""
+    return Record(
+        case=case,
+        member=member,
+        seed=member if seed is None else seed,
+        settings=settings,
+        resumed=resumed,
+        finished="2026-01-01",
+        machine="here",
+        fitted=fitted(solution, cpu_seconds=10.0 + member, **more),
+    )

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from gbspec.cli.app import build
 from gbspec.diagnostics import ComputationError, UserError
-from gbspec.runs import files
 from gbspec.studies import member as members
 from gbspec.studies import runner
-from gbspec.studies.member import Place, fit_member, read_record
+from gbspec.studies.member import Place, fit_member
 from gbspec.studies.options import StudyOptions
+from gbspec.studies.record import read_record
 from gbspec.studies.runner import check_settings, run_study
 from gbspec.studies.tasks import Task, study_of
 
@@ -60,7 +60,8 @@ def test_a_member_is_continued_where_it_was_stopped(cases: Path, monkeypatch: py
     assert read_record(place.record(task)) is None and place.table(task).is_file()
     monkeypatch.setattr(members, "check", check)
     found = fit_member(task, place)
-    assert found["resumed"] and "failure" not in found and found["errors"]["rhs"]["L2"] > 0
+    assert found.resumed and found.failure is None and found.fitted is not None
+    assert (found.fitted.errors["rhs"]["L2"] or 0) > 0
     assert not place.run(task).exists() and not place.table(task).exists()
     check_settings([task], place)
     with pytest.raises(UserError) as caught:
@@ -72,7 +73,7 @@ def test_what_cannot_be_fitted_is_a_result(cases: Path) -> None:
     cases.write_text(cases.read_text().replace("initial = { N = [0.5, 2] }", 'reject = ["N > 0"]'))
     task, place = tasks(cases)[0], Place(cases.parent / "out")
     found = fit_member(task, place)
-    assert "drawn 200 times" in found["failure"] and read_record(place.record(task)) == found
+    assert "drawn 200 times" in (found.failure or "") and read_record(place.record(task)) == found
 
 
 def test_a_model_that_is_wrong_or_cannot_be_simulated_is_told_before_anything_is_fitted(cases: Path) -> None:
@@ -104,7 +105,7 @@ def test_a_worker_that_dies_is_told_and_the_others_are_kept(cases: Path, monkeyp
 
     def start(task: Task, place: Place, options: StudyOptions) -> Any:
         if task.member == 0:
-            files.write_json(place.record(task), record(0, 1e-3, settings=task.settings))
+            record(0, 1e-3, settings=task.settings).write(place.record(task))
         return Dead()
 
     monkeypatch.setattr(runner, "_start", start)
@@ -117,7 +118,7 @@ def test_a_worker_that_dies_is_told_and_the_others_are_kept(cases: Path, monkeyp
         "gbspec study",
         lambda *_: pytest.fail("nothing is fitted"),
     )
-    assert told["cases"]["ONE"]["members"] == 1
+    assert told.cases["ONE"].members == 1
 
 
 def test_cases_that_differ_in_nothing_but_their_names_are_fitted_once(
@@ -130,8 +131,9 @@ def test_cases_that_differ_in_nothing_but_their_names_are_fitted_once(
     def fit(waiting: list[Task], place: Place, options: StudyOptions, finished: Any) -> None:
         for task in waiting:
             fitted.append(task.name)
-            files.write_json(place.record(task), record(task.member, 1e-3, settings=task.settings, seed=task.seed))
-            finished(task)
+            made = record(task.member, 1e-3, settings=task.settings, seed=task.seed)
+            made.write(place.record(task))
+            finished(task, made)
 
     monkeypatch.setattr(runner, "_fit", fit)
     study, told = study_of([f"{cases}:ONE,AGAIN,TWO"], StudyOptions()), []
@@ -139,7 +141,7 @@ def test_cases_that_differ_in_nothing_but_their_names_are_fitted_once(
     summary = run_study(study, out, StudyOptions(), "", lambda *arguments: told.append(arguments[2:]))
     assert fitted == ["ONE member 0", "TWO member 0", "ONE member 1"]
     assert told == [(2, 5), (3, 5), (5, 5)]
-    assert summary["cases"]["AGAIN"]["members"] == 2 and summary["cases"]["AGAIN"]["fit_of"] == "ONE"
+    assert summary.cases["AGAIN"].members == 2 and summary.cases["AGAIN"].fit_of == "ONE"
     assert "| AGAIN | the first again; the fits of ONE | 2 of 2 |" in (out / "table.md").read_text()
     fitted.clear()
     run_study(study, cases.parent / "kept", StudyOptions(keep_runs=True), "", lambda *_: None)

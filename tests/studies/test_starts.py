@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from gbspec.diagnostics import Findings
 from gbspec.passes.truth import with_truth
 from gbspec.studies.member import Place, fit_member
 from gbspec.studies.options import StudyOptions
-from gbspec.studies.start_tables import joined, sections
+from gbspec.studies.record import CaseSummary, Eigenvalues, EigenvaluesSummary, Extent, InitialStates
+from gbspec.studies.start_tables import joined_eigenvalues, joined_states, sections
 from gbspec.studies.starts import matched
 from gbspec.studies.tasks import study_of
 
@@ -56,29 +58,42 @@ def test_eigenvalues_stand_beside_the_nearest_true_ones() -> None:
 def test_a_member_tells_of_its_starts_where_its_case_asks(cases: Path) -> None:
     cases.write_text(cases.read_text().replace("noise = 0.1", "sampling = 'gamma', channels = 'own-clock'"))
     (task,) = study_of([f"{cases}:TWO"], StudyOptions()).tasks()
-    found = fit_member(task, Place(cases.parent / "out"))
-    spectra, starts = found["eigenvalues"], found["initial_states"]
+    found = fit_member(task, Place(cases.parent / "out")).fitted
+    assert found is not None and found.eigenvalues is not None and found.initial_states is not None
+    spectra, starts = found.eigenvalues, found.initial_states
     # one state: the eigenvalue is the derivative of the right-hand side, -k - 0.6*N at the true start
-    assert [imaginary for _, imaginary in spectra["true"]] == [0.0]
-    assert -0.7 - 0.6 * 2 < spectra["true"][0][0] < -0.7
-    assert spectra["error"][0] > 0
-    assert starts["states"]["N"] == {"n": 0, "median": None, "worst": None}  # its first row measures it
-    table = "\n".join(sections({"TWO": joined([found])}))
+    assert [imaginary for _, imaginary in spectra.true] == [0.0]
+    assert -0.7 - 0.6 * 2 < spectra.true[0][0] < -0.7
+    assert spectra.error[0] > 0
+    assert starts.states["N"] == Extent(0, None, None)  # its first row measures it
+    table = "\n".join(sections({"TWO": case(joined_eigenvalues([spectra]), joined_states([starts]))}))
     assert "## TWO: eigenvalues at the start" in table and "| N | 0 |  |  |" in table
 
 
-def test_members_are_joined_by_their_medians() -> None:
-    def record(error: float, median: float) -> dict[str, object]:
-        starts = {"n": 2, "median": median, "worst": 2 * median}
-        spectra = {"trajectory": "1", "true": [[-1.0, 0.5]], "learned_at_true": [[-1, 0.4]], "learned": [[-1, 0.0]]}
-        return {
-            "eigenvalues": {**spectra, "error_at_true": [error], "error": [2 * error]},
-            "initial_states": {"states": {"N": starts}, "fast": starts, "slow": {"n": 0, "median": None}},
-        }
+def case(eigenvalues: EigenvaluesSummary | None, initial_states: dict[str, Extent] | None) -> CaseSummary:
+    """A case of which nothing else is known."""
+    rest: dict[str, Any] = dict.fromkeys(("model", "fit_of", "cpu_seconds"), None)
+    rest |= {"title": "", "members": 1, "planned": 1, "effort": "normal", "noise": 0.0}
+    rest |= {"failed": (), "step_warnings": (), "metrics": {}}
+    return CaseSummary(**rest, eigenvalues=eigenvalues, initial_states=initial_states)
 
-    found = joined([record(0.1, 1.0), record(0.5, 3.0), record(0.2, 2.0), {"failure": "none"}])
-    assert (found["eigenvalues"]["error_at_true"], found["eigenvalues"]["error"]) == ([0.2], [0.4])
-    assert found["initial_states"]["N"] == {"n": 6, "median": 2.0, "worst": 6.0}
+
+def test_members_are_joined_by_their_medians() -> None:
+    def states(median: float) -> InitialStates:
+        extent = Extent(2, median, 2 * median)
+        return InitialStates({"N": extent}, extent, Extent(0, None, None))
+
+    def spectra(error: float) -> Eigenvalues:
+        return Eigenvalues("1", ((-1.0, 0.5),), ((-1.0, 0.4),), ((-1.0, 0.0),), (error,), (2 * error,))
+
+    found = case(
+        joined_eigenvalues([spectra(0.1), spectra(0.5), spectra(0.2)]),
+        joined_states([states(1.0), states(3.0), states(2.0)]),
+    )
+    assert found.eigenvalues is not None and found.initial_states is not None
+    assert (found.eigenvalues.error_at_true, found.eigenvalues.error) == ((0.2,), (0.4,))
+    assert found.initial_states["N"] == Extent(6, 2.0, 6.0)
     text = "\n".join(sections({"C": found}))
     assert "| 1 | -1.00000 + 0.50000i | -1.00000 + 0.40000i | -1.00000 | 0.2 | 0.4 |" in text
-    assert "| slow | 0 |  |  |" in text and joined([{}]) == {}
+    assert "| slow | 0 |  |  |" in text
+    assert joined_eigenvalues([]) is None and joined_states([]) is None

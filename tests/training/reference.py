@@ -10,8 +10,9 @@ from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.training.engines import objective
-from gbspec.training.engines.linearised import Linearised
+from gbspec.training.engines.linearised import Jacobian, Linearised
 from gbspec.training.engines.native.engine import NativeEngine
+from gbspec.training.engines.native.inputs import KernelInputs
 from gbspec.training.engines.native.kernel import Kernel
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.engines.torch.segments import Schedule
@@ -69,3 +70,21 @@ def schedule_of(problem: Problem, parameters: Parameters, theta: Array) -> Sched
     """The sub-steps as the torch graph takes them."""
     engine = TorchEngine(problem, parameters)
     return engine.schedule(engine.plan(theta))
+
+
+def whole_jacobian(found: Jacobian, parameters: Parameters) -> Tensor:
+    """A Jacobian with a column for each entry of the vector [m, size]."""
+    out = torch.zeros((len(found.owner), parameters.size), dtype=found.local.dtype)
+    out[:, : parameters.n_shared] = found.shared
+    block = parameters.n_local
+    for i in range(len(found.owner)):
+        begin = parameters.n_shared + int(found.owner[i]) * block
+        out[i, begin : begin + block] = found.local[i]
+    return out
+
+
+def kernel_residuals(engine: NativeEngine, theta: Array) -> Array:
+    """The residuals [R, C] that the kernel computes for its own gradients."""
+    with torch.no_grad():
+        inputs = KernelInputs.of(engine.problem, engine.parameters, torch.from_numpy(theta))
+    return engine.kernel.sweep(engine.tables(engine.plan(theta)), inputs, False).residuals

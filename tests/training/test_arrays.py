@@ -23,7 +23,7 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.recipe import planning
 from gbspec.training.starts.slopes import FreeOutputs, Points, evaluate_rhs
 from tests.training.conftest import model_of, problem_of, trajectory
-from tests.training.reference import linearise, measured_residuals, unroll
+from tests.training.reference import linearise, measured_residuals, unroll, whole_jacobian
 
 COLUMN = """model column
 const N = 5
@@ -61,13 +61,13 @@ def column_data(seed: int = 0) -> Trajectories:
 def test_the_jacobian_equals_automatic_differentiation_and_that_of_the_model_written_out() -> None:
     model, data = model_of(COLUMN), column_data()
     problem, parameters, theta = problem_of(model, data, 0.5, blend=0.3)
-    dense = linearise(problem, parameters, theta).dense(parameters)
+    dense = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.func.jacrev(lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals))(
         torch.from_numpy(theta)
     )
     assert float((dense - expected).abs().max()) < 1e-10 * float(expected.abs().max())
     long, parameters, theta = problem_of(replace(model, arrays=(), families=()), data, 0.5, blend=0.3)
-    written = linearise(long, parameters, theta).dense(parameters)
+    written = whole_jacobian(linearise(long, parameters, theta), parameters)
     assert float((dense - written).abs().max()) < 1e-10 * float(expected.abs().max())
 
 

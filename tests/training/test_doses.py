@@ -23,7 +23,7 @@ from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 from tests.backends.same_kernel import compare
 from tests.training.conftest import model_of, problem_of, trajectory
-from tests.training.reference import half_squares, linearise, measured_residuals, solve, unroll
+from tests.training.reference import half_squares, linearise, measured_residuals, solve, unroll, whole_jacobian
 
 DEPOT = """model depot
 time t from 0
@@ -97,7 +97,7 @@ def depot_data(model: Model, subjects: int = 4) -> Trajectories:
 @pytest.mark.parametrize("blend", [1.0, 0.0])
 def test_the_jacobian_of_doses_is_exact(blend: float) -> None:
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.13, blend=blend)
-    found = linearise(problem, parameters, theta).dense(parameters)
+    found = whole_jacobian(linearise(problem, parameters, theta), parameters)
     expected = torch.autograd.functional.jacobian(
         lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals), torch.from_numpy(theta)
     )

@@ -10,7 +10,7 @@ import torch
 
 from gbspec.training.problem.forcing import Forcing
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, urp_data
-from tests.training.reference import linearise, measured_residuals, solve, unroll
+from tests.training.reference import linearise, measured_residuals, solve, unroll, whole_jacobian
 
 
 @pytest.mark.parametrize("blend", [1.0, 0.3, 0.0])
@@ -23,7 +23,7 @@ def test_equals_automatic_differentiation(text: str, blend: float) -> None:
     expected = torch.func.jacrev(lambda v: measured_residuals(problem, unroll(problem, parameters, v).residuals))(
         torch.from_numpy(theta)
     )
-    dense = found.dense(parameters)
+    dense = whole_jacobian(found, parameters)
     assert dense.shape == expected.shape
     assert float((dense - expected).abs().max()) < 1e-10 * float(expected.abs().max())
     assert np.allclose(found.residuals.numpy(), solve(problem, parameters, theta), rtol=0, atol=1e-13)
@@ -31,7 +31,7 @@ def test_equals_automatic_differentiation(text: str, blend: float) -> None:
 
 def test_equals_finite_differences() -> None:
     problem, parameters, theta = problem_of(model_of(EVERYTHING), everything_data(), 0.2)
-    dense = linearise(problem, parameters, theta).dense(parameters).numpy()
+    dense = whole_jacobian(linearise(problem, parameters, theta), parameters).numpy()
     rng = np.random.default_rng(5)
     for _ in range(5):
         direction = rng.standard_normal(len(theta))
@@ -51,7 +51,7 @@ def test_imputed_forcing_and_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = torch.func.jacrev(lambda v: measured_residuals(forced, unroll(forced, parameters, v).residuals))(
         torch.from_numpy(theta)
     )
-    dense = linearise(forced, parameters, theta).dense(parameters)
+    dense = whole_jacobian(linearise(forced, parameters, theta), parameters)
     assert float((dense - expected).abs().max()) < 1e-10 * float(expected.abs().max())
 
 

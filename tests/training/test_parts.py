@@ -26,7 +26,7 @@ from gbspec.training.starts.initial_states import refit_starts
 from gbspec.training.starts.splines import fit_curves
 from gbspec.training.starts.warm_start import eliminate
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
-from tests.training.reference import linearise, solve
+from tests.training.reference import linearise, solve, whole_jacobian
 
 RANGES = [Range(0, 50), Range(low=0.0), Range(high=3.0), Range(), Range(-2, -1)]
 
@@ -72,7 +72,7 @@ def test_steps_solve_the_damped_normal_equations(ridge: float, many: bool) -> No
     system = linearise(problem, parameters, theta)
     residuals = system.residuals.numpy()
     weights = huber_weights(residuals, 0.2)
-    J = system.dense(parameters).numpy() * np.sqrt(weights)[:, None]
+    J = whole_jacobian(system, parameters).numpy() * np.sqrt(weights)[:, None]
     equations = NormalEquations(system, parameters, weights, ridge, theta)
     assert equations.dual is not many
     penalised = np.arange(parameters.size) < parameters.n_weights

@@ -12,7 +12,7 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.priors import Priors, priors_at
 from tests.training.conftest import model_of, problem_of, trajectory
-from tests.training.reference import linearise, solve
+from tests.training.reference import linearise, solve, whole_jacobian
 
 SD, TIMES = 0.5, np.linspace(0.5, 4, 8)
 
@@ -122,7 +122,7 @@ def test_rows_and_gradients_agree_with_differences() -> None:
     priors = Priors.of(problem, parameters, solve(problem, parameters, theta))
     assert len(priors) == 3 and priors.noise == problem.scaling.noise
     system = priors.with_rows(linearise(problem, parameters, theta), theta)
-    dense = system.dense(parameters).numpy()
+    dense = whole_jacobian(system, parameters).numpy()
     direction, h = np.random.default_rng(0).standard_normal(len(theta)), 1e-6
     ahead, behind = (
         np.concatenate([solve(problem, parameters, at), priors.rows(at)])

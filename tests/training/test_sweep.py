@@ -71,7 +71,7 @@ def test_a_sweep_is_its_runs_and_goes_on_where_it_was_stopped(tmp_path: Path) ->
     assert [row["members"] for row in table(tmp_path)] == ["1", "1", "0", "0"], "the second one is unfinished"
     again = points(["max_step=0.1,0.2", "seed=3,4"], TrainOptions(**BASE.to_json(), resume=True), findings)
     rows = sweep(model, data, again, TrainOptions(workers=1), tmp_path / "sweep")
-    assert [row["members"] for row in rows] == [1] * 4
+    assert [row.numbers["members"] for row in rows] == [1] * 4
     alone = train(model, data, grid[2].options, tmp_path / "alone")
     swept = open_run(tmp_path / "sweep" / "max_step=0.2,seed=3")
     assert swept.fit.options["max_step"] == 0.2
@@ -80,7 +80,7 @@ def test_a_sweep_is_its_runs_and_goes_on_where_it_was_stopped(tmp_path: Path) ->
         assert np.array_equal(swept.member().weights[name], value), name
     written = table(tmp_path)
     assert [row["run"] for row in written] == [point.name for point in grid]
-    assert float(written[2]["loss"]) == alone.fit.members[0].loss == rows[2]["loss"]
+    assert float(written[2]["loss"]) == alone.fit.members[0].loss == rows[2].numbers["loss"]
     assert float(written[2]["beta"]) == alone.fit.constants["beta"].value
 
 
@@ -88,7 +88,7 @@ def test_a_sweep_that_goes_on_may_have_new_values(tmp_path: Path) -> None:
     model, data, findings = model_of(URP), urp_data(4, 2.0, 6), Findings()
     sweep(model, data, points(["seed=3"], BASE, findings), BASE, tmp_path / "sweep")
     more = points(["seed=3,4"], TrainOptions(**BASE.to_json(), resume=True), findings)
-    assert [row["members"] for row in sweep(model, data, more, BASE, tmp_path / "sweep")] == [1, 1]
+    assert [row.numbers["members"] for row in sweep(model, data, more, BASE, tmp_path / "sweep")] == [1, 1]
 
 
 def test_a_sweep_that_is_refused_has_begun_nothing(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ class Evaluator:
 
     def __init__(self, instance: GeneratedModule) -> None:
         self.instance = instance
-        self.n_states, self.n_channels = len(instance.states), len(instance.channels)
+        self.n_states = len(instance.states)
         self.n_conditions, self.n_inputs = len(instance.conditions), len(instance.inputs)
         self.constants: Array = np.array(instance.weights["constants"], dtype=np.float64)
         self._maps: dict[tuple[str, int], Casadi] = {}

@@ -61,7 +61,7 @@ def run(
     findings, values = Findings(), settings(set_values)
     with output.console().status("following branches"):
         if models.is_run(source):
-            opened = models.open_run(source)
+            opened = models.open_run(source, findings=findings)
             numbers = chosen(members, opened.numbers, opened.best)
             subjects = [models.learned(opened, values, member) for member in numbers]
         else:

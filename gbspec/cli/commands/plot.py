@@ -45,7 +45,7 @@ def run(
 
     form_of(to)
     findings = Findings()
-    made = models.open_run(directory, settings(set_values))
+    made = models.open_run(directory, settings(set_values), findings)
     measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
     output.findings(findings)
     save(reporting.figure(kind, made, measured, show or ()), to)

@@ -47,7 +47,7 @@ def run(
     rows = window_of(from_start, window)
     path = target(to)
     findings = Findings()
-    opened = models.open_run(directory, settings(set_values))
+    opened = models.open_run(directory, settings(set_values), findings)
     table = tables.read_data(data, opened.model, findings, require_channels=False)
     output.findings(findings)
     with output.console().status("predicting"):

@@ -35,7 +35,7 @@ def run(
     if to is not None:
         form_of(to)
     findings = Findings()
-    opened = models.open_run(directory)
+    opened = models.open_run(directory, findings=findings)
     measured = tables.trained_on(opened, data, findings)
     output.findings(findings)
 

@@ -44,7 +44,7 @@ def run(
         message = "`--over` and `--range` must be given together"
         raise UserError([Diagnostic("GB814", message, None, help="give both: `--over Da --range 0.2 0.5`")])
     findings = Findings()
-    opened = models.open_run(directory, settings(set_values))
+    opened = models.open_run(directory, settings(set_values), findings)
     path = writable(to if to is not None else Path(directory) / "report.html")
     table = tables.training_data(opened, findings) if data is None else tables.read_data(data, opened.model, findings)
     output.findings(findings)

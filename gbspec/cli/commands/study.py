@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.json_values import JsonObject
 from gbspec.report import number
 from gbspec.studies import StudyOptions
+
+if TYPE_CHECKING:
+    from gbspec.studies import Record
 
 
 @command(
@@ -44,14 +46,14 @@ def run(
     study = study_of(cases, options)
     root = directory(to)
 
-    def told(task: Task, record: JsonObject, done: int, total: int) -> None:
+    def told(task: Task, record: Record, done: int, total: int) -> None:
         output.say(f"[{done}/{total}] {task.name}: {line(record)}")
 
     made_by = shlex.join(["gbspec", "study", *cases, "-o", to, *options.flags()])
     summary = run_study(study, root, options, made_by, told)
     output.say(f"wrote {root / 'table.md'}")
     output.summary((root / "table.md").read_text(encoding="utf-8").rstrip("\n"))
-    output.document(summary)
+    output.document(summary.to_json())
 
 
 def directory(to: str) -> Path:
@@ -66,10 +68,11 @@ def directory(to: str) -> Path:
     return root
 
 
-def line(record: JsonObject) -> str:
+def line(record: Record) -> str:
     """The result of a member in one line."""
-    if record.get("failure"):
-        return f"failed: {record['failure']}"
-    errors = [f"{name} {number(entry['L2'], 3)}" for name, entry in record["errors"].items()]
-    warned = ["step warned"] if record["step_warning"] else []
-    return ", ".join([*errors, *warned, f"CPU {record['cpu_seconds']:.0f} s"])
+    found = record.fitted
+    if found is None:
+        return f"failed: {record.failure}"
+    errors = [f"{name} {number(entry['L2'], 3)}" for name, entry in found.errors.items()]
+    warned = ["step warned"] if found.step_warning else []
+    return ", ".join([*errors, *warned, f"CPU {found.cpu_seconds:.0f} s"])

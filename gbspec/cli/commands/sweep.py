@@ -59,7 +59,7 @@ def run(
     with shown(output) as progress:
         rows = fitting.sweep(specified, measured, chosen, directory, options, progress)
     output.say(f"wrote {Path(to) / 'sweep.csv'}")
-    header = ["run", *(name for name in max(rows, key=len) if name != "run" and name not in chosen[0].varied)]
-    cells = [[row["run"], *(number(row.get(name)) for name in header[1:])] for row in rows]
-    output.summary(table(header, cells))
-    output.document({"runs": rows})
+    header = [name for name in max((row.numbers for row in rows), key=len) if name not in chosen[0].varied]
+    cells = [[row.run, *(number(row.numbers.get(name)) for name in header)] for row in rows]
+    output.summary(table(["run", *header], cells))
+    output.document({"runs": [row.to_json() for row in rows]})

@@ -25,7 +25,7 @@ def run(
     from gbspec.operations import analysing, models, tables
 
     findings = Findings()
-    made = models.open_run(directory, settings(set_values))
+    made = models.open_run(directory, settings(set_values), findings)
     chosen = which(member)
     measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
     output.findings(findings)

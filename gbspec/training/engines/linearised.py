@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.training.problem import Integers, Parameters
+from gbspec.training.problem import Integers
 
 
 @dataclass(frozen=True)
@@ -22,16 +22,6 @@ class Jacobian:
     shared: Tensor
     local: Tensor
     owner: Tensor
-
-    def dense(self, parameters: Parameters) -> Tensor:
-        """The whole Jacobian [m, size] (for tests and small problems)."""
-        out = torch.zeros((len(self.owner), parameters.size), dtype=self.local.dtype)
-        out[:, : parameters.n_shared] = self.shared
-        block = parameters.n_local
-        for i in range(len(self.owner)):
-            begin = parameters.n_shared + int(self.owner[i]) * block
-            out[i, begin : begin + block] = self.local[i]
-        return out
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import finite
 from gbspec.ir import METHODS, Model
-from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, StageRecord, files, read_record
+from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, files, read_record
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
@@ -236,10 +236,7 @@ def _write_results(path: Path, model: Model, record: FitRecord, results: dict[in
 
 
 def _member(result: MemberResult) -> MemberRecord:
-    stages = tuple(
-        StageRecord(stage["name"], stage["iterations"], finite(stage["loss"]), stage["seconds"])
-        for stage in result.stages
-    )
+    stages = tuple(replace(stage, loss=finite(stage.loss)) for stage in result.stages)
     rmse = {name: finite(value) for name, value in result.rmse.items()}
     return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages)
 

@@ -15,8 +15,7 @@ from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
-from gbspec.json_values import JsonObject
-from gbspec.runs import files
+from gbspec.runs import JsonError, StageRecord, decode, encode, files
 from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
@@ -54,8 +53,35 @@ class Position:
     seconds: float = 0.0
     loss: float = float("inf")
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
-    stages: list[JsonObject] = field(default_factory=list)
+    stages: list[StageRecord] = field(default_factory=list)
     finished: bool = False
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Numbers of a checkpoint in hexadecimal, since they may be infinite or NaN, which JSON does not have."""
+
+    loss: str
+    best_score: str
+    freedom: str
+
+
+@dataclass(frozen=True)
+class Remarks:
+    """What a checkpoint holds beside its arrays; see `Position`. Losses and constants of the history are hexadecimal.
+
+    `smooth`: whether the measured values were smoothed for the warm start.
+    """
+
+    stage: int
+    iteration: int
+    seconds: float
+    finished: bool
+    smooth: bool
+    stages: tuple[StageRecord, ...]
+    notes: tuple[str, ...]
+    exact: Exact
+    history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
 
 
 def fit_member(
@@ -80,7 +106,7 @@ def fit_member(
     with uninterrupted() as interrupted:
         if checkpoint is not None:
             arrays, remarks = checkpoint
-            context = build_context(model, module, trajectories, options, seed, bool(remarks["smooth"]))
+            context = build_context(model, module, trajectories, options, seed, remarks.smooth)
             fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
             runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
         else:
@@ -129,7 +155,7 @@ class _Runner:
         name = "warm start" if self.context.options.warm_start else "start"
         constants = self._constants(position.theta)
         position.history.append((name, 1, seconds, position.loss, constants))
-        position.stages.append({"name": name, "iterations": 1, "loss": position.loss, "seconds": seconds})
+        position.stages.append(StageRecord(name, 1, position.loss, seconds))
         names = [k.name for k in self.parameters.model.learnables]
         self.progress.update(
             Update(self.member, name, 1, 1, position.loss, seconds, None, dict(zip(names, constants, strict=True)))
@@ -165,8 +191,8 @@ class _Runner:
         stage = planned.make(Reached(position.entry, position.marks))
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
-            position.stages.append({"name": stage.name, "iterations": 0, "loss": None, "seconds": 0.0})
-        began = time.monotonic() - float(position.stages[-1]["seconds"])
+            position.stages.append(StageRecord(stage.name, 0, None, 0.0))
+        began = time.monotonic() - position.stages[-1].seconds
         while position.iteration < stage.total:
             outcome = stage.step(position.state, position.iteration)
             self._record(stage, outcome, time.monotonic() - began)
@@ -198,7 +224,7 @@ class _Runner:
         position.seconds = time.monotonic() - self._began
         constants = self._constants(position.theta)
         position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
-        position.stages[-1].update(iterations=position.iteration, loss=outcome.loss, seconds=stage_seconds)
+        position.stages[-1] = StageRecord(stage.name, position.iteration, outcome.loss, stage_seconds)
         self._score()
         names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]
         self.progress.update(
@@ -256,7 +282,7 @@ class _Runner:
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             # The largest step used in the last fit of the weights.
-            "max_step": self.context.max_step * step_fraction([str(stage["name"]) for stage in position.stages]),
+            "max_step": self.context.max_step * step_fraction([stage.name for stage in position.stages]),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
@@ -284,63 +310,61 @@ class _Runner:
         arrays |= {"deviations": position.certainty.deviations, "correlations": position.certainty.correlations}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
-        remarks = {
-            "stage": position.stage,
-            "iteration": position.iteration,
-            "seconds": position.seconds,
-            "finished": position.finished,
-            "smooth": self.context.smooth,
-            "stages": position.stages,
-            "notes": position.notes,
-            "exact": {
-                "loss": position.loss.hex(),
-                "best_score": position.best_score.hex(),
-                "freedom": position.certainty.freedom.hex(),
-            },
-            "history": [
-                [name, i, seconds, loss.hex(), [x.hex() for x in constants]]
+        remarks = Remarks(
+            stage=position.stage,
+            iteration=position.iteration,
+            seconds=position.seconds,
+            finished=position.finished,
+            smooth=self.context.smooth,
+            stages=tuple(position.stages),
+            notes=tuple(position.notes),
+            exact=Exact(position.loss.hex(), position.best_score.hex(), position.certainty.freedom.hex()),
+            history=tuple(
+                (name, i, seconds, loss.hex(), tuple(x.hex() for x in constants))
                 for name, i, seconds, loss, constants in position.history
-            ],
-        }
-        files.write_tensors(self.directory / files.CHECKPOINT, arrays, remarks)
+            ),
+        )
+        files.write_tensors(self.directory / files.CHECKPOINT, arrays, encode(remarks))
         best = {"theta": position.best}
         files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})
         self._saved = time.monotonic()
 
 
-def _checkpoint(directory: Path) -> tuple[dict[str, Array], JsonObject] | None:
+def _checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
     """The last checkpoint, if there is one. Raises `UserError` (GB852) if it is damaged."""
     path = directory / files.CHECKPOINT
     if not path.is_file():
         return None
     try:
-        return files.read_tensors(path)
+        arrays, remarks = files.read_tensors(path)
+        return arrays, decode(Remarks, remarks)
     except ValueError as error:
+        damaged = f"`{path}` is damaged: {error}" if isinstance(error, JsonError) else str(error)
         help_text = f"delete `{directory}` to fit the member again"
-        raise UserError([Diagnostic("GB852", str(error), None, help=help_text)]) from None
+        raise UserError([Diagnostic("GB852", damaged, None, help=help_text)]) from None
 
 
-def restored(arrays: dict[str, Array], remarks: JsonObject) -> Position:
+def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
     """The position stored in a checkpoint."""
     return Position(
-        stage=remarks["stage"],
-        iteration=remarks["iteration"],
+        stage=remarks.stage,
+        iteration=remarks.iteration,
         state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
         entry=arrays["entry"],
-        certainty=Certainty(arrays["deviations"], arrays["correlations"], float.fromhex(remarks["exact"]["freedom"])),
+        certainty=Certainty(arrays["deviations"], arrays["correlations"], float.fromhex(remarks.exact.freedom)),
         theta=arrays["theta"],
         best=arrays["best"],
-        best_score=float.fromhex(remarks["exact"]["best_score"]),
-        seconds=remarks["seconds"],
-        loss=float.fromhex(remarks["exact"]["loss"]),
+        best_score=float.fromhex(remarks.exact.best_score),
+        seconds=remarks.seconds,
+        loss=float.fromhex(remarks.exact.loss),
         history=[
             (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
-            for name, i, seconds, loss, constants in remarks["history"]
+            for name, i, seconds, loss, constants in remarks.history
         ],
-        stages=remarks["stages"],
-        notes=remarks["notes"],
+        stages=list(remarks.stages),
+        notes=list(remarks.notes),
         marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
-        finished=remarks["finished"],
+        finished=remarks.finished,
     )
 
 

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.json_values import JsonObject
+from gbspec.runs import StageRecord
 from gbspec.training.engines import predicted, residual_table
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context
@@ -34,7 +34,7 @@ class MemberResult:
     constants: dict[str, float]
     sd: dict[str, float]
     seconds: float
-    stages: list[JsonObject]
+    stages: list[StageRecord]
     initial: Array
     labels: list[str]
     failed: list[str] = field(default_factory=list)
@@ -51,7 +51,7 @@ def summarise(
     freedom: float,
     loss: float,
     seconds: float,
-    stages: list[JsonObject],
+    stages: Sequence[StageRecord],
 ) -> MemberResult:
     """Evaluates a member at `theta`; `freedom`: the degrees of freedom that its last stage used (NaN: not known)."""
     model = context.model
@@ -63,7 +63,7 @@ def summarise(
     blown = seen & ~np.isfinite(solution.mean)
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
     rmse, noise = {}, {}
-    noise_of = _Noise.of(context, parameters, theta, freedom, [str(stage["name"]) for stage in stages])
+    noise_of = _Noise.of(context, parameters, theta, freedom, [stage.name for stage in stages])
     for i, channel in enumerate(model.channels):
         column = difference[seen[:, i], i]
         rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
@@ -79,7 +79,7 @@ def summarise(
         dict(zip(names, map(float, values), strict=True)),
         {name: float("nan") for name in names},
         seconds,
-        [dict(stage) for stage in stages],
+        list(stages),
         solution.initial.copy(),
         list(context.packed().labels),
         failed,

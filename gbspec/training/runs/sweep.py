@@ -6,15 +6,14 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
-from gbspec.json_values import JsonObject
-from gbspec.runs import files
+from gbspec.runs import Option, files
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.runs.fit import Fitting
@@ -26,6 +25,19 @@ from gbspec.training.runs.variations import Point
 TABLE = "sweep.csv"
 
 
+@dataclass(frozen=True)
+class Row:
+    """A row of the table: the run's name, the varied options, and the numbers of its results by column."""
+
+    run: str
+    varied: Mapping[str, Option]
+    numbers: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Option]:
+        """Its cells by column."""
+        return {"run": self.run, **self.varied, **self.numbers}
+
+
 def sweep(
     model: Model,
     trajectories: Trajectories,
@@ -33,7 +45,7 @@ def sweep(
     options: TrainOptions,
     directory: Path,
     progress: Progress | None = None,
-) -> list[JsonObject]:
+) -> list[Row]:
     """Fits every point in its own run directory under `directory`; returns (and writes) a row for each.
 
     `options` are those of the call: workers, threads, scheduler. A row has the run's name, the varied options, the
@@ -81,20 +93,21 @@ def _least(run: Fitting) -> float:
     return min((result.loss for result in run.results.values()), default=math.nan)
 
 
-def _row(point: Point, run: Fitting) -> JsonObject:
-    row: JsonObject = {"run": point.name, **point.varied, "members": len(run.results)}
+def _row(point: Point, run: Fitting) -> Row:
+    numbers: dict[str, float] = {"members": len(run.results)}
     best = min(run.results.values(), key=lambda result: result.loss, default=None)
     if best is not None:
-        row |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
-        row |= {**best.constants, "seconds": sum(result.seconds for result in run.results.values())}
-    return row
+        numbers |= {"loss": best.loss, **{f"rmse {channel}": value for channel, value in best.rmse.items()}}
+        numbers |= {**best.constants, "seconds": sum(result.seconds for result in run.results.values())}
+    return Row(point.name, point.varied, numbers)
 
 
-def _write(path: Path, rows: Sequence[JsonObject]) -> None:
+def _write(path: Path, rows: Sequence[Row]) -> None:
     """Writes the table; its columns are those of the row with the most entries."""
-    fullest: JsonObject = max(rows, key=len)
+    cells = [row.to_json() for row in rows]
     text = io.StringIO()
+    fullest = max(cells, key=lambda row: len(row))
     writer = csv.DictWriter(text, list(fullest), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(cells)
     files.write_bytes(path, text.getvalue().encode("utf-8"))

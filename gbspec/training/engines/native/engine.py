@@ -53,12 +53,6 @@ class NativeEngine:
             mean = self._observed(vector, before, inputs.constants)
         return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())
 
-    def kernel_residuals(self, theta: Array, path: Path) -> Array:
-        """The residuals [R, C] that the kernel computes for its own gradients (for tests of their definition)."""
-        with torch.no_grad():
-            inputs = KernelInputs.of(self.problem, self.parameters, torch.from_numpy(theta))
-        return self.kernel.sweep(self.tables(path), inputs, False).residuals
-
     def _observed(self, vector: Tensor, before: Array, constants: Tensor) -> Array:
         """The channels at the key rows [R, C], from the states there."""
         channels = self.problem.model.channels
