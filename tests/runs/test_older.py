@@ -13,14 +13,14 @@ from gbspec.backends.module import INTERFACE
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings, Severity
 from gbspec.runs import open_run
-from tests.runs.test_record import EDITION_1
+from tests.runs.test_record import VERSION_0_1_0
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of a run directory that gbspec 0.1.0 wrote, beside its data."""
-    shutil.copy(EDITION_1 / "data.csv", tmp_path / "data.csv")
-    shutil.copytree(EDITION_1 / "run", tmp_path / "run")
+    shutil.copy(VERSION_0_1_0 / "data.csv", tmp_path / "data.csv")
+    shutil.copytree(VERSION_0_1_0 / "run", tmp_path / "run")
     monkeypatch.chdir(tmp_path)
     return tmp_path / "run"
 
