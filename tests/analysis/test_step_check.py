@@ -18,6 +18,8 @@ from gbspec.training import TrainOptions
 from gbspec.training.runs.variations import Point
 from tests.training.conftest import model_of
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 DECAY = """model decay
 state x in [0, 2] = 1
 unknown lost(x) by mlp(6)

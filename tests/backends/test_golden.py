@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import gbspec
 from gbspec.backends.module import generate
 from gbspec.ir.model import Model
 from tests.backends.examples import clinic, reactor
@@ -31,7 +32,7 @@ def test_generated_text(model: Callable[[], Model]) -> None:
 def test_the_text_does_not_depend_on_hashing() -> None:
     imports = "import gbspec; from tests.backends.examples import clinic; from gbspec.backends.module import generate"
     command = f"{imports}; print(generate(clinic())); print(generate(gbspec.load('spreading_population').model))"
-    texts = {
+    texts = {f"{generate(clinic())}\n{generate(gbspec.load('spreading_population').model)}\n"} | {
         subprocess.run(
             [sys.executable, "-c", command],
             env={**os.environ, "PYTHONHASHSEED": seed},
@@ -40,6 +41,6 @@ def test_the_text_does_not_depend_on_hashing() -> None:
             text=True,
             check=True,
         ).stdout
-        for seed in ("1", "2", "3")
+        for seed in ("1", "2")
     }
     assert len(texts) == 1

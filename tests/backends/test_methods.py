@@ -30,6 +30,7 @@ from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import predicted
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
+from tests import quick
 from tests.backends.same_kernel import compare
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of
 from tests.training.reference import kernel_residuals, linearise, measured_residuals, unroll, whole_jacobian
@@ -55,16 +56,14 @@ FEWER = [*METHODS, RALSTON.name]
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
-    """Adds two methods by an entry each. Kernels are cached per test."""
+def registered(monkeypatch: pytest.MonkeyPatch, kernels: Path) -> Iterator[None]:
+    """Adds two methods by an entry each."""
     for method in (RALSTON, EULER):
         monkeypatch.setitem(METHODS, method.name, method)
-    monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiler, "_flag_sets", lambda: [["-std=gnu11", "-O0", "-shared", "-fPIC"]])
-    monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    yield
+    with quick.kernels(kernels):
+        yield
     torch.set_num_threads(threads)
 
 

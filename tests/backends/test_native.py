@@ -34,6 +34,7 @@ from gbspec.training.problem.packing import pack
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 from gbspec.training.problem.scaling import scaling_of
+from tests import quick as quickly
 from tests import strategies
 from tests.backends.same_kernel import compare, compare_jacobians
 from tests.training.conftest import EVERYTHING, everything_data, model_of, problem_of, urp_data
@@ -92,11 +93,10 @@ def random_problem(model: Model, seed: int, step: float = 0.31) -> tuple[Problem
 
 
 @pytest.fixture
-def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(kernels: Path) -> Iterator[None]:
     """Compiles without optimisation, which takes most of the compiler's time."""
-    monkeypatch.setenv("GBSPEC_CACHE", str(tmp_path))
-    monkeypatch.setattr(compiling, "_flag_sets", lambda: [["-std=gnu11", "-O0", "-shared", "-fPIC"]])
-    monkeypatch.setattr("gbspec.training.engines.native.kernel._kernels", {})
+    with quickly.kernels(kernels):
+        yield
 
 
 SHIPPED = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*/*.gb"))

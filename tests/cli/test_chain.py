@@ -17,6 +17,8 @@ from gbspec.cli.app import build, needed
 
 from .conftest import DECAY, KNOWN
 
+pytestmark = pytest.mark.usefixtures("few_points")
+
 Run = Callable[..., Any]
 
 
@@ -244,6 +246,7 @@ def test_figures_that_cannot_be_drawn(place: Path, here: Path, run: str, argumen
 
 
 # --------------------------------------------------------------------------------------------------------- Python
+@pytest.mark.usefixtures("quick_fit")
 def test_the_same_from_python(place: Path, here: Path) -> None:
     import gbspec
 
@@ -302,6 +305,7 @@ def test_wrong_parameters_of_bifurcate(
 
 
 # ------------------------------------------------------------------------------------------------------- sweep
+@pytest.mark.usefixtures("quick_fit")
 def test_a_sweep_has_a_row_for_each_combination(place: Path, here: Path, document: Run) -> None:
     made = document("sweep", place / "known.gb", place / "known.csv", "-o", "swept", "--vary", "effort=low",
                     "--vary", "max_step=0.1,0.5", "--workers", 1)  # fmt: skip

@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 
 from gbspec.cli.app import build, needed
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 Run = Callable[..., Any]
 
 HIDDEN = """\

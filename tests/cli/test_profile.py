@@ -16,6 +16,8 @@ from typer.testing import CliRunner
 
 from gbspec.cli.app import build, needed
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 Run = Callable[..., Any]
 NOISE = 0.03
 START = 1.0

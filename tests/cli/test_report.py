@@ -17,6 +17,8 @@ from typer.testing import CliRunner
 
 from gbspec.cli.app import build, needed
 
+pytestmark = pytest.mark.usefixtures("quick_fits", "few_points")
+
 Run = Callable[..., Any]
 VOID = {"meta", "link", "img", "br", "hr", "input"}
 SECTIONS = ("model", "fit", "functions", "constants", "metrics", "parity", "residuals", "history", "bifurcation",

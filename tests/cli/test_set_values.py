@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 
 from gbspec.cli.app import build, needed
 
+pytestmark = pytest.mark.usefixtures("quick_fits", "few_points")
+
 Run = Callable[..., Any]
 
 MODEL = """\

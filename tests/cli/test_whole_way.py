@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.usefixtures("quick_fits", "few_points")
+
 Run = Callable[..., Any]
 
 DOSED = """\

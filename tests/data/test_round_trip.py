@@ -75,7 +75,7 @@ def trajectories(draw: st.DrawFn, start: float | None) -> Trajectory:
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".parquet"])
 @pytest.mark.parametrize("start", [None, 0.0])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_what_is_written_reads_back(data: st.DataObject, start: float | None, suffix: str) -> None:
     model = rich(start)

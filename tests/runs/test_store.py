@@ -12,6 +12,7 @@ import pytest
 from gbspec.diagnostics import UserError
 from gbspec.runs import files, open_run
 from gbspec.training import TrainOptions, train
+from tests import quick
 from tests.training.conftest import URP, model_of, urp_data
 
 
@@ -19,8 +20,7 @@ from tests.training.conftest import URP, model_of, urp_data
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("runs") / "run"
     options = TrainOptions(members=2, workers=1, method="gradient-matching")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbspec.training.starts.warm_start.REGRESSION_STEPS", 50)
+    with quick.warm_start(50):
         train(model_of(URP), urp_data(4, 2.0, 6), options, path)
     return path
 

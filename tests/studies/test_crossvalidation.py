@@ -20,6 +20,8 @@ from gbspec.studies.heldout import Point, errors
 
 from .conftest import DECAY
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 
 def data(trajectories: int, rows: int) -> Trajectories:
     """Trajectories that start at 0 and have their first row at 1; the values tell trajectory and row."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -186,12 +186,8 @@ def problem_of(
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _quick() -> Iterator[None]:
-    """One thread, and a warm start cut short: what follows it makes up for that on these small problems."""
+def _one_thread() -> None:
     torch.set_num_threads(1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbspec.training.starts.warm_start.REGRESSION_STEPS", 250)
-        yield
 
 
 @pytest.fixture

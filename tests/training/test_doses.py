@@ -239,6 +239,7 @@ def test_a_trajectory_taken_twice_gets_its_doses_twice() -> None:
         assert torch.allclose(some.before[mine], whole.before[theirs], rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_learns_the_fraction_and_the_lag(tmp_path: Path) -> None:
     model = model_of(DEPOT)
     run = train(model, depot_data(model, 2), TrainOptions(effort="low", max_step=0.25), tmp_path / "run")

@@ -47,6 +47,7 @@ def shipped(name: str, net: str, small: str) -> str:
     return text.replace(net, small)
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_an_input_held_between_samples_and_a_start_that_is_missing(tmp_path: Path) -> None:
     def without_b(table: pl.DataFrame) -> pl.DataFrame:
         first = pl.when(pl.col("t") == 0).then(None).otherwise(pl.col("B"))
@@ -66,6 +67,7 @@ def test_an_input_held_between_samples_and_a_start_that_is_missing(tmp_path: Pat
     assert run.run.fit.warnings == ()
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_one_channel_of_two_states(tmp_path: Path) -> None:
     text = shipped("one_compartment", "mlp(16, 16)", "mlp(8)")
     run, _ = fitted(tmp_path, text, trajectories=5, span=16, dt=1, sampling="gamma", noise=0.02, seed=1)
@@ -86,6 +88,7 @@ def test_thousands_of_even_samples_of_one_run(tmp_path: Path) -> None:
     assert all(rmse[name] < 0.05 * data.items[0].values[:, j].std() for j, name in enumerate(("q", "w")))
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_fifty_noisy_rows_predict_what_lies_between_them(tmp_path: Path) -> None:
     text = shipped("lotka_volterra", "mlp(32, 32)", "mlp(8, 8)")
     box = {"prey": (10.0, 60.0), "predator": (5.0, 30.0)}
@@ -120,6 +123,7 @@ def learned_solutions(
     return [evaluator.integrate(start, times, np.zeros(0), (), 0.0, rtol=1e-8, atol=1e-8) for start in starts]
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_noise_in_proportion_gives_intervals_in_proportion(tmp_path: Path) -> None:
     text = DECAY.format(noise=" noise lognormal(0.2)")
     run, data = fitted(tmp_path, text, trajectories=4, span=5, dt=0.5, keep_start=True, noise=0.2, seed=1)
@@ -139,6 +143,7 @@ def test_held_out_measurements_are_judged_in_proportion() -> None:
     assert errors(points, {"N": 1.0})["N"].covered == 0.5, "within a factor of exp(1.645 * 0.2) = 1.39"
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_noisy_first_values_count_as_measurements_where_everything_is_known(tmp_path: Path) -> None:
     how = {"trajectories": 6, "span": 5, "dt": 0.5, "keep_start": True, "seed": 3}
     run, data = fitted(tmp_path, DECAY.format(noise=""), noise=0.1, **how)
@@ -150,6 +155,7 @@ def test_noisy_first_values_count_as_measurements_where_everything_is_known(tmp_
     assert run.run.fit.warnings == ()
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_exact_first_values_stay_where_everything_is_known(tmp_path: Path) -> None:
     run, data = fitted(tmp_path, DECAY.format(noise=""), trajectories=2, span=3, dt=0.5, keep_start=True, seed=3)
     assert run.run.fit.constants["k"].value == pytest.approx(0.8, abs=1e-5)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from scipy.integrate import solve_ivp
 
 from gbspec.data.trajectories import Trajectories
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of, trajectory
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
 
 BATCH = """model batch
 state X in [0, 8] = 1

@@ -41,6 +41,8 @@ HEUN = Explicit(
     help="Heun's, of order 3",
 )
 
+pytestmark = pytest.mark.usefixtures("quick_fits", "few_points")
+
 QUICK = {"max_step": 0.25, "method": "lm", "epochs": 6, "workers": 1}
 
 

@@ -15,6 +15,8 @@ from gbspec.training.recipe import planning
 from gbspec.training.recipe.preparation import prepare
 from tests.training.conftest import URP, Recorder, model_of, urp_data
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 - x1)*exp(x2)")
 
 

@@ -15,6 +15,8 @@ from gbspec.training.runs.sweep import sweep
 from gbspec.training.runs.variations import points
 from tests.training.conftest import URP, Recorder, model_of, urp_data
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 BASE = TrainOptions(method="lm", epochs=2, warm_start=False, workers=1, max_step=0.2)
 
 

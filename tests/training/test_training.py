@@ -16,6 +16,7 @@ from gbspec.diagnostics import ComputationError, UserError
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.recipe import planning
+from tests import quick
 from tests.training.conftest import URP, Recorder, model_of, trajectory, urp_data, urp_rhs
 
 
@@ -32,7 +33,8 @@ def relative_rhs_error(module: object, data: Trajectories) -> float:
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fit") / "run"
-    train(model_of(URP), urp_data(16, 5.0, 2), TrainOptions(effort="low"), path)
+    with quick.warm_start(250):
+        train(model_of(URP), urp_data(16, 5.0, 2), TrainOptions(effort="low"), path)
     return path
 
 
@@ -59,8 +61,9 @@ def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     assert {"model.gb", "model.py", "members/0/weights.safetensors", "members/0/checkpoint.safetensors"} <= files
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_interrupted_and_resumed_ends_with_the_same_numbers(tmp_path: Path) -> None:
-    model, data = model_of(URP), urp_data(6, 3.0, 4)
+    model, data = model_of(URP), urp_data(4, 2.0, 4)
     options = TrainOptions(effort="low")
     whole = train(model, data, options, tmp_path / "whole")
     for after in (1, 4, 7):
@@ -81,7 +84,7 @@ def test_interrupted_and_resumed_ends_with_the_same_numbers(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("method", ["adam", "lbfgs", "lm", "gradient-matching"])
 def test_each_method_resumes_and_improves(method: str, tmp_path: Path) -> None:
-    model, data = model_of(URP), urp_data(6, 2.0, 5)
+    model, data = model_of(URP), urp_data(6, 1.3, 5)
     options = {"method": method, "epochs": 4, "batch_size": 4}
     recorder = Recorder()
     whole = train(model, data, TrainOptions(**options), tmp_path / "whole", recorder)
@@ -97,6 +100,7 @@ def test_each_method_resumes_and_improves(method: str, tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.usefixtures("quick_fit")
 @pytest.mark.parametrize(
     "more",
     [
@@ -123,6 +127,7 @@ def test_too_much_for_a_jacobian_goes_by_minibatches(tmp_path: Path, monkeypatch
     assert [u.stage for u in recorder.updates] == ["warm start", "initial states", "adam", "adam", "adam"]
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_members_differ_and_repeat(tmp_path: Path) -> None:
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     options = TrainOptions(members=2, seed=3, method="gradient-matching", workers=1)
@@ -194,6 +199,7 @@ def test_refuses_to_resume_with_other_data_or_options(fitted: Path) -> None:
         train(model_of(URP.replace("B = 5", "B = 6")), urp_data(16, 5.0, 2), TrainOptions(resume=True), fitted)
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_run_solves_with_the_step_that_it_was_fitted_with_last(tmp_path: Path) -> None:
     """After the stage at half the step the weights are those of half the step: no warning of the whole one."""
     (tmp_path / "m.gb").write_text(

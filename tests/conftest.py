@@ -1,0 +1,46 @@
+"""What makes whole fits quick in tests that are about something else than the fit; see `tests/quick.py`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests import quick
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _short_warm_start() -> Iterator[None]:
+    """A warm start cut short, in all tests alike: what follows it makes up for that on small problems."""
+    with quick.warm_start(100):
+        yield
+
+
+@pytest.fixture(scope="session")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of the kernels that the tests compile, shared by the processes that run them."""
+    base = tmp_path_factory.getbasetemp()
+    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "kernels"
+
+
+@pytest.fixture(scope="module")
+def quick_fits(kernels: Path) -> Iterator[None]:
+    """Fits by the compiled kernel in a whole file of tests, the fixtures of the file among them."""
+    with quick.fits(kernels):
+        yield
+
+
+@pytest.fixture
+def quick_fit(kernels: Path) -> Iterator[None]:
+    """The same in a single test."""
+    with quick.fits(kernels):
+        yield
+
+
+@pytest.fixture(scope="module")
+def few_points() -> Iterator[None]:
+    """`validate` compares with the truth at fewer points than by default."""
+    with quick.metrics(conditions=4, points=3, rhs_points=50):
+        yield

@@ -1,0 +1,52 @@
+"""Whole fits and comparisons made short, as contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+FLAGS = ["-std=gnu11", "-O0", "-Dalways_inline=unused", "-shared", "-fPIC"]
+"""Compilation takes a tenth of the time without optimisation, and half of that with functions that are not inlined."""
+
+
+@contextmanager
+def kernels(folder: Path) -> Iterator[None]:
+    """Kernels are compiled with `FLAGS`, into `folder`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GBSPEC_CACHE", str(folder))
+        patch.setattr("gbspec.backends.native.compiler._flag_sets", lambda: [FLAGS])
+        patch.setattr("gbspec.training.engines.native.kernel._kernels", {})
+        yield
+
+
+@contextmanager
+def fits(folder: Path) -> Iterator[None]:
+    """`--backend auto` takes the compiled kernel however few the data: several times as fast as the torch graph.
+
+    Without a compiler, the torch graph is used.
+    """
+    with kernels(folder), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.training.engines.choice.LEAST_SUBSTEPS", 0)
+        yield
+
+
+@contextmanager
+def warm_start(steps: int) -> Iterator[None]:
+    """The regression of slopes at the beginning of a fit takes fewer steps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.training.starts.warm_start.REGRESSION_STEPS", steps)
+        yield
+
+
+@contextmanager
+def metrics(**sizes: int) -> Iterator[None]:
+    """Comparisons with the truth have other default sizes."""
+    import gbspec.data
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.data.MetricsOptions", partial(gbspec.data.MetricsOptions, **sizes))
+        yield
