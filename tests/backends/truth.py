@@ -33,7 +33,8 @@ class Truth:
     """A model with weights, evaluated at 30 digits."""
 
     def __init__(self, model: Model, weights: Mapping[str, Array]) -> None:
-        self.model, self.weights = model, weights
+        self.model = model
+        self.weights = {name: np.vectorize(mpmath.mpf, otypes=[object])(value) for name, value in weights.items()}
         self.unknowns = {unknown.name: self._unknown(unknown) for unknown in model.unknowns}
 
     def rhs(self, point: Point) -> list[Any]:
@@ -110,7 +111,7 @@ class Truth:
         return free if unknown.form is None else formed
 
     def _numbers(self, network: Network, name: str) -> Any:
-        return np.vectorize(mpmath.mpf, otypes=[object])(self.weights[f"network.{network.name}.{name}"])
+        return self.weights[f"network.{network.name}.{name}"]
 
     def _raw(self, network: Network, arguments: Sequence[Any]) -> list[Any]:
         """The outputs of the last layer."""

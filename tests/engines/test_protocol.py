@@ -26,6 +26,9 @@ ENGINES: dict[str, Make] = {"torch": torch_engine, "native": native_engine}
 LOGARITHMIC = URP.replace("observe x1", "observe x1 noise lognormal(0.1)")
 
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+
 @pytest.fixture(scope="module", params=["everything", "reactor", "logarithmic"])
 def given(request: pytest.FixtureRequest) -> Given:
     if request.param == "everything":

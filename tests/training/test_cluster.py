@@ -28,7 +28,11 @@ OPTIONS = {"members": 3, "warm_start": False, "method": "lm", "epochs": 3, "thre
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[Any]:
     """A cluster of two processes of one thread each, which come back when they are killed."""
-    quiet = {"distributed.worker.daemon": False, "distributed.nanny.environ.OMP_NUM_THREADS": 1}
+    quiet = {
+        "distributed.worker.daemon": False,
+        "distributed.worker.profile.enabled": False,
+        "distributed.nanny.environ.OMP_NUM_THREADS": 1,
+    }
     with (
         __import__("dask").config.set(quiet),
         distributed.LocalCluster(

@@ -140,6 +140,7 @@ def same_by_the_kernel(problem: Problem, parameters: Parameters, theta: np.ndarr
     compare(problem, parameters, theta, ("float64", "float32"))
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_lag_that_conditions_set_by_the_kernel() -> None:
     text = MANY.replace("lag 0.3*own + 0.1*c", "lag early + 0.3*c")
     problem, parameters, theta = problem_of(model_of(text), many_data(), 0.13, blend=0.3)
@@ -158,6 +159,7 @@ def test_learned_lags_by_the_kernel(blend: float) -> None:
         same_by_the_kernel(problem, parameters, moved)
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_lag_that_ends_at_a_row_by_the_kernel() -> None:
     """At the middle of its range the lag is 1, where a row lies: one part of the sub-step has no length."""
     model = model_of(DEPOT)
@@ -174,6 +176,7 @@ def test_learned_lags_before_the_start_and_beyond_the_end_by_the_kernel(shift: f
     same_by_the_kernel(problem, parameters, theta)
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_learned_lags_in_parts_of_solutions_and_of_data(monkeypatch: pytest.MonkeyPatch) -> None:
     """With only some sub-steps' activations kept, on two threads, and for some trajectories."""
     problem, parameters, theta = problem_of(model_of(MANY), many_data(), 0.02, blend=0.3)
@@ -195,6 +198,7 @@ def test_learned_lags_in_parts_of_solutions_and_of_data(monkeypatch: pytest.Monk
     assert np.allclose(half_squares(kernel, problem, parameters, theta, index)[1], found[1], rtol=1e-11, atol=1e-13)
 
 
+@pytest.mark.usefixtures("quick_fit")
 def test_a_dose_that_only_constants_describe_in_a_model_that_learns_none() -> None:
     text = """model fixed
 time t from 0
@@ -211,6 +215,7 @@ observe x
     same_by_the_kernel(problem, parameters, theta)
 
 
+@pytest.mark.usefixtures("quick_fit")
 @pytest.mark.parametrize("conditions", [(0.0, 0.0), (0.5, 0.0)])
 def test_a_learned_lag_that_a_condition_leaves_undefined_has_no_gradient(conditions: tuple[float, ...]) -> None:
     model = model_of(DEPOT.replace("state gut", "condition c in [0, 1]\nstate gut").replace("lag tlag", "lag tlag/c"))

@@ -12,6 +12,8 @@ from gbspec.diagnostics import Findings
 from gbspec.training import TrainOptions, train
 from tests.training.conftest import model_of
 
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
 DATA = Path(__file__).parents[3] / "shared" / "data"
 
 ALPHA_PINENE = """model alpha_pinene
