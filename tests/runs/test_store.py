@@ -159,3 +159,16 @@ def test_a_checkpoint_whose_remarks_have_another_form_is_damaged(run: Path) -> N
         train(model_of(URP), urp_data(4, 2.0, 6), options, run)
     (found,) = caught.value.diagnostics
     assert found.code == "GB852" and '`stage` is "first"; expected a whole number' in found.message
+
+
+def test_a_run_whose_module_was_imported_is_resumed(run: Path) -> None:
+    (run / "__pycache__").mkdir(exist_ok=True)
+    options = TrainOptions(members=2, workers=1, method="gradient-matching", resume=True)
+    assert train(model_of(URP), urp_data(4, 2.0, 6), options, run).numbers == (0, 1)
+
+
+def test_a_directory_with_other_files_is_refused(run: Path) -> None:
+    (run / "thesis.tex").touch()
+    options = TrainOptions(members=2, workers=1, method="gradient-matching", resume=True)
+    with pytest.raises(UserError, match=r"thesis\.tex"):
+        train(model_of(URP), urp_data(4, 2.0, 6), options, run)

@@ -31,7 +31,8 @@ TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
 NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
-FOREIGN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html"})
+OWN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html", "__pycache__"})
+"""What a run directory contains; Python leaves `__pycache__` where somebody imported the module."""
 
 
 def train(
@@ -152,7 +153,7 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
     if path.exists() and not path.is_dir():
         raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
     existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
-    foreign = [name for name in existing if name not in FOREIGN]
+    foreign = [name for name in existing if name not in OWN]
     if foreign:
         message = f"`{path}` contains files that do not belong to a run, such as `{foreign[0]}`"
         raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
