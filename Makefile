@@ -51,7 +51,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PIP) install --quiet -c constraints.txt -e '.[dev]'
 	@touch $(STAMP)
 
-# The example notebook, executed anew: a few minutes.
+# The example notebook, executed again: a few minutes.
 notebook: $(STAMP)
 	$(BIN)/jupyter-execute --inplace --timeout=1200 docs/urp.ipynb
 
