@@ -6,6 +6,9 @@ from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
 from .columns import TRAJECTORY as TRAJECTORY
 from .fingerprints import fingerprint as fingerprint
+from .naive import Naive as Naive
+from .naive import naive_predictors as naive_predictors
+from .naive import variance_of as variance_of
 from .names import similar as similar
 from .overlays import overlay as overlay
 from .sampling import Box as Box

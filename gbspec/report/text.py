@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gbspec.ir import Family, Initial, Learnable, Model, Range, State
-    from gbspec.runs import Run
+    from gbspec.runs import MemberRecord, Run
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -140,11 +140,22 @@ def run_summary(run: Run) -> str:
         parts.append(table(keep, [row[: len(keep)] for row in rows]))
     members = run.fit.members
     if members:
-        channels = list(members[0].rmse)
-        lines = [
-            [str(i), number(m.loss), *(number(m.rmse.get(channel)) for channel in channels), f"{m.seconds:.0f} s"]
-            for i, m in enumerate(members)
-        ]
-        parts.append(table(["member", "loss", *(f"rmse {c}" for c in channels), "time"], lines))
+        lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
+        parts.append(table(["member", "loss", "time"], lines))
+        parts.append(_channels(members))
     parts += [f"warning: {warning}" for warning in run.fit.warnings]
     return "\n\n".join(parts)
+
+
+def _channels(members: Sequence[MemberRecord]) -> str:
+    """How whole solutions follow each channel, member by member, beside the best naive predictor."""
+    rows = []
+    for i, member in enumerate(members):
+        for name, rmse in member.rmse.items():
+            found = member.channels.get(name)  # absent in runs of older versions
+            known = (found.r2, found.naive, found.held) if found is not None else (None, None, None)
+            predictor = found.predictor if found is not None else ""
+            rows.append([str(i), name, *(number(value, 5) for value in (rmse, *known)), predictor or "-"])
+    header = ["member", "whole solutions", "rmse", "R²", "naive R²", "held-out R²", "naive predictor"]
+    kept = [i for i in range(len(header)) if not rows or any(row[i] != "-" for row in rows)]
+    return table([header[i] for i in kept], [[row[i] for i in kept] for row in rows])

@@ -1,5 +1,6 @@
 from . import files as files
 from .record import DAMAGED as DAMAGED
+from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord
 from .record import DataRecord as DataRecord
 from .record import FitRecord as FitRecord

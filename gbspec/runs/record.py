@@ -60,14 +60,37 @@ class StageRecord:
 
 
 @dataclass(frozen=True)
+class ChannelRecord:
+    """How whole solutions, from their initial states, follow a channel's data.
+
+    `r2` is 1 minus the mean squared error over the variance of the data (of logarithms, if the noise is log-normal),
+    `naive` that of the best predictor that knows no model, which `predictor` names; None where they are undefined (the
+    solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded.
+    """
+
+    r2: float | None
+    naive: float | None
+    predictor: str = ""
+    held: float | None = None
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class MemberRecord:
-    """A member's fit; `rmse` by channel, None if the solution was not finite."""
+    """A member's fit.
+
+    `loss` is the mean of half squared residuals of whole solutions from their initial states, `interval_loss` that of
+    predictions from each row to the next; `rmse` and `channels` by channel are of whole solutions; None where the
+    solution was not finite.
+    """
 
     seed: int
     loss: float | None
     rmse: Mapping[str, float | None]
     seconds: float
     stages: tuple[StageRecord, ...]
+    interval_loss: float | None = None
+    channels: Mapping[str, ChannelRecord] = field(default_factory=dict)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4, listed, unknown_method
-from gbspec.training.stages import BY_METHOD, Effort, StageName
+from gbspec.training.stages import UNNAMED, Effort, StageName
 
 if TYPE_CHECKING:
     from gbspec.runs import Option
@@ -20,7 +20,7 @@ Initial = Literal["learned", "bred", "recognition"]
 Device = Literal["cpu", "cuda", "auto"]
 Backend = Literal["auto", "native", "torch"]
 
-STAGES = tuple(str(name) for name in StageName if name not in BY_METHOD)
+STAGES = tuple(str(name) for name in StageName if name not in UNNAMED)
 """The stages that `--stages` can name; the plan determines which of them exist for a model and its data."""
 
 

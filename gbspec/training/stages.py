@@ -15,12 +15,14 @@ Effort = Literal["low", "normal", "high"]
 class StageName(StrEnum):
     """The names of stages in options, histories, `fit.json` and checkpoints."""
 
+    WARM_START = "warm start"
     ADAM = "adam"
     IMPUTED = "imputed forcing"
     STARTS = "initial states"
     TEACHER = "teacher forcing"
     STARTS_AGAIN = "initial states again"
     HALF_STEP = "half step"
+    HORIZONS = "growing horizons"
     BLEND = "blend"
     WHOLE_STARTS = "initial states of whole solutions"
     AUTOREGRESSIVE = "autoregressive"
@@ -34,8 +36,8 @@ class StageName(StrEnum):
     LEVENBERG_MARQUARDT = "lm"
 
 
-BY_METHOD = frozenset({StageName.LEVENBERG_MARQUARDT})
-"""Stages that only `--method` can select; `--stages` selects among the others."""
+UNNAMED = frozenset({StageName.LEVENBERG_MARQUARDT, StageName.WARM_START})
+"""Stages that other options select (`--method`, `--no-warm-start`); `--stages` selects among the others."""
 
 _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.ADAM: (15, 25, 60),

@@ -23,3 +23,4 @@ from .stage import Outcome as Outcome
 from .stage import Stage as Stage
 from .stage import State as State
 from .stage import require_finite as require_finite
+from .stage import scalar as scalar

@@ -1,6 +1,7 @@
 from .context import Context as Context
 from .context import build_context as build_context
 from .holdout import held_out_score as held_out_score
+from .holdout import held_out_solutions as held_out_solutions
 from .planning import FIRST_RIDGE as FIRST_RIDGE
 from .planning import Planned as Planned
 from .planning import Reached as Reached

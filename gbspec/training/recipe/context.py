@@ -23,7 +23,7 @@ from gbspec.training.problem import (
     scaling_of,
     teacher_forcing,
 )
-from gbspec.training.starts import Curves, Points, collocate, fit_curves
+from gbspec.training.starts import Curves, Points, collocate, fit_curves, with_derived
 
 
 @dataclass
@@ -99,13 +99,14 @@ def build_context(
     """The context: splits off the held-out data and prepares the rest; `smooth` selects smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)
     max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
-    curves = fit_curves(model, kept, smooth)
+    instance = module.random(seed)
+    curves = with_derived(model, instance, kept, fit_curves(model, kept, smooth))
     packed = pack(kept, model, max_step, method=METHODS[module.solver])
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
     context = Context(
         model,
-        module.random(seed),
+        instance,
         kept,
         held,
         options,

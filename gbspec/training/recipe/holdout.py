@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gbspec.arrays import Array, Mask
-from gbspec.training.engines import residual_vector
+from gbspec.arrays import Array
+from gbspec.training.engines import Engine, predicted, residual_vector
 from gbspec.training.problem import Parameters, Problem, mean_loss, pack, scaling_of, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.starts import fit_curves, refit_starts
@@ -19,11 +19,28 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     A single trajectory of which the last rows are held out is solved from its fitted initial state; only these rows
     count.
     """
+    engine, vector = _fitted(context, parameters, theta, 1.0)
+    return mean_loss(residual_vector(engine, vector))
+
+
+def held_out_solutions(context: Context, parameters: Parameters, theta: Array) -> tuple[Problem, Array] | None:
+    """The problem of the held-out data, and its predictions [R, C] by whole solutions; None if nothing is held out."""
+    if not len(context.held):
+        return None
+    engine, vector = _fitted(context, parameters, theta, 0.0)
+    return engine.problem, predicted(engine, vector).mean
+
+
+def _fitted(context: Context, parameters: Parameters, theta: Array, blend: float) -> tuple[Engine, Array]:
+    """The engine of the held-out data, with the vector in which their own parameters are fitted."""
     held, model = context.held, context.model
     packed = pack(held, model, context.max_step, method=context.method)
     scaling = scaling_of(model, packed, context.trajectories)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
-    forcing = teacher_forcing(model, packed, 0.0 if single else 1.0)
+    if single:  # only the rows that are not fitted count
+        earlier = (packed.row_time <= context.trajectories.items[0].end)[:, None]
+        packed = replace(packed, weights=np.where(earlier, 0.0, packed.weights))
+    forcing = teacher_forcing(model, packed, 0.0 if single else blend)
     problem = Problem(model, context.module, packed, forcing, scaling)
     value, free = start_states(model, held, fit_curves(model, held), packed)
     local = replace(parameters, start_value=value, start_free=free)
@@ -32,14 +49,7 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array) -> fl
     block[:, len(parameters.own) :] = own[0, len(parameters.own) :] if single else 0.0
     vector = np.concatenate([theta[: parameters.n_shared], block.ravel()])
     if single:
-        later = packed.row_time > context.trajectories.items[0].end
         same = replace(local, start_value=parameters.start_value, start_free=parameters.start_free)
-        return mean_loss(residual_vector(context.choice.engine(problem, same), vector)[_of_rows(problem, later)])
+        return context.choice.engine(problem, same), vector
     engine = context.choice.engine(problem, local)
-    return mean_loss(residual_vector(engine, refit_starts(engine, vector, context.seed)))
-
-
-def _of_rows(problem: Problem, rows: Mask) -> Mask:
-    """The mask of the measured residuals that belong to the given rows."""
-    where = np.nonzero(problem.packed.weights > 0)[0]
-    return np.asarray(rows[where], dtype=np.bool_)
+    return engine, refit_starts(engine, vector, context.seed)

@@ -9,11 +9,13 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.engines import Engine, residual_vector
+from gbspec.training.engines import Engine, residual_table, residual_vector
 from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions, LimitedMemory, Stage
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
+from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import Search
@@ -28,7 +30,10 @@ LARGEST = 4 * 1024**3
 PASSES = 128
 """Above this number of states (each needs a backward pass of the Jacobian) the networks are fitted by L-BFGS."""
 NOISE = 0.01
-"""Above this typical residual after teacher forcing (in standard deviations) the data are treated as noisy."""
+"""Above this typical residual of a channel after teacher forcing (in standard deviations) the data are treated as
+noisy; above this root mean square of a channel's residual whole solutions do not follow the data."""
+ASTRAY = 0.3
+"""Above this root mean square of a channel's residual (R² of 0.91) whole solutions have to be found from segments."""
 FEW = 600
 """Below this number of measured values the weights have a prior from the first iteration."""
 WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
@@ -181,10 +186,11 @@ class _Planner:
             self._starts(StageName.STARTS, 1.0),
             self._newton(StageName.TEACHER, self._at(1.0), self._prior, total=self._teacher_limit()),
             self._starts(StageName.STARTS_AGAIN, 1.0),
+            self._growing(),
             self._newton(StageName.HALF_STEP, self._at(1.0, 0.5), self._close, self._clean),
-            self._newton(StageName.BLEND, self._at(0.3), self._regular, self._noisy),
-            self._starts(StageName.WHOLE_STARTS, 0.0, self._noisy, self.released),
-            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._noisy, self._whole_limit()),
+            self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
+            self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
+            self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
         ]
 
@@ -232,10 +238,35 @@ class _Planner:
         return typical(residual_vector(self.context.engine(self.parameters), theta))
 
     def _noisy(self, reached: Reached) -> bool:
-        return self._noise(reached.theta) > NOISE
+        """Whether a channel's typical residual of intervals exceeds `NOISE`."""
+        engine = self.context.engine(self.parameters)
+        table, seen = residual_table(engine, reached.theta), engine.problem.seen
+        return any(typical(table[seen[:, i], i]) > NOISE for i in range(table.shape[1]))
+
+    def _whole_error(self, reached: Reached) -> float:
+        """The root mean square residual of whole solutions, of the channel in which it is largest."""
+        engine = self.context.engine(self.released, 0.0)
+        table, seen = residual_table(engine, reached.theta), engine.problem.seen
+        losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
+        return float(np.sqrt(2 * max(losses, default=0.0)))
+
+    def _astray(self, reached: Reached) -> bool:
+        """Whether whole solutions are so far from the data that segments are needed to find them."""
+        return self._whole_error(reached) > ASTRAY
+
+    def _unfollowed(self, reached: Reached) -> bool:
+        """Whether whole solutions have to be fitted: they do not follow the data, or the data are noisy."""
+        return StageName.HORIZONS in reached.marks or self._noisy(reached) or self._whole_error(reached) > NOISE
 
     def _clean(self, reached: Reached) -> bool:
-        return self.options.half_step and not self._noisy(reached)
+        return self.options.half_step and StageName.HORIZONS not in reached.marks and not self._noisy(reached)
+
+    def _whole_next(self, reached: Reached) -> bool:
+        """Whether whole solutions are fitted without segments before."""
+        return StageName.HORIZONS not in reached.marks and self._unfollowed(reached)
+
+    def _blended(self, reached: Reached) -> bool:
+        return StageName.HORIZONS not in reached.marks and self._noisy(reached)
 
     def _prior(self, theta: Array) -> LevenbergOptions:
         """Options of the first stage: regularised if there are few data, else plain."""
@@ -272,11 +303,36 @@ class _Planner:
         return LevenbergOptions(ridge=noise**2 / deviation**2, tolerance=1e-4)
 
     # ---------------------------------------------------------------- stages
+    def _growing(self) -> Planned:
+        """Segments of growing length, from the warm start, from the present vector, and from other random weights."""
+        context, parts = self.context, len(horizons(self.context))
+        most = ATTEMPTS[self.options.effort]
+
+        def make(reached: Reached) -> Stage:
+            first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]
+            starts = first if not context.points.equations else first[::-1]
+            starts += [self._random(reached.theta, number) for number in range(1, most - 1)]
+            return GrowingHorizons(context, self.released, starts[:most])
+
+        return Planned(StageName.HORIZONS, parts * most, make, self._astray, lambda reached: parts > 0)
+
+    def _random(self, theta: Array, number: int) -> Array:
+        """The vector with other random weights."""
+        other = type(self.context.module).random(1000 * number + self.context.seed).weights
+        out = theta.copy()
+        out[: self.parameters.n_weights] = self.parameters.vector(other)[: self.parameters.n_weights]
+        return out
+
     def _choice(self, reached: Reached) -> Stage:
-        earlier = reached.marks.get(StageName.STARTS_AGAIN, reached.marks[StageName.TEACHER])
-        context = self.context
-        teacher, free = (context.engine(self.released, blend) for blend in (1.0, 0.0))
-        return ChoiceOfFit(teacher, free, earlier, context.seed)
+        context, marks = self.context, reached.marks
+        free = context.engine(self.released, 0.0)
+        if StageName.HORIZONS in marks:
+            segments = Segments.of(context, self.released, horizons(context)[0])
+            earlier = marks[StageName.HORIZONS]
+            return ChoiceOfFit(lambda theta: short_loss(context, segments, theta), free, earlier, context.seed)
+        teacher = context.engine(self.released, 1.0)
+        earlier = marks.get(StageName.STARTS_AGAIN, marks[StageName.TEACHER])
+        return ChoiceOfFit(lambda theta: mean_loss(residual_vector(teacher, theta)), free, earlier, context.seed)
 
     def _starts(
         self, name: StageName, blend: float, wanted: Decision = always, parameters: Parameters | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gbspec.arrays import Array
@@ -51,13 +53,15 @@ class ChoiceOfFit:
     incomplete, it may be impossible to fit whole solutions, and intervals are more informative about the dynamics.
     Therefore both errors are computed for both fits (with initial states refitted for whole solutions), and the fit
     with the smaller product of its errors is chosen: only ratios of errors matter, not their sizes. One step.
+
+    `short` gives the loss of intervals, or of short segments, at a vector; `earlier` is the fit of these.
     """
 
     name = StageName.CHOICE.value
     total = 1
 
-    def __init__(self, teacher: Engine, free: Engine, earlier: Array, seed: int) -> None:
-        self.teacher, self.free = teacher, free
+    def __init__(self, short: Callable[[Array], float], free: Engine, earlier: Array, seed: int) -> None:
+        self.short, self.free = short, free
         self.earlier, self.seed = earlier, seed
 
     def begin(self, theta: Array) -> State:
@@ -79,10 +83,7 @@ class ChoiceOfFit:
 
     def _losses(self, of_intervals: Array, of_whole: Array) -> tuple[float, float]:
         """Mean losses over intervals and of whole solutions."""
-        return (
-            mean_loss(residual_vector(self.teacher, of_intervals)),
-            mean_loss(residual_vector(self.free, of_whole)),
-        )
+        return self.short(of_intervals), mean_loss(residual_vector(self.free, of_whole))
 
 
 WHOLE_WORSE = (

@@ -25,6 +25,7 @@ from gbspec.training.recipe import build_context, plan
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
+from gbspec.training.runs.verdict import verdicts
 from gbspec.version import __version__
 
 TOGETHER = 0.95
@@ -239,7 +240,8 @@ def _write_results(path: Path, model: Model, record: FitRecord, results: dict[in
 def _member(result: MemberResult) -> MemberRecord:
     stages = tuple(replace(stage, loss=finite(stage.loss)) for stage in result.stages)
     rmse = {name: finite(value) for name, value in result.rmse.items()}
-    return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages)
+    interval = finite(result.interval_loss)
+    return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages, interval, result.channels)
 
 
 def _constant(name: str, start: float, results: list[MemberResult]) -> ConstantRecord:
@@ -316,7 +318,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these trajectories do not count as fitted"
             )
-        out += [f"member {member}: {note}" for note in result.notes]
+        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)

@@ -13,7 +13,7 @@ import torch
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, fingerprint
-from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.ir import Model
 from gbspec.runs import JsonError, StageRecord, decode, encode, files
 from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
@@ -152,7 +152,8 @@ class _Runner:
         position = self.position
         position.seconds = seconds
         self._began = time.monotonic() - seconds
-        name = "warm start" if self.context.options.warm_start else "start"
+        name = StageName.WARM_START.value if self.context.options.warm_start else "start"
+        position.marks[StageName.WARM_START] = position.theta
         constants = self._constants(position.theta)
         position.history.append((name, 1, seconds, position.loss, constants))
         position.stages.append(StageRecord(name, 1, position.loss, seconds))
@@ -192,6 +193,21 @@ class _Runner:
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
             position.stages.append(StageRecord(stage.name, 0, None, 0.0))
+        try:
+            self._take_steps(stage, stop)
+        except ComputationError as error:
+            if not set(position.marks) - {StageName.WARM_START}:
+                raise  # there is no result to keep
+            position.notes.append(f"the stage `{planned.name}` ended early, and what was reached is kept: {error.what}")
+            if position.iteration == 0:
+                position.stages.pop()
+                return
+        position.marks[planned.name] = position.theta
+        self._take_certainty(stage)
+
+    def _take_steps(self, stage: Stage, stop: Callable[[], bool]) -> None:
+        """The steps of a stage that remain. Raises ComputationError if one of them is impossible."""
+        position = self.position
         began = time.monotonic() - position.stages[-1].seconds
         while position.iteration < stage.total:
             outcome = stage.step(position.state, position.iteration)
@@ -202,8 +218,6 @@ class _Runner:
                 raise KeyboardInterrupt
             if time.monotonic() - self._saved > SAVE_EVERY:
                 self._save()
-        position.marks[planned.name] = position.theta
-        self._take_certainty(stage)
 
     def _take_certainty(self, stage: Stage) -> None:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
@@ -273,9 +287,7 @@ class _Runner:
     def _result(self) -> MemberResult:
         position = self.position
         freedom = position.certainty.freedom
-        result = summarise(
-            self.context, self.parameters, position.best, freedom, position.loss, position.seconds, position.stages
-        )
+        result = summarise(self.context, self.parameters, position.best, freedom, position.seconds, position.stages)
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend

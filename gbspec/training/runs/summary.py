@@ -10,10 +10,12 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.runs import StageRecord
-from gbspec.training.engines import predicted, residual_table
-from gbspec.training.problem import Parameters
-from gbspec.training.recipe import Context
+from gbspec.data import naive_predictors, variance_of
+from gbspec.files import finite
+from gbspec.runs import ChannelRecord, StageRecord
+from gbspec.training.engines import predicted, residual_table, residual_vector
+from gbspec.training.problem import Parameters, Problem, mean_loss, measured_only, residuals_of
+from gbspec.training.recipe import Context, held_out_solutions, step_fraction
 from gbspec.training.stages import StageName
 
 
@@ -21,14 +23,17 @@ from gbspec.training.stages import StageName
 class MemberResult:
     """A member's part of `fit.json`; arrays in natural units.
 
-    `rmse` and `noise` by channel: root mean square of prediction minus value of the autoregressive solution (NaN if it
-    is not finite) and the estimated standard deviation of the noise; `constants` by name; `sd` by name (NaN: not
-    known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed` names
-    the trajectories whose autoregressive solution is not finite.
+    `loss` of whole solutions, `interval_loss` of predictions from each row to the next; by channel: how whole solutions
+    follow the data (`channels`), root mean square of prediction minus value of the autoregressive solution (`rmse`, NaN
+    if it is not finite), and the estimated standard deviation of the `noise`; `constants` by name; `sd` by name (NaN:
+    not known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed`
+    names the trajectories whose autoregressive solution is not finite.
     """
 
     seed: int
     loss: float
+    interval_loss: float
+    channels: dict[str, ChannelRecord]
     rmse: dict[str, float]
     noise: dict[str, float]
     constants: dict[str, float]
@@ -49,13 +54,13 @@ def summarise(
     parameters: Parameters,
     theta: Array,
     freedom: float,
-    loss: float,
     seconds: float,
     stages: Sequence[StageRecord],
 ) -> MemberResult:
     """Evaluates a member at `theta`; `freedom`: the degrees of freedom that its last stage used (NaN: not known)."""
     model = context.model
-    engine = context.engine(parameters, 0.0)
+    fraction = step_fraction([stage.name for stage in stages])
+    engine = context.engine(parameters, 0.0, fraction)
     problem, solution = engine.problem, predicted(engine, theta)
     with torch.no_grad():
         constants = parameters.constants(torch.from_numpy(theta))
@@ -73,7 +78,9 @@ def summarise(
     names = [k.name for k in model.learnables]
     return MemberResult(
         context.seed,
-        loss,
+        mean_loss(measured_only(problem, residuals_of(problem, solution.mean))),
+        mean_loss(residual_vector(context.engine(parameters, 1.0, fraction), theta)),
+        _channels(context, parameters, theta, problem, solution.mean),
         rmse,
         noise,
         dict(zip(names, map(float, values), strict=True)),
@@ -84,6 +91,38 @@ def summarise(
         list(context.packed().labels),
         failed,
     )
+
+
+def _channels(
+    context: Context, parameters: Parameters, theta: Array, problem: Problem, mean: Array
+) -> dict[str, ChannelRecord]:
+    """How whole solutions follow each channel's data, and those of held-out trajectories."""
+    naive = naive_predictors(context.model, context.trajectories)
+    held = held_out_solutions(context, parameters, theta)
+    out = {}
+    for i, channel in enumerate(context.model.channels):
+        known = naive.get(channel.name)
+        out[channel.name] = ChannelRecord(
+            _r2(problem, mean, i),
+            finite(known.r2) if known is not None else None,
+            known.predictor if known is not None else "",
+            _r2(*held, i) if held is not None else None,
+        )
+    return out
+
+
+def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
+    """1 minus the mean squared error of a channel's predictions over the variance of its data (or of logarithms)."""
+    seen = problem.seen[:, channel]
+    values, predictions = problem.packed.values[seen, channel], mean[seen, channel]
+    if problem.scaling.log[channel]:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            values, predictions = np.log(values), np.log(predictions)
+    variance = variance_of([values])
+    if not variance > 0:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        return finite(1 - float(np.mean((predictions - values) ** 2)) / variance)
 
 
 @dataclass(frozen=True)

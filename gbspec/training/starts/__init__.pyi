@@ -1,3 +1,4 @@
+from .differentiation import with_derived as with_derived
 from .initial_states import refit_starts as refit_starts
 from .search import Search as Search
 from .slopes import Points as Points

@@ -88,7 +88,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
         columns["x"].append(x)
         columns["slope"].append(slope)
         columns["condition"].append(np.tile(item.condition, (count, 1)))
-        columns["inputs"].append(_inputs_at(model, item.inputs, t))
+        columns["inputs"].append(inputs_at(model, item.inputs, t))
         columns["trajectory"].append(np.full(count, float(i)))
     n = len(model.states)
     empty = {"t": (0,), "x": (0, n), "slope": (0, n), "condition": (0, len(model.conditions))}
@@ -110,7 +110,8 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
     )
 
 
-def _inputs_at(model: Model, signals: Sequence[Signal], t: Array) -> Array:
+def inputs_at(model: Model, signals: Sequence[Signal], t: Array) -> Array:
+    """The inputs of a trajectory [M, n_inputs] at times [M]."""
     out = np.zeros((len(t), len(model.inputs)))
     for j, (spec, signal) in enumerate(zip(model.inputs, signals, strict=True)):
         out[:, j] = evaluate(signal, spec.interpolation, t)

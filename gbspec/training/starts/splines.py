@@ -61,7 +61,7 @@ def fit_curves(model: Model, trajectories: Trajectories, smooth: bool = False) -
         for state in range(len(model.states)):
             channels = [i for i, c in enumerate(model.channels) if c.state == state]
             t, y = _series(item.times, item.values[:, channels[-1:]])
-            row.append(_curve(t, y, _smooth(t, y) if smooth else None))
+            row.append(curve_of(t, y, smoothed(t, y) if smooth else None))
         items.append(tuple(row))
     return Curves(tuple(items))
 
@@ -74,22 +74,25 @@ def _series(times: Array, values: Array) -> tuple[Array, Array]:
     return times[seen], values[seen, 0]
 
 
-def _smooth(t: Array, y: Array) -> Curve | None:
-    """A smoothing spline, its penalty by generalised cross-validation; None with fewer than 8 points."""
+def smoothed(t: Array, y: Array, unit: float | None = None) -> SmoothCurve | None:
+    """A smoothing spline, its penalty by generalised cross-validation; None with fewer than 8 points.
+
+    Penalties are searched between 0 and the number of points, with times in multiples of `unit` (None: the span).
+    """
     if len(t) < 8:
         return None
-    width, deviation = t[-1] - t[0], y.std()
+    width, deviation = t[-1] - t[0] if unit is None else unit, y.std()
     if deviation == 0:
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         spline = make_smoothing_spline((t - t[0]) / width, (y - y.mean()) / deviation)
-    return _Rescaled(spline, float(t[0]), float(width), float(y.mean()), float(deviation))
+    return SmoothCurve(spline, float(t[0]), float(width), float(y.mean()), float(deviation))
 
 
 @dataclass(frozen=True)
-class _Rescaled:
-    """A spline of scaled time and value, evaluated in natural units."""
+class SmoothCurve:
+    """A spline of scaled time and value, in natural units."""
 
     spline: Curve
     origin: float
@@ -98,19 +101,21 @@ class _Rescaled:
     deviation: float
 
     def __call__(self, t: Array) -> Array:
+        """The values at times `t`."""
         return np.asarray(self.mean + self.deviation * self.spline((t - self.origin) / self.width), dtype=np.float64)
 
-    def derivative(self) -> Curve:
+    def derivative(self) -> SmoothCurve:
         """The slope in natural units."""
-        return _Rescaled(self.spline.derivative(), self.origin, self.width, 0.0, self.deviation / self.width)  # type: ignore[attr-defined]
+        return SmoothCurve(self.spline.derivative(), self.origin, self.width, 0.0, self.deviation / self.width)  # type: ignore[attr-defined]
 
 
-def _curve(t: Array, y: Array, smoothed: Curve | None) -> StateCurve | None:
+def curve_of(t: Array, y: Array, smooth: SmoothCurve | None = None) -> StateCurve | None:
+    """The curve through values `y` at times `t`, or the smooth curve fitted to them; None with fewer than two."""
     if len(t) < 2:
         return None
     low, high, bottom, top = float(t[0]), float(t[-1]), float(y.min()), float(y.max())
-    if smoothed is not None:
-        return StateCurve(smoothed, smoothed.derivative(), low, high, bottom, top)  # type: ignore[attr-defined]
+    if smooth is not None:
+        return StateCurve(smooth, smooth.derivative(), low, high, bottom, top)
     change = np.diff(y)
     if len(t) < 4 or (change >= 0).all() or (change <= 0).all():
         shape = PchipInterpolator(t, y)

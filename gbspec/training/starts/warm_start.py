@@ -9,13 +9,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.ir import NN, Model
 from gbspec.training.optimise import AdamMoments, one_cycle, prior_sd
@@ -54,19 +54,31 @@ class _Mismatch:
     """Balances minus slopes at M points, in units of the balances' scales [M, E], at trainable constants [n] and free
     outputs [M, Q].
 
-    If no balance can be compared, the rough ones are used, and constants are not estimated. If there are too many
-    points, a subset is used.
+    `rough`: constants are not estimated, and all balances are used, for orders of magnitude: states without curves
+    have a guess as their value, and a slope of zero, since on average a state of bounded range has that. The scale of
+    such a balance is the size of its terms without the networks.
     """
 
-    def __init__(self, model: Model, module: GeneratedModule, points: Points, start: Array) -> None:
-        self.model, self.module = model, module
-        self.equations, self.fixed = list(points.equations or points.rough), not points.equations
+    def __init__(self, model: Model, module: GeneratedModule, points: Points, start: Array, rough: bool) -> None:
+        self.model, self.module, self.points, self.fixed = model, module, points, rough
+        self.equations = list(range(len(model.states))) if rough else list(points.equations)
         self.free = _free_outputs(model, module, points, start)
-        enough = int(ELIMINATION_WORK / max(len(self.equations) * len(self.free.neutral) ** 2, 1)) + 1
-        if len(points) > enough:
-            points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
-            self.free = _free_outputs(model, module, points, start)
-        self.points, self.scale = points, torch.from_numpy(points.scale[self.equations])
+        scale = points.scale.copy()
+        if rough:
+            size = self._sizes(start)
+            for i in set(self.equations) - set(points.rough):
+                scale[i] = size[i] if np.isfinite(size[i]) and size[i] > 0 else 1.0
+        self.scale = torch.from_numpy(scale[self.equations])
+
+    def _sizes(self, u: Array) -> Array:
+        """The root mean square of each right-hand side [n_states], with the networks' outputs neutral."""
+        count = len(self.points)
+        self.free.values = torch.tensor(self.free.neutral, dtype=torch.float64).expand(count, -1)
+        with torch.no_grad():
+            k = _constants_at(self.model, torch.from_numpy(u), count)
+            rhs = evaluate_rhs(self.model, self.module, self.points, k, self.free.functions()).numpy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.sqrt(np.mean(rhs**2, axis=0)))
 
     def _of(self, u: Array, outputs: Array, derivatives: bool) -> tuple[Tensor, Tensor, Tensor]:
         k = _constants_at(self.model, torch.from_numpy(u), len(self.points)).detach().requires_grad_(derivatives)
@@ -94,12 +106,28 @@ class _Mismatch:
 
 
 def eliminate(model: Model, module: GeneratedModule, points: Points, start: Array) -> Eliminated:
-    """Step 1 from the constants `start` (trainable values). A damped Gauss-Newton iteration with Cauchy weights.
+    """Step 1 from the constants `start` (trainable values).
 
-    If no balance can be compared, the rough ones are used, and the constants stay at `start`.
+    Outputs that no comparable balance contains are estimated from all balances, with rough values of unmeasured states.
     """
-    mismatch = _Mismatch(model, module, points, start)
-    points, count = mismatch.points, len(mismatch.points)
+    outputs = len(_free_outputs(model, module, points.some(np.arange(1)), start).neutral)
+    enough = int(ELIMINATION_WORK / max(len(model.states) * outputs**2, 1)) + 1
+    if len(points) > enough:
+        points = points.some(np.linspace(0, len(points) - 1, enough).astype(np.int64))
+    if not points.equations:
+        return _eliminated(_Mismatch(model, module, points, start, rough=True), start)[0]
+    found, undetermined = _eliminated(_Mismatch(model, module, points, start, rough=False), start)
+    if undetermined.any():
+        rough, _ = _eliminated(_Mismatch(model, module, points, start, rough=True), found.constants)
+        found = replace(found, outputs=np.where(undetermined, rough.outputs, found.outputs))
+    return found
+
+
+def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
+    """Constants and outputs by a damped Gauss-Newton iteration with Cauchy weights, and the mask [Q] of outputs that no
+    compared balance contains."""
+    model, points, count = mismatch.model, mismatch.points, len(mismatch.points)
+    undetermined = np.ones(len(mismatch.free.neutral), dtype=np.bool_)
     u, outputs = start.copy(), np.tile(np.array(mismatch.free.neutral), (count, 1)).reshape(count, -1)
     width = np.median(np.abs(points.slope[:, mismatch.equations]) / mismatch.scale.numpy()) if count else 1.0
     damping, best = 1e-2, np.inf
@@ -108,6 +136,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
         r, jac_o, jac_k = mismatch.linear(u, outputs)
         if not np.isfinite(r).all():
             break
+        undetermined &= ~(jac_o != 0).any(axis=(0, 1))
         sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
         w = 1.0 / (1.0 + (r / (3 * sd)) ** 2)
         value = float(np.log1p((r / (3 * sd)) ** 2).sum())
@@ -125,7 +154,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
             damping *= 4
             if damping > 1e6:
                 break
-    return Eliminated(u, outputs, tuple(mismatch.free.arguments))
+    return Eliminated(u, outputs, tuple(mismatch.free.arguments)), undetermined
 
 
 def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:

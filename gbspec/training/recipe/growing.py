@@ -1,0 +1,133 @@
+"""The stage of growing horizons: segments of few rows are fitted first, then longer ones, then whole trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.training.engines import residual_vector
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, scalar
+from gbspec.training.problem import Parameters, mean_loss
+from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.segments import Segments, horizons
+from gbspec.training.stages import Effort, StageName
+from gbspec.training.starts import refit_starts
+
+ITERATIONS: dict[Effort, int] = {"low": 6, "normal": 15, "high": 30}
+"""Largest number of iterations with segments of one length."""
+ATTEMPTS: dict[Effort, int] = {"low": 1, "normal": 3, "high": 6}
+"""Number of starting vectors that are tried until whole solutions follow the data."""
+FOLLOWED = 0.005
+"""A mean loss of whole solutions below this (R² above 0.99) needs no further attempt."""
+AS_SEGMENTS = 3.0
+"""Nor does one below this multiple of the loss of the shortest segments, which is due to noise then."""
+SMALL_RIDGE = 1e-8
+"""Precision of the weights' prior relative to that of the residuals: it only keeps the equations regular."""
+CANDIDATES = 8
+"""Number of initial states tried for each segment in a comparison of vectors."""
+INNER = "segments."
+"""Prefix of the entries of the optimiser of segments in the stage's state."""
+
+
+class GrowingHorizons:
+    """Fits segments of growing length by least squares, from one starting vector after the other.
+
+    The next starting vector is tried where whole solutions do not follow the data. Of the vectors reached with segments
+    of any length the one with the smallest product of two losses is kept: of the shortest segments, and of whole
+    solutions. Where noise alone separates solutions from the data, that is the last one; where the system itself is
+    disturbed, long segments distort the dynamics that short ones show.
+    """
+
+    name = StageName.HORIZONS.value
+
+    def __init__(self, context: Context, whole: Parameters, starts: Sequence[Array]) -> None:
+        self.context, self.whole, self.starts = context, whole, list(starts)
+        self.horizons = horizons(context)
+        effort = context.options.effort
+        self.most = ITERATIONS[effort]
+        self.total = self.most * len(self.horizons) * len(self.starts)
+        self._made: dict[int, Segments] = {}
+
+    def begin(self, theta: Array) -> State:
+        """The initial state: the vector of whole trajectories, and the first attempt's vector of segments."""
+        state: State = {"theta": theta, "best": theta, "score": np.array(np.inf), "loss": np.array(np.inf)}
+        return state | {"short": np.array(np.inf)} | self._attempt(0)
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One iteration of Levenberg-Marquardt; after the last one with these segments, the next longer ones."""
+        horizon, done = int(scalar(state, "horizon")), int(scalar(state, "done")) + 1
+        inner = {name.partition(INNER)[2]: value for name, value in state.items() if name.startswith(INNER)}
+        outcome = self._optimiser(horizon).step(inner, iteration)
+        theta = self._segments(horizon).merged(outcome.state["theta"])
+        new = {**state, **_inner(outcome.state), "done": np.array(float(done)), "theta": theta}
+        if not (outcome.done or done >= self.most):
+            return Outcome(new, outcome.loss, False)
+        return self._after_horizon(self._compared(new), horizon, outcome)
+
+    def _compared(self, state: State) -> State:
+        """The state with the better one of the present vector and the best one so far."""
+        short, whole = self.losses(state["theta"])
+        score = short * whole if np.isfinite([short, whole]).all() else np.inf
+        if not score < scalar(state, "score"):
+            return state
+        news = {"score": np.array(score), "short": np.array(short), "loss": np.array(whole), "best": state["theta"]}
+        return {**state, **news}
+
+    def _after_horizon(self, state: State, horizon: int, outcome: Outcome) -> Outcome:
+        """Goes on to the next horizon, or to the next attempt, or ends."""
+        following = self._next(horizon, self._segments(horizon), outcome.state["theta"])
+        if following is not None:
+            return Outcome({**state, **following}, outcome.loss, False)
+        loss, attempt = scalar(state, "loss"), int(scalar(state, "attempt")) + 1
+        if loss < max(FOLLOWED, AS_SEGMENTS * scalar(state, "short")) or attempt >= len(self.starts):
+            return Outcome({"theta": state["best"]}, loss, True, "" if np.isfinite(loss) else BLOWN_UP)
+        return Outcome({**state, **self._attempt(attempt)}, loss, False)
+
+    def losses(self, theta: Array) -> tuple[float, float]:
+        """The losses of the shortest segments, with refitted initial states, and of whole solutions."""
+        whole = self.context.engine(self.whole, 0.0)
+        return short_loss(self.context, self._segments(0), theta), mean_loss(residual_vector(whole, theta))
+
+    def _attempt(self, number: int) -> State:
+        theta = self._segments(0).vector(self.starts[number], None)
+        return self._begun(theta, 0) | {"attempt": np.array(float(number))}
+
+    def _next(self, horizon: int, segments: Segments, theta: Array) -> State | None:
+        """The state at the beginning of the next horizon; None after the last one, or if its solutions blow up."""
+        if horizon + 1 >= len(self.horizons):
+            return None
+        longer = self._segments(horizon + 1)
+        vector = longer.vector(segments.merged(theta), segments.states(theta))
+        if not np.isfinite(residual_vector(longer.engine, vector)).all():
+            return None
+        return self._begun(vector, horizon + 1)
+
+    def _begun(self, theta: Array, horizon: int) -> State:
+        begun = _inner(self._optimiser(horizon).begin(theta))
+        return begun | {"horizon": np.array(float(horizon)), "done": np.array(0.0)}
+
+    def _optimiser(self, horizon: int) -> LevenbergMarquardt:
+        segments = self._segments(horizon)
+        options = LevenbergOptions(robust=False, tolerance=1e-2, damping=1e-2, ridge=SMALL_RIDGE)
+        return LevenbergMarquardt(self.name, self.most, lambda iteration: segments.engine, options)
+
+    def _segments(self, horizon: int) -> Segments:
+        if horizon not in self._made:
+            self._made[horizon] = Segments.of(self.context, self.whole, self.horizons[horizon])
+        return self._made[horizon]
+
+
+def short_loss(context: Context, segments: Segments, theta: Array) -> float:
+    """The loss of segments at a vector of whole trajectories, with refitted initial states of the segments."""
+    fitted = refit_starts(segments.engine, segments.vector(theta, None), context.seed, CANDIDATES)
+    return mean_loss(residual_vector(segments.engine, fitted))
+
+
+def _inner(state: State) -> State:
+    """The state of the optimiser of segments, as part of the stage's."""
+    return {f"{INNER}{name}": value for name, value in state.items()}
+
+
+BLOWN_UP = "solutions of growing segments of the trajectories blew up before they were as long as the trajectories"

@@ -1,0 +1,167 @@
+"""Segments of trajectories, the stage of growing horizons, and curves of unmeasured states by differentiation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.backends.module import load_module
+from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.ir import Model
+from gbspec.training import TrainOptions, train
+from gbspec.training.engines import residual_vector
+from gbspec.training.optimise import Outcome
+from gbspec.training.options import Backend
+from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.growing import GrowingHorizons
+from gbspec.training.recipe.segments import Segments, cut, divisible, horizons
+from gbspec.training.starts.differentiation import determined, slopes, with_derived
+from gbspec.training.starts.splines import fit_curves
+from tests.training.conftest import model_of
+
+DRIVE = """
+model drive
+time t
+state q in [-3, 3]
+state v
+input F held
+unknown friction(v in [-3, 3]) by mlp(4)
+learn m = 1 in [0.1, 10]
+q' = v
+v' = (F - friction)/m
+observe q
+"""
+
+
+def drive_data(rows: int = 120, span: float = 12.0) -> Trajectories:
+    """Positions of a mass 2 with friction v + v|v|/2 under a force that changes every second, without noise."""
+    inner = 20
+    t = np.linspace(0, span, rows)
+    levels = np.random.default_rng(3).uniform(-2, 2, int(span) + 1)
+    q, v, out = 0.0, 0.0, [0.0]
+    for a, b in pairwise(t):
+        h = (b - a) / inner
+        for i in range(inner):
+            force = levels[int(min(a + (i + 0.5) * h, span))]
+            middle = v + h / 2 * (force - v - v * abs(v) / 2) / 2
+            q, v = q + h * middle, v + h * (force - middle - middle * abs(middle) / 2) / 2
+        out.append(q)
+    values = np.array(out)[:, None]
+    signal = Signal(np.arange(len(levels), dtype=float), levels)
+    item = Trajectory("1", 0.0, t, values, np.ones_like(values), np.full_like(values, np.nan), np.zeros(0), (signal,))
+    return Trajectories((item,), ("q",))
+
+
+def context_of(model: Model, data: Trajectories, backend: Backend = "torch") -> Context:
+    return build_context(model, load_module(model), data, TrainOptions(backend=backend), 0)
+
+
+def test_segments_share_their_end_rows_and_cover_everything() -> None:
+    data, owner, first = cut(drive_data(), 25, everywhere=True)
+    assert owner.tolist() == [0] * 5
+    assert first.tolist() == [0, 24, 48, 71, 95]
+    ends = [(item.start, item.end) for item in data.items]
+    assert all(a[1] == b[0] for a, b in pairwise(ends))
+    assert ends[-1][1] == 12.0
+    only, owner, first = cut(drive_data(), 25, everywhere=False)
+    assert (len(only), owner.tolist(), first.tolist()) == (1, [0], [0])
+
+
+def test_later_segments_have_only_their_own_doses() -> None:
+    data = drive_data()
+    item = replace(data.items[0], doses=(DoseEvents(np.array([0.0, 6.0]), np.array([1.0, 2.0])),))
+    parts, _, first = cut(replace(data, items=(item,)), 60, everywhere=True)
+    assert first.tolist() == [0, 60]
+    assert [part.doses[0].amounts.tolist() for part in parts.items] == [[1.0, 2.0], []]
+
+
+def test_a_model_that_gives_initial_values_has_only_beginnings() -> None:
+    assert divisible(model_of(DRIVE))
+    assert not divisible(model_of(DRIVE.replace("observe q", "initial v = 0\nobserve q")))
+
+
+def test_horizons_grow_from_a_visible_change_to_whole_trajectories() -> None:
+    context = context_of(model_of(DRIVE), drive_data())
+    found = horizons(context)
+    assert found == (8, 20, 50, 119)
+    assert horizons(context_of(model_of(DRIVE), drive_data(6, 1.0))) == ()
+
+
+def test_the_vector_of_segments_is_the_same_solution() -> None:
+    context = context_of(model_of(DRIVE), drive_data())
+    whole = context.parameters(context.module.weights, released=True)
+    theta = whole.vector(context.module.weights)
+    one = Segments.of(context, whole, 200)
+    states = one.states(one.vector(theta, None))
+    assert [table.shape for table in states] == [(120, 2)]
+    many = Segments.of(context, whole, 25)
+    vector = many.vector(theta, states)
+    assert np.allclose(many.states(vector)[0], states[0], atol=1e-10)
+    assert np.allclose(many.merged(vector), one.merged(one.vector(theta, states)), atol=1e-12)
+
+
+def test_a_velocity_is_the_derivative_of_a_position() -> None:
+    model, data = model_of(DRIVE), drive_data()
+    curves = fit_curves(model, data)
+    assert determined(model, curves) == (0, 1)
+    velocity = with_derived(model, load_module(model).random(0), data, curves).items[0][1]
+    assert velocity is not None
+    t = np.linspace(1, 11, 50)
+    assert np.allclose(velocity.value(t), np.interp(t, data.items[0].times, np.gradient(
+        data.items[0].values[:, 0], data.items[0].times)), atol=0.03)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (DRIVE.replace("q' = v", "q' = m*v"), "the factor is learned"),
+        (DRIVE.replace("q' = v", "q' = v + friction"), "it contains an unknown function"),
+        (DRIVE.replace("q' = v", "q' = v^2"), "it is not linear"),
+    ],
+)
+def test_other_balances_determine_no_state(text: str, why: str) -> None:
+    model = model_of(text)
+    assert determined(model, fit_curves(model, drive_data())) is None, why
+
+
+def test_slopes_of_noisy_values() -> None:
+    t = np.linspace(0, 20, 400)
+    y = np.sin(t) + 0.02 * np.random.default_rng(0).standard_normal(400)
+    error = np.sqrt(np.mean((slopes(t, y) - np.cos(t)) ** 2))
+    assert error < 0.05 < 0.2 < np.sqrt(np.mean((np.gradient(y, t) - np.cos(t)) ** 2))
+
+
+@pytest.mark.usefixtures("quick_fits")
+def test_growing_horizons_find_a_law_that_intervals_do_not_show() -> None:
+    model, data = model_of(DRIVE), drive_data()
+    context = context_of(model, data, "auto")
+    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+    whole = context.parameters(fixed, released=True)
+    theta = whole.vector(context.module.weights)
+    stage = GrowingHorizons(context, whole, [theta])
+    state, iteration, losses = stage.begin(theta), 0, []
+    while iteration < stage.total:
+        outcome: Outcome = stage.step(state, iteration)
+        state, iteration = outcome.state, iteration + 1
+        losses.append(outcome.loss)
+        if outcome.done:
+            break
+    assert outcome.done
+    engine = context.engine(whole, 0.0)
+    before, after = (float(np.mean(residual_vector(engine, at) ** 2)) for at in (theta, state["theta"]))
+    assert after < 0.01 < before, "R² of whole solutions above 0.99"
+
+
+@pytest.mark.usefixtures("quick_fits")
+def test_a_drive_is_trained_with_default_options(tmp_path: Path) -> None:
+    run = train(model_of(DRIVE), drive_data(), TrainOptions(workers=1, seed=1), tmp_path / "run")
+    (member,) = run.fit.members
+    assert run.fit.constants["m"].value == pytest.approx(2.0, rel=0.1)
+    found = member.channels["q"]
+    assert found.r2 is not None and found.naive is not None
+    assert found.r2 > 0.9999 > 0.98 > found.naive
+    assert not [warning for warning in run.fit.warnings if "hardly better" in warning or "worse than" in warning]
