@@ -152,7 +152,7 @@ def _channels(members: Sequence[MemberRecord]) -> str:
     rows = []
     for i, member in enumerate(members):
         for name, rmse in member.rmse.items():
-            found = member.channels.get(name)  # absent in runs of older versions
+            found = (member.channels or {}).get(name)
             known = (found.r2, found.naive, found.held) if found is not None else (None, None, None)
             predictor = found.predictor if found is not None else ""
             rows.append([str(i), name, *(number(value, 5) for value in (rmse, *known)), predictor or "-"])

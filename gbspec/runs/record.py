@@ -14,7 +14,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
-from gbspec.runs.typed_json import JsonError, decode, encode, read_object
+from gbspec.runs.typed_json import OMITTED, JsonError, decode, encode, read_object
 from gbspec.version import __version__
 
 Option = str | int | float | bool | None
@@ -81,7 +81,7 @@ class MemberRecord:
 
     `loss` is the mean of half squared residuals of whole solutions from their initial states, `interval_loss` that of
     predictions from each row to the next; `rmse` and `channels` by channel are of whole solutions; None where the
-    solution was not finite.
+    solution was not finite, and `channels` in runs of older versions.
     """
 
     seed: int
@@ -89,8 +89,8 @@ class MemberRecord:
     rmse: Mapping[str, float | None]
     seconds: float
     stages: tuple[StageRecord, ...]
-    interval_loss: float | None = None
-    channels: Mapping[str, ChannelRecord] = field(default_factory=dict)
+    interval_loss: float | None = field(default=None, metadata=OMITTED)
+    channels: Mapping[str, ChannelRecord] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

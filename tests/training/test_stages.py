@@ -90,7 +90,7 @@ def test_names_are_kept_as_the_recipe_has_them() -> None:
 
 def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def names(text: str, **options: str) -> set[str]:
-        model, data = model_of(text), urp_data(4, 2.0, 40)
+        model, data = model_of(text), urp_data(2, 12.0, 6)
         ready = prepare(model, load_module(model), data, TrainOptions(**options), 0)  # type: ignore[arg-type]
         return {stage.name for stage in planning.plan(ready.context, ready.parameters)}
 

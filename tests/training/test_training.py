@@ -55,7 +55,8 @@ def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     assert list(fit) == [*expected, "correlations", "solver", "step_checks", "interface"]
     assert list(fit["data"]) == ["path", "sha256", "trajectories", "rows", "values"]
     assert list(fit["constants"]["B"]) == ["value", "sd", "interval", "start", "per_member"]
-    assert list(fit["members"][0]) == ["seed", "loss", "rmse", "seconds", "stages"]
+    assert list(fit["members"][0]) == ["seed", "loss", "rmse", "seconds", "stages", "interval_loss", "channels"]
+    assert list(fit["members"][0]["channels"]["x1"]) == ["r2", "naive", "predictor", "held"]
     header, first, *_ = (fitted / "history.csv").read_text().splitlines()
     assert header == "member,stage,iteration,seconds,loss,B,beta"
     assert first.startswith("0,warm start,1,")
