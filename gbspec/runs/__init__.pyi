@@ -1,4 +1,9 @@
 from . import files as files
+from .covariance import COVARIANCE as COVARIANCE
+from .covariance import Certainties as Certainties
+from .covariance import Covariance as Covariance
+from .covariance import Support as Support
+from .covariance import read_certainties as read_certainties
 from .record import DAMAGED as DAMAGED
 from .record import ConstantRecord as ConstantRecord
 from .record import DataRecord as DataRecord

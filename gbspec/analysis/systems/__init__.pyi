@@ -1,3 +1,4 @@
+from .bands import function_bands as function_bands
 from .compiled import Compiled as Compiled
 from .family import Family as Family
 from .points import quasirandom_points as quasirandom_points
