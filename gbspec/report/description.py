@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.report.style import LEARNED, MEASURED, MUTED, TRUTH
 
 Dash: TypeAlias = Literal["solid", "dashed", "dotted"]
@@ -230,6 +230,13 @@ def beyond(
     (low, high), (first, last) = shown, trained
     parts = ((low, min(first, high)), (max(last, low), high))
     return tuple(Span(axis, left, right) for left, right in parts if left < right)
+
+
+def extrapolated(x: Array, far: Mask) -> tuple[Span, ...]:
+    """A grey background where the points `x` [P], in order, are far from all data; it ends halfway between points."""
+    edges = np.concatenate([x[:1], 0.5 * (x[:-1] + x[1:]), x[-1:]])
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(int), [0]])))
+    return tuple(Span("x", float(edges[a]), float(edges[b])) for a, b in zip(changes[::2], changes[1::2], strict=True))
 
 
 def pieces(x: Array, y: Array, stable: tuple[bool, ...]) -> tuple[tuple[bool, Array, Array], ...]:

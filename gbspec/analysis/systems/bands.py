@@ -15,6 +15,7 @@ from gbspec.arrays import Array
 
 if TYPE_CHECKING:
     from gbspec.backends import GeneratedModule
+    from gbspec.ir import Model
     from gbspec.runs import Covariance, Run
 
 QUANTILE = 1.6448536269514722
@@ -33,7 +34,18 @@ def function_bands(run: Run, name: str, points: Array) -> tuple[Array, Array, Ar
     between = values.var(axis=0, ddof=1) if len(values) > 1 else 0.0
     within = np.mean([_deviations(run, number, name, points) ** 2 for number in run.numbers], axis=0)
     mean, half = values.mean(axis=0), QUANTILE * np.sqrt(within + between)
-    return mean, mean - half, mean + half
+    low, high = _guaranteed(run.model, name)
+    return mean, np.minimum(np.maximum(mean - half, low), mean), np.maximum(np.minimum(mean + half, high), mean)
+
+
+def _guaranteed(model: Model, name: str) -> tuple[float, float]:
+    """The numbers between which an unknown's contracts keep it; infinite where there is none."""
+    (unknown,) = (one for one in model.unknowns if one.name == name)
+    ends = {"lower": -np.inf, "upper": np.inf}
+    for contract in unknown.contracts:
+        if contract.kind in ends and contract.value is not None and contract.value.is_number:
+            ends[contract.kind] = float(contract.value)
+    return ends["lower"], ends["upper"]
 
 
 def _deviations(run: Run, number: int, name: str, points: Array) -> Array:
