@@ -19,7 +19,8 @@ class _Recorded:
 
     def __call__(self, *arguments: Array | float) -> tuple[Array, ...]:
         self.calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
-        return self.network(*arguments)
+        found: tuple[Array, ...] = self.network(*arguments)
+        return found
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.network, name)

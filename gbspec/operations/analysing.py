@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
 def system(source: Subject) -> System:
     """A subject as a dynamical system to analyse."""
-    from gbspec.analysis import system_of
+    from gbspec.analysis import extrapolation_of, system_of
 
-    return system_of(source.evaluator, source.model)
+    extrapolation = None if source.run is None else extrapolation_of(source.run)
+    return system_of(source.evaluator, source.model, extrapolation)
 
 
 def eigen(

@@ -7,8 +7,9 @@ of the legend; those without a label have none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -239,12 +240,15 @@ def extrapolated(x: Array, far: Mask) -> tuple[Span, ...]:
     return tuple(Span("x", float(edges[a]), float(edges[b])) for a, b in zip(changes[::2], changes[1::2], strict=True))
 
 
-def pieces(x: Array, y: Array, stable: tuple[bool, ...]) -> tuple[tuple[bool, Array, Array], ...]:
-    """A curve cut where its stability changes; neighbouring pieces share a point, so that there is no gap."""
+Kind = TypeVar("Kind")
+
+
+def pieces(x: Array, y: Array, kinds: Sequence[Kind]) -> tuple[tuple[Kind, Array, Array], ...]:
+    """A curve cut where its kind (stability) changes; neighbouring pieces share a point, so that there is no gap."""
     found, start = [], 0
     for end in range(1, len(x) + 1):
-        if end == len(x) or stable[end] != stable[start]:
-            found.append((stable[start], x[start : end + 1], y[start : end + 1]))
+        if end == len(x) or kinds[end] != kinds[start]:
+            found.append((kinds[start], x[start : end + 1], y[start : end + 1]))
             start = end
     return tuple(found)
 

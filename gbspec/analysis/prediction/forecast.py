@@ -15,8 +15,16 @@ import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import Prediction, Start, learned_positions, learned_start, needed, predict
-from gbspec.analysis.systems import trained_ranges
+from gbspec.analysis.prediction.solutions import (
+    Prediction,
+    Start,
+    extrapolated,
+    learned_positions,
+    learned_start,
+    needed,
+    predict,
+)
+from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
 from gbspec.data import scales_of
 from gbspec.diagnostics import ComputationError
@@ -175,8 +183,8 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
     scales = scales_of(run.model, trajectories)
     each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]
-    ranges = trained_ranges(run.model, run.members[0])
-    items = tuple(_joined(each, index, window, ranges) for index in range(len(trajectories)))
+    trained = Trained(trained_ranges(run.model, run.members[0]), extrapolation_of(run))
+    items = tuple(_joined(each, index, window, trained) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
         first = items[0]
         raise ComputationError(
@@ -210,7 +218,9 @@ def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
     beyond = [item.label for item in items if any(item.outside)]
     if beyond:
         listed = ", ".join(f"`{label}`" for label in beyond[:5]) + (", ..." if len(beyond) > 5 else "")
-        found.append(f"predictions of {_count(len(beyond))} ({listed}) leave the trained range: see `outside`")
+        found.append(
+            f"predictions of {_count(len(beyond))} ({listed}) leave the region of the training data: see `outside`"
+        )
     return found
 
 
@@ -296,9 +306,7 @@ def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -
     return int(measured[min(wanted, len(measured)) - 1]) + 1
 
 
-def _joined(
-    each: Sequence[_MemberPredictions], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
-) -> PredictedTrajectory:
+def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, known: Trained) -> PredictedTrajectory:
     """The combined prediction of a trajectory by all members."""
     model, item = each[0].model, each[0].trajectories.items[index]
     own = bool(each[0].estimator.own)
@@ -324,22 +332,35 @@ def _joined(
         "training" if trained else "window" if i < rows else "predicted" for i in range(len(item.times))
     )
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
-    outside = _outside(model, item, states, ranges)
+    outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
                                in_logarithms, failure)  # fmt: skip
 
 
-def _outside(
-    model: Model, item: Trajectory, states: Array, ranges: Mapping[str, tuple[float, float]]
-) -> tuple[tuple[str, ...], ...]:
-    """For each row the states and conditions outside their trained ranges by more than a hundredth of the width."""
-    values: dict[str, Array] = {
-        **{state.name: states[:, i] for i, state in enumerate(model.states)},
-        **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},
-    }
-    beyond = {}
-    for name, (low, high) in ranges.items():
-        if name in values:
-            slack = 0.01 * (high - low)
-            beyond[name] = (values[name] < low - slack) | (values[name] > high + slack)
-    return tuple(tuple(name for name, flags in beyond.items() if flags[row]) for row in range(len(states)))
+@dataclass(frozen=True)
+class Trained:
+    """Where a run was trained: the `ranges` of states and conditions, and how far the data lie, if that is known."""
+
+    ranges: Mapping[str, tuple[float, float]]
+    extrapolation: Extrapolation | None
+
+    def outside(self, model: Model, item: Trajectory, states: Array, start: Start) -> tuple[tuple[str, ...], ...]:
+        """For each row the functions that are extrapolated, and the states and conditions outside their trained ranges.
+
+        Where it is known how far the data lie, a range (left by more than a hundredth of its width) counts only in rows
+        in which a function is extrapolated.
+        """
+        values: dict[str, Array] = {
+            **{state.name: states[:, i] for i, state in enumerate(model.states)},
+            **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},
+        }
+        beyond = {}
+        for name, (low, high) in self.ranges.items():
+            if name in values:
+                slack = 0.01 * (high - low)
+                beyond[name] = (values[name] < low - slack) | (values[name] > high + slack)
+        if self.extrapolation is not None:
+            far = extrapolated(self.extrapolation, model, item, states, start)
+            anywhere = np.any([*far.values(), np.zeros(len(states), dtype=bool)], axis=0)
+            beyond = {name: flags & anywhere for name, flags in beyond.items()} | far
+        return tuple(tuple(name for name, flags in beyond.items() if flags[row]) for row in range(len(states)))

@@ -1,7 +1,9 @@
 from .bands import function_bands as function_bands
 from .compiled import Compiled as Compiled
 from .family import Family as Family
+from .fence import Extrapolation as Extrapolation
 from .fence import Fence as Fence
+from .fence import extrapolation_of as extrapolation_of
 from .fence import fence_of as fence_of
 from .fence import fences as fences
 from .points import quasirandom_points as quasirandom_points

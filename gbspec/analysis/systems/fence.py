@@ -12,18 +12,20 @@ than half the limit, 0.17 up to the limit, 0.44 up to twice, 1.3 up to four time
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
+from gbspec.backends import network_arguments
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
+    from gbspec.backends import GeneratedModule
     from gbspec.runs import Run, Support
 
 SHARE = 0.95
@@ -85,7 +87,7 @@ class Fence:
         with np.errstate(over="ignore"):
             return np.asarray(self._tree.query(finite / self.width)[0] / self.limit, dtype=np.float64)
 
-    def beyond(self, points: Array) -> NDArray[np.bool_]:
+    def beyond(self, points: Array) -> Mask:
         """Whether each of the points [Q, A] is extrapolated [Q]."""
         return np.asarray(self.distance(points) > 1.0, dtype=np.bool_)
 
@@ -99,6 +101,41 @@ def _usual(distances: Array) -> float:
 def fence_of(support: Support | None) -> Fence | None:
     """The fence of a network; None where it is not known with which arguments it was trained."""
     return None if support is None or not len(support.points) else Fence(support.points, support.owner)
+
+
+@dataclass(frozen=True)
+class Extrapolation:
+    """Which functions of a member are extrapolated at a point of its state space; see `Fence`."""
+
+    member: GeneratedModule
+    fences: Mapping[str, Fence]
+
+    def functions(
+        self, t: float | Array, states: Array, condition: Array, inputs: Array, constants: Array
+    ) -> dict[str, Mask]:
+        """For each unknown whether it is extrapolated at R points [R]: times ([R] or one), states [R, n]; conditions,
+        inputs and constants [R, m], or [m] for all."""
+        count = len(states)
+        rows = [np.broadcast_to(each, (count, np.shape(each)[-1])) for each in (condition, inputs, constants)]
+        calls = network_arguments(self.member, np.broadcast_to(t, count), states, *rows)
+        found: dict[str, Mask] = {}
+        for network, each in zip(self.member.networks, calls, strict=True):
+            fence = self.fences.get(network["name"])
+            if fence is not None:
+                far = [fence.beyond(points) for points in each]
+                beyond: Mask = np.any([*far, np.zeros(count, dtype=bool)], axis=0)
+                index = list(self.member.networks).index(network)
+                names = [name for name, one in self.member.equations.unknowns.items() if one[0] == index]
+                for name in names:
+                    found[name] = beyond
+        return found
+
+
+def extrapolation_of(run: Run, number: int | None = None) -> Extrapolation | None:
+    """Where the functions of a member (default: the first) are extrapolated; None if that is not known."""
+    number = run.numbers[0] if number is None else number
+    found = fences(run, number)
+    return Extrapolation(run.member(number), found) if found else None
 
 
 def fences(run: Run, number: int | None = None) -> dict[str, Fence]:

@@ -19,7 +19,7 @@ from gbspec.training.engines import Engine, Linearised, linearise
 from gbspec.training.optimise.levenberg_marquardt import DELTA_HIGH, DELTA_LOW, WEAK
 from gbspec.training.optimise.normal_equations import huber_weights
 from gbspec.training.optimise.priors import Priors
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Integers, Parameters
 
 LARGEST = 2**28
 """The most entries of the Jacobian's shared columns (2 GiB): beyond, the covariance is left out."""
@@ -55,7 +55,7 @@ class _Reduced:
     """
 
     shared: Array
-    thin: tuple[tuple[Array, Array], ...]
+    thin: tuple[tuple[Integers, Array], ...]
     squares: float
     count: int
     used: float
@@ -72,7 +72,8 @@ class _Reduced:
         root = np.sqrt(np.concatenate([weights, np.full(len(priors), balance)]))
         local, owner = rows.local.numpy() * root[:, None], rows.owner.numpy()
         weak = WEAK * max(float(np.mean(measured**2)), 1e-300)
-        thin, used = [], 0.0
+        thin: list[tuple[Integers, Array]] = []
+        used = 0.0
         for i in range(engine.parameters.trajectories if local.shape[1] else 0):
             here = np.flatnonzero(owner == i)
             values, vectors = np.linalg.eigh(local[here].T @ local[here])

@@ -10,6 +10,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, network_arguments
+from gbspec.data import evenly_spaced
 from gbspec.runs import Certainties, Support
 from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import covariance
@@ -42,7 +43,7 @@ def support(engine: Engine, theta: Array, member: GeneratedModule) -> dict[str, 
     # An arrival, such as a dose, moves a state to where no measurement is: both sides of it were trained on.
     moved = rows[np.any(moments.before[rows] != moments.after[rows], axis=1)]
     row, states = np.concatenate([rows, moved]), np.concatenate([moments.before[rows], moments.after[moved]])
-    chosen = np.unique(np.linspace(0, len(row) - 1, min(len(row), POINTS)).astype(int)) if len(row) else []
+    chosen = evenly_spaced(len(row), POINTS)
     row, states = row[chosen], states[chosen]
     owner = packed.row_trajectory[row]
     calls = network_arguments(
