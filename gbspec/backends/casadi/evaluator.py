@@ -207,9 +207,10 @@ class Evaluator:
         max_step: float,
         doses: Sequence[Events] = (),
         constants: ArrayLike | None = None,
+        parts: int = 1,
     ) -> Array:
         """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
-        and kinks.
+        and kinks, each divided into `parts`.
 
         States may be infinite or NaN: the fixed step is not checked.
         """
@@ -217,7 +218,7 @@ class Evaluator:
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
         sizes = (self.n_states, self.n_inputs)
-        plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver])
+        plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
         condition = np.asarray(condition, dtype=np.float64).ravel()
         return self._stepper.run(np.asarray(x0, dtype=np.float64), plan, condition, self._constants(constants))
 
