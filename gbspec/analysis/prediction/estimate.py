@@ -86,10 +86,13 @@ def predictions(
 
 class Estimator:
     """Least squares for the initial state of one trajectory. `scales` are those of the whole table that it is from;
-    `noise` [C], if known, is the standard deviation of measurements of each channel (of logarithms, if log-normal)."""
+    `noise` [C], if known, is the standard deviation of measurements of each channel (of logarithms, if log-normal).
+    `released`: initial values that the first row measures are estimated too, and that row is data like all others."""
 
-    def __init__(self, evaluator: Evaluator, model: Model, scales: Scales, noise: Array | None = None) -> None:
-        self.evaluator, self.model, self.scales = evaluator, model, scales
+    def __init__(
+        self, evaluator: Evaluator, model: Model, scales: Scales, noise: Array | None = None, released: bool = False
+    ) -> None:
+        self.evaluator, self.model, self.scales, self.released = evaluator, model, scales, released
         self.noise = np.zeros(len(model.channels)) if noise is None else noise / scales.channel
         self.pull = max(PULL, float(np.median(self.noise)))
         self.prior = prior_of(evaluator.instance, model)
@@ -113,9 +116,15 @@ class Estimator:
         found = residuals(channels, item.values, self.scales.factor(item), self.scales.log)
         return np.asarray(found, dtype=np.float64)
 
+    def free(self, item: Trajectory) -> tuple[int, ...]:
+        """The states whose initial values are estimated."""
+        if not self.released:
+            return needed(self.model, item)
+        return tuple(i for i, state in enumerate(self.model.states) if state.initial.kind != "expression")
+
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` if none can be integrated."""
-        free = needed(self.model, item)
+        free = self.free(item)
         state = measured_start(self.model, item, self._nearest(item))
         constants = np.array(self.evaluator.constants, dtype=float)
         if not free and not self.own:

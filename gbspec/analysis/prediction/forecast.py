@@ -21,7 +21,6 @@ from gbspec.analysis.prediction.solutions import (
     extrapolated,
     learned_positions,
     learned_start,
-    needed,
     predict,
 )
 from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
@@ -173,16 +172,18 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     """Predictions of all members for every row of a table.
 
     `window` is the number of measured rows from which the initial state of a new trajectory is estimated (None: a
-    third of them, at least three). A trajectory of the training data, recognised by content, has its learned initial
-    state. The interval is that of a new measurement: it includes the variance over the members, the
-    (linearised) uncertainty of the estimates, and the noise that the fit estimated.
+    third of them, at least three). Initial values that the first row measures are then estimated too, unless the window
+    is that row alone; without `window` they are taken from it. A trajectory of the training data, recognised by
+    content, has its learned initial state. The interval is that of a new measurement: it includes the variance over the
+    members, the (linearised) uncertainty of the estimates, and the noise that the fit estimated.
 
     Raises ComputationError if no trajectory can be solved.
     """
     from gbspec.backends import Evaluator
 
     scales = scales_of(run.model, trajectories)
-    each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]
+    released = window is not None and window > 1
+    each = [_MemberPredictions(Evaluator(member), run, trajectories, scales, released) for member in run.members]
     trained = Trained(trained_ranges(run.model, run.members[0]), extrapolation_of(run))
     items = tuple(_joined(each, index, window, trained) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
@@ -198,7 +199,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         states=tuple(state.name for state in run.model.states),
         items=items,
         members=len(each),
-        warnings=tuple(_warnings(items, len(each))),
+        warnings=(*_warnings(items, len(each)), *_without_effect(items, window)),
     )
 
 
@@ -224,6 +225,20 @@ def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
     return found
 
 
+def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) -> list[str]:
+    """A warning about trajectories for which a requested window changes nothing."""
+    if window is None:
+        return []
+    why = {"learned": "they are part of the training data", "known": "the model or the first row gives their start"}
+    found = []
+    for origin in ("learned", "known") if window > 1 else ("learned",):
+        labels = [item.label for item in items if item.start.origin == origin]
+        if labels:
+            listed = ", ".join(f"`{label}`" for label in labels[:5]) + (", ..." if len(labels) > 5 else "")
+            found.append(f"the window has no effect on {_count(len(labels))} ({listed}): {why[origin]}")
+    return found
+
+
 @dataclass(frozen=True)
 class _View:
     """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start."""
@@ -236,10 +251,12 @@ class _View:
 class _MemberPredictions:
     """The predictions of one member for a table."""
 
-    def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Scales) -> None:
+    def __init__(
+        self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Scales, released: bool
+    ) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
-        self.estimator = Estimator(evaluator, run.model, scales, noise)
+        self.estimator = Estimator(evaluator, run.model, scales, noise, released)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
 
     def view(self, index: int, rows: int) -> _View:
@@ -263,7 +280,7 @@ class _MemberPredictions:
         W is the precision of the window's residuals (from the fit's noise, or their size if that is larger), P that of
         the prior.
         """
-        free = [*needed(self.model, seen)]
+        free = [*self.estimator.free(seen)]
         own = list(self.estimator.own)
         scale = np.concatenate([self.estimator.start_sd(seen)[free], self.estimator.own_sd])
         columns = []
@@ -295,13 +312,13 @@ def first_rows(item: Trajectory, rows: int) -> Trajectory:
     return replace(item, **kept)
 
 
-def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -> int:
-    """The number of rows up to the end of the window; only the first if it determines the initial state."""
+def window_rows(item: Trajectory, fixed: bool, window: int | None) -> int:
+    """The number of rows up to the end of the window; only the first if nothing is estimated (`fixed`)."""
     measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
     if not len(measured):
         return 0
     wanted = window if window is not None else max(LEAST, len(measured) // SHARE)
-    if not needed(model, item) and not own:
+    if fixed:
         wanted = 1
     return int(measured[min(wanted, len(measured)) - 1]) + 1
 
@@ -311,7 +328,8 @@ def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, 
     model, item = each[0].model, each[0].trajectories.items[index]
     own = bool(each[0].estimator.own)
     trained = each[0].positions[index] is not None
-    rows = len(item.times) if trained else window_rows(model, item, own, window)
+    fixed = not each[0].estimator.free(item) and not own
+    rows = len(item.times) if trained else window_rows(item, fixed, window)
     views = [one.view(index, rows) for one in each]
     failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
     values = np.stack([v.variables for v in views])
@@ -325,7 +343,7 @@ def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, 
     start = replace(first, state=np.mean([v.prediction.start.state for v in views], axis=0))
     estimated: tuple[str, ...] = ()
     if start.origin == "estimated":
-        free = needed(model, first_rows(item, rows))
+        free = each[0].estimator.free(first_rows(item, rows))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
     used: tuple[Use, ...] = tuple(
