@@ -84,6 +84,8 @@ def test_a_failure_of_the_adaptive_solver_is_not_attributed_to_the_step() -> Non
     told = str(StepCheck(2e-8, 0.054, 0.1, 8).warning)
     assert "differs by up to 5.4 %" in told and "depends on its training step" not in told
     assert StepCheck(2e-8, 0.009, 0.1, 8).warning is None
+    told = str(StepCheck(2e-8, None, 0.1, 0, 3).warning)
+    assert "cannot solve 3 of 3 trajectories" in told and "the step is not the reason" in told
     assert StepCheck(2e-3, 0.054, 0.1, 8).warning is not None
 
 

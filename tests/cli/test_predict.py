@@ -182,3 +182,14 @@ def test_training_trajectories_are_recognised_among_rows_with_inputs_only(here: 
     result = call("predict", "run", "d.csv", "-o", "p.csv", "--json")
     made = json.loads(result.stdout)["trajectories"][0]
     assert (made["start"], made["rows"]["training"]) == ("learned", 16)
+
+
+def test_a_validation_that_scores_nothing_fails(here: Path) -> None:
+    Path("m.gb").write_text("model m\nstate x in [0, 9]\nlearn k = 0.3 in [0, 5]\nx' = -k*x^2\nobserve x\n")
+    Path("d.csv").write_text("t,x\n" + "".join(f"{t},{1 / (1 + 0.8 * t)}\n" for t in range(8)))
+    assert call("train", "m.gb", "d.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    assert call("validate", "run", "d.csv", "--quiet").exit_code == 0
+    result = call("validate", "run", "d.csv", "--set", "k=-9", "--json")
+    assert result.exit_code == 3
+    assert json.loads(result.stdout)["channels"]["x"]["n"] == 0
+    assert "no trajectory can be solved, so that nothing was scored" in result.stderr

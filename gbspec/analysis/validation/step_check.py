@@ -64,6 +64,12 @@ class StepCheck:
     @property
     def warning(self) -> str | None:
         """The warning if the right-hand side depends on the step; otherwise None."""
+        if self.unsolved and self.half_step is not None and self.half_step <= DEPENDS:
+            return (
+                f"an adaptive solver cannot solve {self.unsolved} of {self.unsolved + self.trajectories} trajectories "
+                f"that were checked; the training step of {self.step:.6g} can, and half of it changes the solutions by "
+                f"{100 * self.half_step:.2g} % of the states' ranges at most, so that the step is not the reason"
+            )
         if self.unsolved:
             return (
                 f"the learned right-hand side depends on its training step of {self.step:.6g}: {self.unsolved} of "
@@ -122,15 +128,27 @@ def step_check(
         return StepCheck(None, None, step)
     failed = [(item, one) for item, one in zip(items, predictions, strict=True) if one.failure]
     tried = [failed[k] for k in evenly_spaced(len(failed), LOOKED_AT)]
-    unsolved = sum(bool(np.isfinite(_fixed(evaluator, step, item, one)).all()) for item, one in tried)
+    solved = [(item, one) for item, one in tried if np.isfinite(_fixed(evaluator, step, item, one)).all()]
     if not pairs:
-        return StepCheck(None, None, step, 0, unsolved)
+        return StepCheck(_halved(evaluator, step, solved) if solved else None, None, step, 0, len(solved))
     chosen = [pairs[k] for k in evenly_spaced(len(pairs), LOOKED_AT)]
     adaptive = np.concatenate([one.states for _, one in chosen])
     scale, _ = truth_scale(adaptive, np.maximum(np.abs(adaptive).max(axis=0), 1e-12))
     coarse = np.concatenate([_fixed(evaluator, step, item, one) for item, one in chosen])
-    fine = np.concatenate([_fixed(evaluator, step, item, one, 2) for item, one in chosen])
-    return StepCheck(_largest(fine - coarse, scale), _largest(adaptive - coarse, scale), step, len(chosen), unsolved)
+    halved = _halved(evaluator, step, [*chosen, *solved], scale)
+    return StepCheck(halved, _largest(adaptive - coarse, scale), step, len(chosen), len(solved))
+
+
+def _halved(
+    evaluator: Evaluator, step: float, chosen: Sequence[tuple[Trajectory, Prediction]], scale: Array | None = None
+) -> float:
+    """The largest difference between solutions with a step and with half of it, relative to `scale` [n] (their own)."""
+    coarse, fine = (
+        np.concatenate([_fixed(evaluator, step, item, one, parts) for item, one in chosen]) for parts in (1, 2)
+    )
+    if scale is None:
+        scale, _ = truth_scale(coarse, np.maximum(np.abs(coarse).max(axis=0), 1e-12))
+    return _largest(fine - coarse, scale)
 
 
 def _fixed(evaluator: Evaluator, step: float, item: Trajectory, one: Prediction, parts: int = 1) -> Array:

@@ -41,6 +41,8 @@ class Events(Protocol):
         """How much."""
 
 
+NOTHING = 1e-100
+"""An initial value that gives no scale: what is left of a state that has decayed."""
 MAPS = 64
 """Most mapped functions that an evaluator caches, each for a given number of points."""
 
@@ -273,10 +275,13 @@ class Evaluator:
         ]
 
     def _scales(self, x0: ArrayLike) -> Array:
-        """The scale of each state: from its range if it is bounded, else from its initial value; 1 if both are zero."""
+        """The scale of each state: from its range if it is bounded, else from its initial value; 1 if both are zero.
+
+        A remainder such as 5e-151 counts as zero: in units of it, products and squares overflow inside CVODES.
+        """
         scales = np.abs(np.asarray(x0, dtype=np.float64)).ravel().copy()
         for i, name in enumerate(self.instance.states):
             size = max(map(abs, self.instance.ranges.get(name, (0.0,))))
             if 0 < size < np.inf:
                 scales[i] = size
-        return np.where(scales > 0, scales, 1.0)
+        return np.where(scales > NOTHING, scales, 1.0)
