@@ -44,8 +44,8 @@ def eigen(
     if along is not None:
         from gbspec.analysis import predictions
 
-        data = None if source.run is None else source.run.fit.data
-        predicted = predictions(source.evaluator, source.model, along, data)
+        fit = None if source.run is None else source.run.fit
+        predicted = predictions(source.evaluator, source.model, along, fit)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
 
 

@@ -21,7 +21,7 @@ from gbspec.analysis import (
 from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module, network_arguments
-from gbspec.data import Trajectories, Trajectory, scales_of
+from gbspec.data import Trajectories, Trajectory
 from gbspec.ir import Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
@@ -47,7 +47,7 @@ class Fitted:
     def __init__(self, run: Run, data: Trajectories) -> None:
         self.run, self.data, self.model = run, data, run.model
         self.evaluators = [Evaluator(member) for member in run.members]
-        self.scales = scales_of(self.model, data)
+        self.scales = run.fit.scales_for(self.model, data)
         self.truth = self._truth()
         self._starts: dict[tuple[int, int], Start] = {}
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
     from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.ir import Model
-    from gbspec.runs import DataRecord
+    from gbspec.runs import FitRecord
 
 
 PULL = 1e-3
@@ -69,14 +69,15 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
 
 
 def predictions(
-    evaluator: Evaluator, model: Model, trajectories: Trajectories, data: DataRecord | None = None
+    evaluator: Evaluator, model: Model, trajectories: Trajectories, fit: FitRecord | None = None
 ) -> list[Prediction]:
     """The predictions of one member for a table, from learned initial states if possible, else known or estimated ones.
 
-    `data` is the entry of `fit.json` about the training data, if there is one.
+    `fit` is the content of the run's `fit.json`, if there is a run.
     """
-    estimator = Estimator(evaluator, model, scales_of(model, trajectories))
-    positions = learned_positions(evaluator.instance, trajectories, data)
+    scales = scales_of(model, trajectories) if fit is None else fit.scales_for(model, trajectories)
+    estimator = Estimator(evaluator, model, scales)
+    positions = learned_positions(evaluator.instance, trajectories, None if fit is None else fit.data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
         for item, position in zip(trajectories.items, positions, strict=True)

@@ -25,7 +25,6 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
-from gbspec.data import scales_of
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.ir import logarithmic, slopes
@@ -181,7 +180,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     """
     from gbspec.backends import Evaluator
 
-    scales = scales_of(run.model, trajectories)
+    scales = run.fit.scales_for(run.model, trajectories)
     released = window is not None and window > 1
     each = [_MemberPredictions(Evaluator(member), run, trajectories, scales, released) for member in run.members]
     trained = Trained(trained_ranges(run.model, run.members[0]), extrapolation_of(run))

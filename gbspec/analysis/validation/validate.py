@@ -162,7 +162,7 @@ def validate(
     worst: WorstRow | None = None
     check = StepCheck(None, None, run.max_step)
     if trajectories is not None:
-        each = [predictions(one, run.model, trajectories, run.fit.data) for one in evaluators]
+        each = [predictions(one, run.model, trajectories, run.fit) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
         known = extrapolation_of(run, None if member == "mean" else member)
         channels, errors = _on_data(run.model, trajectories, predicted, known)

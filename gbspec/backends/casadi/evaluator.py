@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
-from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
+from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.ir import METHODS
 
@@ -191,7 +191,7 @@ class Evaluator:
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
-        pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
+        pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
         nominal = self._scales(x0) if scales is None else np.asarray(scales, dtype=np.float64)
         problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
@@ -218,7 +218,7 @@ class Evaluator:
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
-        pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
+        pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
         sizes = (self.n_states, self.n_inputs)
         plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
         condition = np.asarray(condition, dtype=np.float64).ravel()
@@ -243,7 +243,7 @@ class Evaluator:
     def _segments(
         self,
         begin: float,
-        end: float,
+        outputs: Array,
         condition: ArrayLike,
         inputs: Sequence[Course],
         doses: Sequence[Events],
@@ -255,8 +255,8 @@ class Evaluator:
             Signal(np.asarray(item.times, dtype=np.float64), np.asarray(item.values, dtype=np.float64))
             for item in inputs
         ]
-        jumps = self._jumps(condition, doses, constants)
-        return segments(begin, end, self.n_states, signals, self.instance.interpolation, jumps)
+        jumps = at_rows(self._jumps(condition, doses, constants), begin, outputs)
+        return segments(begin, float(outputs[-1]), self.n_states, signals, self.instance.interpolation, jumps)
 
     def _jumps(self, condition: ArrayLike, doses: Sequence[Events], constants: ArrayLike | None) -> list[Jump]:
         if not doses:

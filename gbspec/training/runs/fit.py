@@ -14,11 +14,11 @@ import numpy as np
 import torch
 
 from gbspec.backends import INTERFACE, generate, load_module
-from gbspec.data import Trajectories
+from gbspec.data import Trajectories, scales_of
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import finite
 from gbspec.ir import METHODS, Learnable, Model
-from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, files, read_record
+from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, ScalesRecord, files, read_record
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijections
@@ -148,6 +148,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         warnings=(),
         solver=options.solver,
         interface=INTERFACE,
+        scales=ScalesRecord.of(scales_of(model, trajectories)),
     )
 
 
