@@ -21,4 +21,5 @@ from .protocol import GeneratedModule as GeneratedModule
 from .protocol import Network as Network
 from .protocol import Networks as Networks
 from .protocol import Value as Value
+from .recording import network_arguments as network_arguments
 from .registry import backends as backends

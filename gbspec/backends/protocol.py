@@ -138,6 +138,10 @@ class GeneratedModule(Protocol):
     def weight_slopes(self, weights: Mapping[str, Value]) -> dict[str, Value]:
         """Derivatives of the weights that layers use by those that are trained."""
 
+    def function_slopes(self, name: str, arguments: Array) -> dict[str, Array]:
+        """Derivatives of an unknown's values at points [P, n_arguments] with respect to its network's trained weights
+        and the constants: arrays [P, ...] by name."""
+
     def rhs(self, t: Value, x: Value, condition: Value = None, inputs: Value = None, constants: Value = None) -> Value:
         """dx/dt [..., n_states], torch."""
 

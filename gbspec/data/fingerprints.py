@@ -14,15 +14,17 @@ def fingerprint(trajectory: Trajectory) -> str:
     """The SHA-256 (hexadecimal) of a trajectory without its label: start, times, values, conditions, inputs, doses.
 
     Two trajectories have the same one if and only if they have the same numbers for the same model (channels and
-    conditions in the same order), bit by bit; -0 counts as 0 and all NaN as one.
+    conditions in the same order), bit by bit; -0 counts as 0 and all NaN as one. Rows without a measurement do not
+    count: a table that is read for training has none, one that is read for prediction keeps them.
     """
     digest = hashlib.sha256()
+    measured = (trajectory.counts > 0).any(axis=1)
     parts: list[NDArray[np.float64]] = [
         np.array([trajectory.start]),
-        trajectory.times,
-        trajectory.values,
-        trajectory.counts,
-        trajectory.sd,
+        trajectory.times[measured],
+        trajectory.values[measured],
+        trajectory.counts[measured],
+        trajectory.sd[measured],
         trajectory.condition,
     ]
     for signal in trajectory.inputs:

@@ -4,8 +4,9 @@
 averages, 0 where nothing was measured. The scale of a channel is
 
 - without a stated noise: the standard deviation of its data over all trajectories;
-- with `noise normal(sd)`, `noise lognormal(cv)` or a column of standard deviations: the stated standard deviation,
-  divided by the channels' common noise level (the mean of stated noise / standard deviation of the data), so that all
+- with `noise normal(sd)`, `noise lognormal(cv)` or a column of standard deviations (in the unit of the values: that of
+  the logarithm, under `lognormal`, is the given one over the size of the value): the stated standard deviation, divided
+  by the channels' common noise level (the mean of stated noise / standard deviation of the data), so that all
   residuals are in units of the data's standard deviation and the stated noises determine the channels' relative
   weights. An entry with its own standard deviation has its own scale.
 
@@ -40,14 +41,17 @@ class Scales:
     level: float
     noise: float | None
 
-    def of_rows(self, sd: Array) -> Array:
-        """The scales [R, C] of entries with the standard deviations `sd` [R, C] (NaN: none of its own)."""
-        own = np.isfinite(sd) & (sd > 0)
-        return np.where(own, np.where(own, sd, 1.0) / self.level, self.channel)
+    def of_rows(self, sd: Array, values: Array) -> Array:
+        """The scales [R, C] of entries with the standard deviations `sd` [R, C] (NaN: none of its own), in the unit of
+        their `values`; a value of zero has no standard deviation of its logarithm, and the channel's scale."""
+        relative = np.divide(sd, np.abs(values), out=np.full_like(sd, np.nan), where=np.abs(values) > 0)
+        found = np.where(self.log, relative, sd)
+        own = np.isfinite(found) & (found > 0)
+        return np.where(own, np.where(own, found, 1.0) / self.level, self.channel)
 
     def factor(self, item: Trajectory) -> Array:
         """w / s [R, C] of a trajectory's measurements; 0 where nothing was measured."""
-        return np.asarray(weights(item.values, item.counts) / self.of_rows(item.sd), dtype=np.float64)
+        return np.asarray(weights(item.values, item.counts) / self.of_rows(item.sd, item.values), dtype=np.float64)
 
 
 def weights(values: Array, counts: Array) -> Array:

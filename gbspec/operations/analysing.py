@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
 def system(source: Subject) -> System:
     """A subject as a dynamical system to analyse."""
-    from gbspec.analysis import system_of
+    from gbspec.analysis import extrapolation_of, system_of
 
-    return system_of(source.evaluator, source.model)
+    extrapolation = None if source.run is None else extrapolation_of(source.run)
+    return system_of(source.evaluator, source.model, extrapolation)
 
 
 def eigen(
@@ -43,8 +44,8 @@ def eigen(
     if along is not None:
         from gbspec.analysis import predictions
 
-        data = None if source.run is None else source.run.fit.data
-        predicted = predictions(source.evaluator, source.model, along, data)
+        fit = None if source.run is None else source.run.fit
+        predicted = predictions(source.evaluator, source.model, along, fit)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from gbspec.analysis import (
 )
 from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
-from gbspec.backends import Evaluator, load_module
-from gbspec.data import Trajectories, Trajectory, scales_of
+from gbspec.backends import Evaluator, load_module, network_arguments
+from gbspec.data import Trajectories, Trajectory
 from gbspec.ir import Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
@@ -48,7 +47,7 @@ class Fitted:
     def __init__(self, run: Run, data: Trajectories) -> None:
         self.run, self.data, self.model = run, data, run.model
         self.evaluators = [Evaluator(member) for member in run.members]
-        self.scales = scales_of(self.model, data)
+        self.scales = run.fit.scales_for(self.model, data)
         self.truth = self._truth()
         self._starts: dict[tuple[int, int], Start] = {}
 
@@ -218,42 +217,18 @@ def _positive(text: str) -> float:
     return value if value > 0 else math.nan
 
 
-class _Network(Protocol):
-    """A network of the generated module over arrays; one with raw outputs has further attributes that the module
-    reads."""
-
-    def __call__(self, *arguments: Array | float) -> tuple[Array, ...]: ...
-
-
-class _Recorded:
-    """A network that records the arguments of its calls; all other attributes are those of the network."""
-
-    def __init__(self, network: _Network) -> None:
-        self.network = network
-        self.calls: list[Array] = []
-
-    def __call__(self, *arguments: Array | float) -> tuple[Array, ...]:
-        self.calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
-        return self.network(*arguments)
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self.network, name)
-
-
 def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
     """The arguments [P, A] with which the model calls a network along its solutions at the measured rows."""
     evaluator = fitted.evaluators[0]
     member = evaluator.instance
-    networks = list(member.numpy_networks())
-    networks[network] = recorded = _Recorded(networks[network])
+    calls: list[Array] = []
     for index, item in enumerate(fitted.data.items):
         states, _ = fitted.solutions(index, item.times)
         rows = np.isfinite(states[0]).all(axis=1)
         x, t = states[0][rows], item.times[rows]
         condition = np.broadcast_to(item.condition, (len(x), len(item.condition)))
         inputs = input_values(fitted.model, item, item.times)[rows]
-        own = tuple(np.float64(value) for value in fitted.start(0, index).constants)
-        for method in (member.equations.rhs, member.equations.observe):
-            method(member.arithmetic("numpy"), t, x, condition, inputs, own, tuple(networks))
-    found = np.concatenate([np.zeros((0, len(fitted.model.networks[network].arguments))), *recorded.calls])
+        own = np.broadcast_to(fitted.start(0, index).constants, (len(x), len(evaluator.constants)))
+        calls += network_arguments(member, t, x, condition, inputs, own)[network]
+    found = np.concatenate([np.zeros((0, len(fitted.model.networks[network].arguments))), *calls])
     return found[:: max(1, len(found) // limit)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class Slice:
 
     `postulate` [G] is the function postulated in the model, None if there is none; `visited` [V] are values of the
     argument in the data, within the range of `x`; `trained` is the range of the network's training, if it is known.
+    `band` are the ends [2, G] of the 90 % band, `far` [G] says where the function is extrapolated; None: not known.
     """
 
     argument: str
@@ -67,6 +68,8 @@ class Slice:
     postulate: Array | None = None
     visited: Array | None = None
     trained: tuple[float, float] | None = None
+    band: Array | None = None
+    far: Mask | None = None
 
 
 @dataclass(frozen=True)

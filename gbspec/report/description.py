@@ -7,12 +7,13 @@ of the legend; those without a label have none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.report.style import LEARNED, MEASURED, MUTED, TRUTH
 
 Dash: TypeAlias = Literal["solid", "dashed", "dotted"]
@@ -232,12 +233,22 @@ def beyond(
     return tuple(Span(axis, left, right) for left, right in parts if left < right)
 
 
-def pieces(x: Array, y: Array, stable: tuple[bool, ...]) -> tuple[tuple[bool, Array, Array], ...]:
-    """A curve cut where its stability changes; neighbouring pieces share a point, so that there is no gap."""
+def extrapolated(x: Array, far: Mask) -> tuple[Span, ...]:
+    """A grey background where the points `x` [P], in order, are far from all data; it ends halfway between points."""
+    edges = np.concatenate([x[:1], 0.5 * (x[:-1] + x[1:]), x[-1:]])
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], far.astype(int), [0]])))
+    return tuple(Span("x", float(edges[a]), float(edges[b])) for a, b in zip(changes[::2], changes[1::2], strict=True))
+
+
+Kind = TypeVar("Kind")
+
+
+def pieces(x: Array, y: Array, kinds: Sequence[Kind]) -> tuple[tuple[Kind, Array, Array], ...]:
+    """A curve cut where its kind (stability) changes; neighbouring pieces share a point, so that there is no gap."""
     found, start = [], 0
     for end in range(1, len(x) + 1):
-        if end == len(x) or stable[end] != stable[start]:
-            found.append((stable[start], x[start : end + 1], y[start : end + 1]))
+        if end == len(x) or kinds[end] != kinds[start]:
+            found.append((kinds[start], x[start : end + 1], y[start : end + 1]))
             start = end
     return tuple(found)
 

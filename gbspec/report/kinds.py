@@ -65,7 +65,8 @@ KINDS = (
         f"{_HERE}.functions",
         heading="Learned functions",
         note="Along each argument, with the others at their medians over the data; then over the plane of two "
-        "arguments, where there are data. Ticks: positions of the data. Grey background: outside the trained range.",
+        "arguments, where there are data. Ticks: positions of the data. Shaded: the 90 % band of the fit. Grey "
+        "background: far from the data that the function was learned from.",
         also=("function",),
     ),
     Kind("constants", "learned constants with intervals", f"{_HERE}.constants", also=("constant",)),

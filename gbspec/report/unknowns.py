@@ -8,6 +8,7 @@ import numpy as np
 import sympy
 from numpy.typing import NDArray
 
+from gbspec.analysis import fences, function_bands
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module
 from gbspec.ir import NN, Channel, Condition, Constant, Expr, Model, State, Unknown
@@ -99,6 +100,7 @@ class _Drawn:
         self.low = np.quantile(points, EDGE, axis=0)
         self.high = np.quantile(points, 1 - EDGE, axis=0)
         self.middle = np.median(points, axis=0)
+        self.fence = fences(fitted.run).get(network)
 
     def function(self) -> LearnedFunction:
         """Slices, plane and values at the points."""
@@ -143,7 +145,14 @@ class _Drawn:
             self.supposed(points),
             near[:: max(1, len(near) // TICKS)],
             self.trained(i),
+            self.band(points),
+            None if self.fence is None else self.fence.beyond(points),
         )
+
+    def band(self, points: Array) -> Array | None:
+        """The ends [2, P] of the 90 % band; None if it is not known."""
+        _, low, high = function_bands(self.fitted.run, self.name, points)
+        return np.stack([low, high]) if np.isfinite(low).all() and np.isfinite(high).all() else None
 
     def trained(self, i: int) -> tuple[float, float] | None:
         """The range of argument `i` in which the network was trained, None if the weights do not contain it."""

@@ -1,4 +1,9 @@
 from . import files as files
+from .covariance import COVARIANCE as COVARIANCE
+from .covariance import Certainties as Certainties
+from .covariance import Covariance as Covariance
+from .covariance import Support as Support
+from .covariance import read_certainties as read_certainties
 from .record import DAMAGED as DAMAGED
 from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord
@@ -6,6 +11,7 @@ from .record import DataRecord as DataRecord
 from .record import FitRecord as FitRecord
 from .record import MemberRecord as MemberRecord
 from .record import Option as Option
+from .record import ScalesRecord as ScalesRecord
 from .record import StageRecord as StageRecord
 from .record import StepRecord as StepRecord
 from .record import read_record as read_record

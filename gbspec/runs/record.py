@@ -9,9 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from gbspec.backends import INTERFACE
+from gbspec.data import Scales, Trajectories, scales_of
 from gbspec.diagnostics import Findings
-from gbspec.ir import METHODS, RK4
+from gbspec.files import finite
+from gbspec.ir import METHODS, RK4, Model, logarithmic
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
 from gbspec.runs.typed_json import OMITTED, JsonError, decode, encode, read_object
@@ -107,13 +111,35 @@ class StepRecord:
 
 
 @dataclass(frozen=True)
+class ScalesRecord:
+    """The scales of residuals in training (`gbspec.data.Scales`), by channel; `noise` None if one is not stated."""
+
+    channel: tuple[float | None, ...]
+    deviation: tuple[float | None, ...]
+    level: float
+    noise: float | None
+    others: Mapping[str, object] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scales: Scales) -> ScalesRecord:
+        """The record of the scales of the training data; None for a channel without any."""
+        channel, deviation = (tuple(map(finite, map(float, each))) for each in (scales.channel, scales.deviation))
+        return cls(channel, deviation, scales.level, scales.noise)
+
+    def scales(self, model: Model) -> Scales:
+        """The scales of a model's channels."""
+        channel, deviation = (np.array(each, dtype=np.float64) for each in (self.channel, self.deviation))
+        return Scales(logarithmic(model), channel, deviation, self.level, self.noise)
+
+
+@dataclass(frozen=True)
 class FitRecord:
     """The content of `fit.json`.
 
     `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
     deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
-    `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made. `others` are keys
-    that this version does not know; they are kept.
+    `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made; `scales` are missing
+    in older runs. `others` are keys that this version does not know; they are kept.
     """
 
     gbspec: str
@@ -129,7 +155,13 @@ class FitRecord:
     solver: str = RK4.name
     step_checks: tuple[StepRecord, ...] = ()
     interface: int = OLDEST
+    scales: ScalesRecord | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
+
+    def scales_for(self, model: Model, trajectories: Trajectories) -> Scales:
+        """The scales of residuals for a table: those of the training, so that few rows are weighed as in the fit; those
+        of the table itself in older runs."""
+        return scales_of(model, trajectories) if self.scales is None else self.scales.scales(model)
 
     def to_json(self) -> JsonObject:
         """The content of `fit.json` as a JSON object."""

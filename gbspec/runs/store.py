@@ -15,6 +15,7 @@ from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files
+from gbspec.runs.covariance import Certainties, read_certainties
 from gbspec.runs.record import DAMAGED, FitRecord, read_record
 
 
@@ -78,6 +79,16 @@ class Run:
             if name in self.values and f"per_trajectory.{name}" in weights:
                 weights[f"per_trajectory.{name}"] = np.full_like(weights[f"per_trajectory.{name}"], self.values[name])
         return type(member)(weights, member.info)
+
+    def certainties(self, number: int = 0) -> Certainties:
+        """The covariance of a member's parameters, and where its unknowns were trained; empty for older runs."""
+        if number not in self._certainties:
+            self._certainties[number] = read_certainties(files.member_directory(self.path, number))
+        return self._certainties[number]
+
+    @cached_property
+    def _certainties(self) -> dict[int, Certainties]:
+        return {}
 
     def amended(self, fit: FitRecord) -> Run:
         """The same run with another `fit.json`, which is also written."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,15 @@ from gbspec.data.scales import scales_of
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
 from gbspec.report import collect
-from gbspec.runs.store import Run
+from gbspec.runs.store import Run, open_run
+from gbspec.training import TrainOptions, train
 from gbspec.training.problem.forcing import teacher_forcing
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.problem import Problem
 from gbspec.training.problem.residuals import residuals_of
 from gbspec.training.problem.scaling import scaling_of
 from tests.training.conftest import model_of
+from tests.training.conftest import trajectory as made
 
 TEXT = """model pair
 state x in [0, 5]
@@ -210,3 +213,21 @@ def test_the_certainty_of_an_estimate_weighs_channels_by_their_noise(write_run: 
     # The noise of a new measurement, and that of the start, which four of its values determine.
     assert widths[0] == pytest.approx(widths[1], rel=0.02)
     assert 0.01 < widths[0] < 0.02
+
+
+def test_a_new_table_is_weighed_with_the_scales_of_the_training(tmp_path: Path) -> None:
+    model = model_of("model m\nstate x in [0, 9]\nlearn k = 0.5 in [0, 5]\nx' = -k*x\nobserve x\nobserve y = 3*x\n")
+    times = np.linspace(0, 4, 9)
+
+    def table(start: float) -> Trajectories:
+        values = start * np.exp(-times)[:, None] * [1.0, 3.0]
+        return Trajectories((made("1", 0.0, times, values, []),), ("x", "y"))
+
+    run = train(model, table(2.0), TrainOptions(effort="low", max_step=0.5), tmp_path / "run")
+    again = open_run(run.path).fit
+    trained, new = scales_of(model, table(2.0)), again.scales_for(model, table(0.1))
+    np.testing.assert_allclose(new.channel, trained.channel)
+    assert (new.level, new.noise, new.log.tolist()) == (trained.level, trained.noise, [False, False])
+    older = replace(again, scales=None)
+    np.testing.assert_allclose(older.scales_for(model, table(0.1)).channel, scales_of(model, table(0.1)).channel)
+    assert "scales" not in older.to_json()

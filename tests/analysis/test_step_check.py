@@ -8,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gbspec.analysis.validation.step_check import StepCheck
+from gbspec.analysis.prediction.solutions import Start, predict
+from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.validate import validate
-from gbspec.data.trajectories import Trajectories
+from gbspec.backends import Evaluator, load_module
+from gbspec.data.trajectories import Signal, Trajectories
 from gbspec.diagnostics import Findings
 from gbspec.operations import fitting, tables
 from gbspec.runs import open_run
 from gbspec.training import TrainOptions
 from gbspec.training.runs.variations import Point
-from tests.training.conftest import model_of
+from tests.training.conftest import model_of, trajectory
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -79,8 +81,26 @@ def test_solutions_that_only_the_fixed_step_can_solve_are_reported(tmp_path: Pat
 
 
 def test_a_failure_of_the_adaptive_solver_is_not_attributed_to_the_step() -> None:
-    assert StepCheck(2e-8, 0.054, 0.1, 8).warning is None
+    told = str(StepCheck(2e-8, 0.054, 0.1, 8).warning)
+    assert "differs by up to 5.4 %" in told and "depends on its training step" not in told
+    assert StepCheck(2e-8, 0.009, 0.1, 8).warning is None
+    told = str(StepCheck(2e-8, None, 0.1, 0, 3).warning)
+    assert "cannot solve 3 of 3 trajectories" in told and "the step is not the reason" in told
     assert StepCheck(2e-3, 0.054, 0.1, 8).warning is not None
+
+
+def test_half_of_a_sub_step_is_shorter_than_the_changes_of_an_input() -> None:
+    text = "model fed\nstate x in [0, 2] = 1\ninput F held\nx' = F - 9*x\nobserve x\n"
+    times = np.linspace(0.0, 3.0, 11)
+    signal = Signal(times, 1.0 + (np.arange(11) % 2))
+    item = trajectory("1", 0.0, times, np.ones((11, 1)), [], inputs=(signal,))
+    evaluator = Evaluator(load_module(model_of(text))())
+    start = Start(np.array([1.0]), evaluator.constants, "known")
+    predicted = predict(evaluator, model_of(text), item, start)
+    found = step_check(evaluator, 1.0, [item], [predicted])  # inputs change three times in a step
+    assert found.adaptive is not None and found.adaptive > 0.1
+    assert found.half_step == pytest.approx(found.adaptive, rel=0.2)
+    assert "depends on its training step" in str(found.warning)
 
 
 def test_the_remainder_of_a_single_trajectory_is_recognised(data: Trajectories, tmp_path: Path) -> None:

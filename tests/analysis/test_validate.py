@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sympy
 
+from gbspec.analysis import extrapolation_of, system_of
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.solutions import learned_positions, learned_start, predict
 from gbspec.analysis.simulation.simulate import simulate
@@ -28,6 +29,7 @@ from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
 from gbspec.operations.models import reference
+from gbspec.runs import Certainties, Support, open_run
 from gbspec.runs.record import DataRecord
 from gbspec.runs.store import Run
 from tests.analysis.conftest import model_of, nearly_true
@@ -46,6 +48,47 @@ def measured(name: str, **options: Any) -> Trajectories:
 @pytest.fixture(scope="module")
 def urp_data() -> Trajectories:
     return measured("urp_gb2", trajectories=4, span=6.0)
+
+
+# ---------------------------------------------------------------------- the worst row, and where functions extrapolate
+def test_a_headline_is_followed_by_its_worst_row(
+    urp_instance: Any, urp_data: Trajectories, write_run: Callable[..., Run]
+) -> None:
+    items = list(urp_data.items)
+    values = items[2].values.copy()
+    row = int(np.flatnonzero(np.isfinite(values[:, 1]))[3])
+    values[row, 1] += 40.0
+    items[2] = replace(items[2], values=values)
+    found = validate(write_run(model_of("urp_gb2"), urp_instance), replace(urp_data, items=tuple(items)), truth=False)
+    assert found.worst is not None and not found.empty
+    assert (found.worst.trajectory, found.worst.time, found.worst.channel) == (
+        items[2].label,
+        items[2].times[row],
+        "x2",
+    )
+    assert found.worst.measured - found.worst.predicted == pytest.approx(40.0, abs=1.0)
+    assert f"worst row: x2 of trajectory `{items[2].label}`" in str(found)
+
+
+def test_rows_far_from_the_training_data_are_told(
+    urp_instance: Any, urp_data: Trajectories, write_run: Callable[..., Run]
+) -> None:
+    run = write_run(model_of("urp_gb2"), urp_instance)
+    before = validate(run, urp_data, truth=False)
+    assert not any(one.extrapolated for one in before.trajectories), "not known"
+    states = before.predictions[0].states
+    points = np.column_stack([states, np.full(len(states), float(urp_data.items[0].condition[0]))])
+    Certainties(None, {"phi": Support(points, np.zeros(len(points)))}).write(run.path / "members" / "0")
+    found = validate(open_run(run.path), urp_data, truth=False)
+    assert not found.trajectories[0].extrapolated
+    assert any(one.extrapolated.get("phi", 0) > 0 for one in found.trajectories[1:])
+    assert any("`phi` is extrapolated, far from its training data" in warning for warning in found.warnings)
+    point = np.array([0.5, 30.0])
+    known = extrapolation_of(open_run(run.path))
+    system = system_of(Evaluator(urp_instance), model_of("urp_gb2"), known).with_values({"Da": points[0, 2]})
+    assert system.outside(points[3, :2]) == ()
+    assert system.outside(point) == ("x2", "phi")
+    assert system.outside(np.stack([points[3, :2], point])) == ("x2", "phi")
 
 
 # ---------------------------------------------------------------------- against the truth

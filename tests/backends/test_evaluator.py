@@ -176,3 +176,24 @@ def test_casadi_functions_take_symbols() -> None:
     assert float(by_constants(0.0, 3.0, 1.0, [], 2.0)) == -3.0
     symbolic = casadi.SX.sym("s")
     assert casadi.which_depends(model.rhs(0.0, symbolic, 1.0, casadi.SX(0, 1), 2.0), symbolic) == [True]
+
+
+@pytest.mark.parametrize("start", [0.0, 1e-300, 5e-151, 1e-100, 1e-30, 1e-12])
+def test_a_remainder_of_a_state_is_no_scale(start: float) -> None:
+    rate = x / (0.1 + x) * y
+    found = evaluator(-1.6 * rate, 0.8 * rate).integrate([start, 1.0], np.linspace(0, 10, 5), rtol=1e-8, atol=1e-8)
+    assert found[-1, 1] == pytest.approx(1.0)
+    assert 0 <= abs(found[-1, 0]) <= start
+
+
+@pytest.mark.parametrize("off", [-1e-12, 0.0, 1e-12])
+@pytest.mark.parametrize("method", ["cvodes", "fixed"])
+def test_a_dose_within_rounding_of_a_row_comes_after_it(method: str, off: float) -> None:
+    given = evaluator(-x, doses=(Dose("x"),))
+    doses = (DoseEvents(np.array([0.0 + off, 2.0 + off, 4.0 + off]), np.array([1.0, 10.0, 100.0])),)
+    step = {"max_step": 0.01} if method == "fixed" else {}
+    solve = given.integrate_fixed if method == "fixed" else given.integrate
+    found = solve([1.0], [0.0, 1.0, 2.0, 3.0, 4.0], doses=doses, **step)[:, 0]  # type: ignore[operator]
+    before = 2 * np.exp(-2.0)
+    np.testing.assert_allclose(found, [1.0, 2 * np.exp(-1.0), before, (before + 10) * np.exp(-1.0),
+                                       (before + 10) * np.exp(-2.0)], rtol=1e-7)  # fmt: skip

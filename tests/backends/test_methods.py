@@ -193,7 +193,7 @@ def solved_by_c(
     natural["constants"] = parameters.constants(torch.from_numpy(theta)).numpy()[0]
     instance = type(problem.module)(natural)
     evaluator = Evaluator(instance)
-    pieces = evaluator._segments(item.start, item.times[-1], item.condition, item.inputs, item.doses, None)
+    pieces = evaluator._segments(item.start, item.times, item.condition, item.inputs, item.doses, None)
     sizes = len(initial), len(item.inputs)
     steps = plan(item.start, item.times, pieces, problem.packed.max_step, *sizes, METHODS[instance.solver])
     step = casadi.external("step", c_library(instance, directory))

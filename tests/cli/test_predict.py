@@ -56,7 +56,7 @@ def test_the_initial_state_is_estimated_from_the_window_and_the_rest_predicted(p
     assert result.exit_code == 0, result.stderr
     made = json.loads(result.stdout)
     assert [one["start"] for one in made["trajectories"]] == ["estimated"] * 3
-    assert made["trajectories"][0]["estimated"] == ["A(t0)"]
+    assert made["trajectories"][0]["estimated"] == ["A(t0)", "B(t0)"], "the noisy first value of B is data"
     assert made["trajectories"][0]["rows"] == {"training": 0, "window": 5, "predicted": 8}
     assert made["channels"]["B"]["n"] == 24
     assert made["channels"]["B"]["nrmse"] < 0.3
@@ -134,3 +134,62 @@ def test_wrong_options(place: Path, here: Path, arguments: tuple[str, ...], code
     assert result.exit_code == (2 if code == "GB814" else 1), result.output
     assert code in result.stderr
     assert not list(here.iterdir())
+
+
+MEASURED = """\
+model known "Decay, its start given by the model or measured"
+state A in [0, 9] = 1
+learn k = 0.3 in [0, 5]
+{initial}
+A' = -k*A
+observe A
+truth k = 0.8
+"""
+
+
+@pytest.mark.parametrize(("initial", "estimated"), [("", True), ("initial A = 1", False)])
+def test_a_window_estimates_a_measured_start_or_says_that_it_has_no_effect(
+    here: Path, initial: str, estimated: bool
+) -> None:
+    Path("m.gb").write_text(MEASURED.format(initial=initial))
+    rows = [(i, t / 2, (1 if initial else i + 1) * math.exp(-0.4 * t)) for i in range(4) for t in range(8)]
+    noisy = [(i, t, x + 0.02 * (-1) ** n) for n, (i, t, x) in enumerate(rows)]
+    Path("old.csv").write_text("trajectory,t,A\n" + "".join(f"{i},{t},{x}\n" for i, t, x in noisy[:24]))
+    first = [(i, t, x + (0.5 if t == 0 else 0.0)) for i, t, x in noisy[24:]]
+    Path("new.csv").write_text("trajectory,t,A\n" + "".join(f"{i},{t},{x}\n" for i, t, x in first))
+    assert call("train", "m.gb", "old.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    made = {}
+    for window in ("--from-start", "--window=6"):
+        result = call("predict", "run", "new.csv", "-o", "p.csv", window, "--json")
+        assert result.exit_code == 0, result.stderr
+        made[window] = json.loads(result.stdout)
+    no_effect = any("the window has no effect on 1 trajectory (`3`)" in one for one in made["--window=6"]["warnings"])
+    assert no_effect is not estimated
+    if estimated:
+        assert [one["trajectories"][0]["start"] for one in made.values()] == ["known", "estimated"]
+        starts = [one["trajectories"][0]["initial"]["A"] for one in made.values()]
+        assert starts[0] == pytest.approx(4.52)
+        assert abs(starts[1] - 4.0) < 0.35, "one noisy value is not believed"
+
+
+def test_training_trajectories_are_recognised_among_rows_with_inputs_only(here: Path) -> None:
+    Path("m.gb").write_text(
+        "model m\nstate x in [0, 9]\ninput F held\nlearn k = 0.3 in [0, 5]\nx' = F - k*x\nobserve x\n"
+    )
+    rows = [(t / 4, math.exp(-t / 8) if t % 3 == 2 else None, t % 2) for t in range(16)]
+    Path("d.csv").write_text("t,x,F\n" + "".join(f"{t},{'' if x is None else x},{F}\n" for t, x, F in rows))
+    assert call("train", "m.gb", "d.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    result = call("predict", "run", "d.csv", "-o", "p.csv", "--json")
+    made = json.loads(result.stdout)["trajectories"][0]
+    assert (made["start"], made["rows"]["training"]) == ("learned", 16)
+
+
+def test_a_validation_that_scores_nothing_fails(here: Path) -> None:
+    Path("m.gb").write_text("model m\nstate x in [0, 9]\nlearn k = 0.3 in [0, 5]\nx' = -k*x^2\nobserve x\n")
+    Path("d.csv").write_text("t,x\n" + "".join(f"{t},{1 / (1 + 0.8 * t)}\n" for t in range(8)))
+    assert call("train", "m.gb", "d.csv", "-o", "run", "--effort", "low", "--quiet").exit_code == 0
+    assert call("validate", "run", "d.csv", "--quiet").exit_code == 0
+    result = call("validate", "run", "d.csv", "--set", "k=-9", "--json")
+    assert result.exit_code == 3
+    assert json.loads(result.stdout)["channels"]["x"]["n"] == 0
+    assert "no trajectory can be solved, so that nothing was scored" in result.stderr

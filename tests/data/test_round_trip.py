@@ -102,10 +102,19 @@ def test_a_fingerprint_is_of_the_content() -> None:
     times, values = np.array([0.0, 1.0]), np.array([[1.0], [np.nan]])
     base = {"start": 0.0, "times": times, "values": values, "counts": values, "sd": values, "condition": np.zeros(1)}
     one, renamed = Trajectory(label="a", **base), Trajectory(label="b", **base)  # type: ignore[arg-type]  # by name
-    other = Trajectory(label="a", **{**base, "times": np.array([0.0, 1.0 + 1e-15])})  # type: ignore[arg-type]
+    other = Trajectory(label="a", **{**base, "times": np.array([1e-15, 1.0])})  # type: ignore[arg-type]
     assert fingerprint(one) == fingerprint(renamed)
     assert fingerprint(one) != fingerprint(other)
     assert fingerprint(one) == fingerprint(Trajectory(label="a", **{**base, "condition": -np.zeros(1)}))  # type: ignore[arg-type]
+
+
+def test_a_table_read_for_prediction_has_the_fingerprints_of_training(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("t,V,F\n0,1,2\n1,,3\n2,4,\n3,,5\n")
+    for text in ("t,V,F\n0,1,2\n1,,3\n2,4,\n3,,5\n", "t,name,value\n0,V,1\n0,F,2\n1,F,3\n2,V,4\n3,F,5\n"):
+        (tmp_path / "t.csv").write_text(text)
+        both = [read(tmp_path / "t.csv", tank(), Findings(), required) for required in (True, False)]
+        assert [len(table.items[0].times) for table in both] == [2, 4]
+        assert fingerprint(both[0].items[0]) == fingerprint(both[1].items[0])
 
 
 def test_tables_are_not_written_as_anything(tmp_path: Path) -> None:

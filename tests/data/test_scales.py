@@ -63,8 +63,20 @@ def test_an_entry_with_its_own_standard_deviation_has_its_own_scale() -> None:
     scales = scales_of(three(), data)
     level = 0.35 / spread()[0]
     assert scales.channel == pytest.approx([0.35 / level, *spread()[1:]])
-    assert scales.of_rows(sd)[:, 0] == pytest.approx([0.5 / level, 0.2 / level, 0.35 / level])
-    assert scales.of_rows(sd)[:, 1:] == pytest.approx(np.tile(spread()[1:], (3, 1)))
+    assert scales.of_rows(sd, VALUES)[:, 0] == pytest.approx([0.5 / level, 0.2 / level, 0.35 / level])
+    assert scales.of_rows(sd, VALUES)[:, 1:] == pytest.approx(np.tile(spread()[1:], (3, 1)))
+
+
+def test_a_standard_deviation_is_in_the_unit_of_its_value_also_where_logarithms_are_fitted() -> None:
+    sd = np.full(VALUES.shape, np.nan)
+    sd[1:, 2] = [1.0, 6.0]
+    values = VALUES.copy()
+    scales = scales_of(three("", "", " noise lognormal(0.5)"), table(sd))
+    found = scales.of_rows(sd, values)
+    assert found[1:, 2] * scales.level == pytest.approx([1.0 / 10.0, 6.0 / 30.0])
+    assert found[0, 2] == scales.channel[2], "no standard deviation of its own"
+    values[1, 2] = 0.0
+    assert scales.of_rows(sd, values)[1, 2] == scales.channel[2], "zero has no logarithm"
 
 
 def test_channels_of_a_unit_share_a_scale_where_all_functions_are_known() -> None:

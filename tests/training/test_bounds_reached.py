@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gbspec
-from gbspec.training.runs.fit import at_bounds
+from gbspec.training.runs.fit import at_bounds, inside_bounds
 
 TEXT = """\
 model m
@@ -33,3 +33,22 @@ def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert any("`k` ended at its bound 2" in warning for warning in fit.warnings) is stopped
     assert (fit.constants["k"].interval is None) is stopped
+
+
+@pytest.mark.parametrize(
+    ("bounds", "value", "sd"),
+    [("in [0, 1]", 0.75, 4.8), ("> 0", 0.1, 0.2), ("< 3", 2.9, 0.5), ("in [0, 1]", 0.9999, 1.0)],
+)
+def test_an_interval_lies_within_the_bounds(tmp_path: Path, bounds: str, value: float, sd: float) -> None:
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k = 0.5 {bounds}"))
+    (learnable,) = gbspec.load(tmp_path / "m.gb").model.learnables
+    found = inside_bounds(learnable, value, sd)
+    assert found is not None
+    assert learnable.range.low <= found[0] < value < found[1] <= learnable.range.high
+
+
+@pytest.mark.parametrize("bounds", ["in [0, 2]", "> 0", ""])
+def test_a_narrow_interval_is_symmetrical(tmp_path: Path, bounds: str) -> None:
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k = 0.5 {bounds}"))
+    (learnable,) = gbspec.load(tmp_path / "m.gb").model.learnables
+    assert inside_bounds(learnable, 0.8, 1e-4) == pytest.approx((0.8 - 1.645e-4, 0.8 + 1.645e-4), abs=1e-7)

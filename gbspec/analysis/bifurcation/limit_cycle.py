@@ -49,8 +49,7 @@ def limit_cycle(family: Family, scale: Array, width: float, orbit: Orbit, multip
     period = float(np.exp(orbit.log_period))
     maximum, minimum = extremes(orbit)
     value = orbit.parameter * width
-    system = family.at(value)
-    left = {*system.outside(maximum * scale), *system.outside(minimum * scale)}
+    along = orbit.at(s) * scale
     return Cycle(
         value=value,
         period=period,
@@ -58,8 +57,8 @@ def limit_cycle(family: Family, scale: Array, width: float, orbit: Orbit, multip
         minimum=minimum * scale,
         multipliers=multipliers,
         times=s * period,
-        states=orbit.at(s) * scale,
-        outside=tuple(name for name in (*system.states, *system.parameters) if name in left),
+        states=along,
+        outside=family.at(value).outside(along),
     )
 
 

@@ -66,7 +66,7 @@ class PlaneDiagram:
             word = "Hopf curve" if curve.kind == "hopf" else "fold curve"
             lines.append(
                 f"  {word}: {', '.join(spans)}, {len(curve.points)} points"
-                + (f", {beyond} outside of the ranges" if beyond else "")
+                + (f", {beyond} outside of the data" if beyond else "")
                 + f"; ends: {', '.join(curve.ends)}"
             )
             for kind, point in curve.special:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gbspec.backends import Evaluator, GeneratedModule
     from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.ir import Model
-    from gbspec.runs import DataRecord
+    from gbspec.runs import FitRecord
 
 
 PULL = 1e-3
@@ -69,14 +69,15 @@ def prior_of(member: GeneratedModule, model: Model) -> Prior:
 
 
 def predictions(
-    evaluator: Evaluator, model: Model, trajectories: Trajectories, data: DataRecord | None = None
+    evaluator: Evaluator, model: Model, trajectories: Trajectories, fit: FitRecord | None = None
 ) -> list[Prediction]:
     """The predictions of one member for a table, from learned initial states if possible, else known or estimated ones.
 
-    `data` is the entry of `fit.json` about the training data, if there is one.
+    `fit` is the content of the run's `fit.json`, if there is a run.
     """
-    estimator = Estimator(evaluator, model, scales_of(model, trajectories))
-    positions = learned_positions(evaluator.instance, trajectories, data)
+    scales = scales_of(model, trajectories) if fit is None else fit.scales_for(model, trajectories)
+    estimator = Estimator(evaluator, model, scales)
+    positions = learned_positions(evaluator.instance, trajectories, None if fit is None else fit.data)
     starts = [
         estimator.start(item) if position is None else learned_start(evaluator, position, item)
         for item, position in zip(trajectories.items, positions, strict=True)
@@ -86,10 +87,13 @@ def predictions(
 
 class Estimator:
     """Least squares for the initial state of one trajectory. `scales` are those of the whole table that it is from;
-    `noise` [C], if known, is the standard deviation of measurements of each channel (of logarithms, if log-normal)."""
+    `noise` [C], if known, is the standard deviation of measurements of each channel (of logarithms, if log-normal).
+    `released`: initial values that the first row measures are estimated too, and that row is data like all others."""
 
-    def __init__(self, evaluator: Evaluator, model: Model, scales: Scales, noise: Array | None = None) -> None:
-        self.evaluator, self.model, self.scales = evaluator, model, scales
+    def __init__(
+        self, evaluator: Evaluator, model: Model, scales: Scales, noise: Array | None = None, released: bool = False
+    ) -> None:
+        self.evaluator, self.model, self.scales, self.released = evaluator, model, scales, released
         self.noise = np.zeros(len(model.channels)) if noise is None else noise / scales.channel
         self.pull = max(PULL, float(np.median(self.noise)))
         self.prior = prior_of(evaluator.instance, model)
@@ -113,9 +117,15 @@ class Estimator:
         found = residuals(channels, item.values, self.scales.factor(item), self.scales.log)
         return np.asarray(found, dtype=np.float64)
 
+    def free(self, item: Trajectory) -> tuple[int, ...]:
+        """The states whose initial values are estimated."""
+        if not self.released:
+            return needed(self.model, item)
+        return tuple(i for i, state in enumerate(self.model.states) if state.initial.kind != "expression")
+
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` if none can be integrated."""
-        free = needed(self.model, item)
+        free = self.free(item)
         state = measured_start(self.model, item, self._nearest(item))
         constants = np.array(self.evaluator.constants, dtype=float)
         if not free and not self.own:

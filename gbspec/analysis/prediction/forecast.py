@@ -15,10 +15,16 @@ import numpy as np
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.noise import interval, noise_at
-from gbspec.analysis.prediction.solutions import Prediction, Start, learned_positions, learned_start, needed, predict
-from gbspec.analysis.systems import trained_ranges
+from gbspec.analysis.prediction.solutions import (
+    Prediction,
+    Start,
+    extrapolated,
+    learned_positions,
+    learned_start,
+    predict,
+)
+from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
-from gbspec.data import scales_of
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
 from gbspec.ir import logarithmic, slopes
@@ -165,18 +171,20 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     """Predictions of all members for every row of a table.
 
     `window` is the number of measured rows from which the initial state of a new trajectory is estimated (None: a
-    third of them, at least three). A trajectory of the training data, recognised by content, has its learned initial
-    state. The interval is that of a new measurement: it includes the variance over the members, the
-    (linearised) uncertainty of the estimates, and the noise that the fit estimated.
+    third of them, at least three). Initial values that the first row measures are then estimated too, unless the window
+    is that row alone; without `window` they are taken from it. A trajectory of the training data, recognised by
+    content, has its learned initial state. The interval is that of a new measurement: it includes the variance over the
+    members, the (linearised) uncertainty of the estimates, and the noise that the fit estimated.
 
     Raises ComputationError if no trajectory can be solved.
     """
     from gbspec.backends import Evaluator
 
-    scales = scales_of(run.model, trajectories)
-    each = [_MemberPredictions(Evaluator(member), run, trajectories, scales) for member in run.members]
-    ranges = trained_ranges(run.model, run.members[0])
-    items = tuple(_joined(each, index, window, ranges) for index in range(len(trajectories)))
+    scales = run.fit.scales_for(run.model, trajectories)
+    released = window is not None and window > 1
+    each = [_MemberPredictions(Evaluator(member), run, trajectories, scales, released) for member in run.members]
+    trained = Trained(trained_ranges(run.model, run.members[0]), extrapolation_of(run))
+    items = tuple(_joined(each, index, window, trained) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
         first = items[0]
         raise ComputationError(
@@ -190,7 +198,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         states=tuple(state.name for state in run.model.states),
         items=items,
         members=len(each),
-        warnings=tuple(_warnings(items, len(each))),
+        warnings=(*_warnings(items, len(each)), *_without_effect(items, window)),
     )
 
 
@@ -210,7 +218,23 @@ def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
     beyond = [item.label for item in items if any(item.outside)]
     if beyond:
         listed = ", ".join(f"`{label}`" for label in beyond[:5]) + (", ..." if len(beyond) > 5 else "")
-        found.append(f"predictions of {_count(len(beyond))} ({listed}) leave the trained range: see `outside`")
+        found.append(
+            f"predictions of {_count(len(beyond))} ({listed}) leave the region of the training data: see `outside`"
+        )
+    return found
+
+
+def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) -> list[str]:
+    """A warning about trajectories for which a requested window changes nothing."""
+    if window is None:
+        return []
+    why = {"learned": "they are part of the training data", "known": "the model or the first row gives their start"}
+    found = []
+    for origin in ("learned", "known") if window > 1 else ("learned",):
+        labels = [item.label for item in items if item.start.origin == origin]
+        if labels:
+            listed = ", ".join(f"`{label}`" for label in labels[:5]) + (", ..." if len(labels) > 5 else "")
+            found.append(f"the window has no effect on {_count(len(labels))} ({listed}): {why[origin]}")
     return found
 
 
@@ -226,10 +250,12 @@ class _View:
 class _MemberPredictions:
     """The predictions of one member for a table."""
 
-    def __init__(self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Scales) -> None:
+    def __init__(
+        self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Scales, released: bool
+    ) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
-        self.estimator = Estimator(evaluator, run.model, scales, noise)
+        self.estimator = Estimator(evaluator, run.model, scales, noise, released)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
 
     def view(self, index: int, rows: int) -> _View:
@@ -253,7 +279,7 @@ class _MemberPredictions:
         W is the precision of the window's residuals (from the fit's noise, or their size if that is larger), P that of
         the prior.
         """
-        free = [*needed(self.model, seen)]
+        free = [*self.estimator.free(seen)]
         own = list(self.estimator.own)
         scale = np.concatenate([self.estimator.start_sd(seen)[free], self.estimator.own_sd])
         columns = []
@@ -285,25 +311,24 @@ def first_rows(item: Trajectory, rows: int) -> Trajectory:
     return replace(item, **kept)
 
 
-def window_rows(model: Model, item: Trajectory, own: bool, window: int | None) -> int:
-    """The number of rows up to the end of the window; only the first if it determines the initial state."""
+def window_rows(item: Trajectory, fixed: bool, window: int | None) -> int:
+    """The number of rows up to the end of the window; only the first if nothing is estimated (`fixed`)."""
     measured = np.flatnonzero(np.isfinite(item.values).any(axis=1))
     if not len(measured):
         return 0
     wanted = window if window is not None else max(LEAST, len(measured) // SHARE)
-    if not needed(model, item) and not own:
+    if fixed:
         wanted = 1
     return int(measured[min(wanted, len(measured)) - 1]) + 1
 
 
-def _joined(
-    each: Sequence[_MemberPredictions], index: int, window: int | None, ranges: Mapping[str, tuple[float, float]]
-) -> PredictedTrajectory:
+def _joined(each: Sequence[_MemberPredictions], index: int, window: int | None, known: Trained) -> PredictedTrajectory:
     """The combined prediction of a trajectory by all members."""
     model, item = each[0].model, each[0].trajectories.items[index]
     own = bool(each[0].estimator.own)
     trained = each[0].positions[index] is not None
-    rows = len(item.times) if trained else window_rows(model, item, own, window)
+    fixed = not each[0].estimator.free(item) and not own
+    rows = len(item.times) if trained else window_rows(item, fixed, window)
     views = [one.view(index, rows) for one in each]
     failure = "; ".join(dict.fromkeys(v.prediction.failure for v in views if v.prediction.failure))
     values = np.stack([v.variables for v in views])
@@ -317,29 +342,42 @@ def _joined(
     start = replace(first, state=np.mean([v.prediction.start.state for v in views], axis=0))
     estimated: tuple[str, ...] = ()
     if start.origin == "estimated":
-        free = needed(model, first_rows(item, rows))
+        free = each[0].estimator.free(first_rows(item, rows))
         estimated = (*(f"{model.states[i].name}({model.time.name}0)" for i in free),
                      *(model.constant_names[i] for i in each[0].estimator.own))  # fmt: skip
     used: tuple[Use, ...] = tuple(
         "training" if trained else "window" if i < rows else "predicted" for i in range(len(item.times))
     )
     in_logarithms = np.pad(logarithmic(model), (0, mean.shape[1] - channels))
-    outside = _outside(model, item, states, ranges)
+    outside = known.outside(model, item, states, first)
     return PredictedTrajectory(item.label, item.times, mean, sd, item.values, used, outside, start, estimated,
                                in_logarithms, failure)  # fmt: skip
 
 
-def _outside(
-    model: Model, item: Trajectory, states: Array, ranges: Mapping[str, tuple[float, float]]
-) -> tuple[tuple[str, ...], ...]:
-    """For each row the states and conditions outside their trained ranges by more than a hundredth of the width."""
-    values: dict[str, Array] = {
-        **{state.name: states[:, i] for i, state in enumerate(model.states)},
-        **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},
-    }
-    beyond = {}
-    for name, (low, high) in ranges.items():
-        if name in values:
-            slack = 0.01 * (high - low)
-            beyond[name] = (values[name] < low - slack) | (values[name] > high + slack)
-    return tuple(tuple(name for name, flags in beyond.items() if flags[row]) for row in range(len(states)))
+@dataclass(frozen=True)
+class Trained:
+    """Where a run was trained: the `ranges` of states and conditions, and how far the data lie, if that is known."""
+
+    ranges: Mapping[str, tuple[float, float]]
+    extrapolation: Extrapolation | None
+
+    def outside(self, model: Model, item: Trajectory, states: Array, start: Start) -> tuple[tuple[str, ...], ...]:
+        """For each row the functions that are extrapolated, and the states and conditions outside their trained ranges.
+
+        Where it is known how far the data lie, a range (left by more than a hundredth of its width) counts only in rows
+        in which a function is extrapolated.
+        """
+        values: dict[str, Array] = {
+            **{state.name: states[:, i] for i, state in enumerate(model.states)},
+            **{c.name: np.full(len(states), item.condition[i]) for i, c in enumerate(model.conditions)},
+        }
+        beyond = {}
+        for name, (low, high) in self.ranges.items():
+            if name in values:
+                slack = 0.01 * (high - low)
+                beyond[name] = (values[name] < low - slack) | (values[name] > high + slack)
+        if self.extrapolation is not None:
+            far = extrapolated(self.extrapolation, model, item, states, start)
+            anywhere = np.any([*far.values(), np.zeros(len(states), dtype=bool)], axis=0)
+            beyond = {name: flags & anywhere for name, flags in beyond.items()} | far
+        return tuple(tuple(name for name, flags in beyond.items() if flags[row]) for row in range(len(states)))

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gbspec.arrays import Array
+from gbspec.arrays import Array, Mask
 from gbspec.data import evaluate, fingerprint
 from gbspec.diagnostics import ComputationError
 
 if TYPE_CHECKING:
+    from gbspec.analysis.systems import Extrapolation
     from gbspec.backends import Evaluator, GeneratedModule
     from gbspec.data import Trajectories, Trajectory
     from gbspec.ir import Model
@@ -152,6 +153,16 @@ def input_values(model: Model, item: Trajectory, times: Array) -> Array:
         evaluate(signal, one.interpolation, times) for signal, one in zip(item.inputs, model.inputs, strict=True)
     ]
     return np.stack(columns, axis=1) if columns else np.zeros((len(times), 0))
+
+
+def extrapolated(
+    known: Extrapolation | None, model: Model, item: Trajectory, states: Array, start: Start
+) -> dict[str, Mask]:
+    """For each unknown the rows [R] in which it is extrapolated along a solution; empty if that is not known."""
+    if known is None or not len(states):
+        return {}
+    inputs = input_values(model, item, item.times)
+    return known.functions(item.times, states, item.condition, inputs, start.constants)
 
 
 def mean_prediction(predictions: Sequence[Prediction]) -> Prediction:

@@ -1,5 +1,11 @@
+from .bands import function_bands as function_bands
 from .compiled import Compiled as Compiled
 from .family import Family as Family
+from .fence import Extrapolation as Extrapolation
+from .fence import Fence as Fence
+from .fence import extrapolation_of as extrapolation_of
+from .fence import fence_of as fence_of
+from .fence import fences as fences
 from .points import quasirandom_points as quasirandom_points
 from .steady import ordered_eigenvalues as ordered_eigenvalues
 from .steady import ordered_modes as ordered_modes

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
+from gbspec.analysis.systems.fence import Extrapolation
 from gbspec.arrays import Array
 from gbspec.backends import Casadi
 from gbspec.data import Interpolation, Signal, evaluate
@@ -36,7 +37,8 @@ class System:
     `rhs` is a casadi.Function of these five columns. By name, `values` holds the known values of conditions, inputs and
     constants (others must be given with a point), `ranges` the plausible or trained ranges of states, conditions and
     inputs, of which those in `declared` are the user's; `trained` the ranges of the training data, and `starts` guesses
-    of initial values. `interpolation` is that of each input.
+    of initial values. `interpolation` is that of each input; `extrapolation` says where functions are far from their
+    data, None if that is not known.
     """
 
     name: str
@@ -52,6 +54,7 @@ class System:
     trained: Mapping[str, Box] = field(default_factory=dict)
     starts: Mapping[str, float] = field(default_factory=dict)
     time: float = 0.0
+    extrapolation: Extrapolation | None = field(default=None, repr=False)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -72,14 +75,30 @@ class System:
         return replace(self, values={**self.values, **{name: float(value) for name, value in values.items()}})
 
     def outside(self, x: Array) -> tuple[str, ...]:
-        """The states, conditions and inputs outside their trained (else plausible) ranges."""
-        numbers = {**self.values, **dict(zip(self.states, map(float, x), strict=True))}
-        names = (*self.states, *self.conditions, *self.inputs)
-        return tuple(
+        """What is outside at a state [n], or anywhere along states [R, n]: see `gbspec.analysis.systems.fence`.
+
+        Functions that are extrapolated, after the states, conditions and inputs outside their trained (else plausible)
+        ranges. Where it is known how far the data lie, leaving a trained range alone does not count.
+        """
+        states = np.atleast_2d(x)
+        numbers: dict[str, Array | float] = {**self.values, **dict(zip(self.states, states.T, strict=True))}
+        far = self._extrapolated(states)
+        names = [
             name
-            for name in names
-            if name in numbers and not _inside(numbers[name], self.trained.get(name, self.range(name)))
-        )
+            for name in (*self.states, *self.conditions, *self.inputs)
+            if name in numbers
+            and not (far == () and name in self.trained)
+            and any(not _inside(float(v), self.trained.get(name, self.range(name))) for v in np.ravel(numbers[name]))
+        ]
+        return (*names, *(far or ()))
+
+    def _extrapolated(self, states: Array) -> tuple[str, ...] | None:
+        """The functions extrapolated anywhere along states [R, n]; None if that is not known."""
+        if self.extrapolation is None or self.missing:
+            return None
+        values = (self.vector(names) for names in (self.conditions, self.inputs, self.constants))
+        found = self.extrapolation.functions(self.time, states, *values)
+        return tuple(name for name, far in found.items() if far.any())
 
     def admissible(self, x: Array) -> bool:
         """Whether no state is below a declared lower bound that is zero or more (a concentration below zero)."""
@@ -167,7 +186,7 @@ class System:
         return f, jacobian.reshape(self.size, self.size)
 
 
-def system_of(evaluator: Evaluator, model: Model) -> System:
+def system_of(evaluator: Evaluator, model: Model, extrapolation: Extrapolation | None = None) -> System:
     """The system of an evaluator: constants from its module, ranges as declared, else as trained."""
     module = evaluator.instance
     values: dict[str, float] = {}
@@ -191,6 +210,7 @@ def system_of(evaluator: Evaluator, model: Model) -> System:
         trained=trained,
         starts={state.name: float(state.start) for state in model.states if state.start is not None},
         time=model.time.start or 0.0,
+        extrapolation=extrapolation,
     )
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gbspec.analysis.prediction import Prediction, mean_prediction, predictions
+from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction, predictions
+from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
@@ -16,8 +17,10 @@ from gbspec.arrays import Array
 from gbspec.data import channel_scales
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
+from gbspec.runs import encode
 
 if TYPE_CHECKING:
+    from gbspec.analysis.systems import Extrapolation
     from gbspec.backends import Evaluator
     from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
     from gbspec.ir import Model
@@ -30,12 +33,14 @@ class TrajectoryError:
     the whole data set).
 
     `initial` is the origin of its initial state; `failure` the reason why it could not be solved (`nrmse` is then NaN).
+    `extrapolated` counts, for each unknown, the rows in which it is far from its training data; zeros are left out.
     """
 
     trajectory: str
     nrmse: float
     initial: str
     failure: str = ""
+    extrapolated: Mapping[str, int] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, object]:
         """Keys trajectory, nrmse, initial, and failure if there is one."""
@@ -44,14 +49,35 @@ class TrajectoryError:
             "nrmse": finite(self.nrmse),
             "initial": self.initial,
         }
+        if self.extrapolated:
+            document["extrapolated"] = dict(self.extrapolated)
         return document | ({"failure": self.failure} if self.failure else {})
+
+
+@dataclass(frozen=True)
+class WorstRow:
+    """The measurement that is predicted worst, by its error in standard deviations of its channel's data."""
+
+    trajectory: str
+    time: float
+    channel: str
+    measured: float
+    predicted: float
+    deviations: float
+
+    def __str__(self) -> str:
+        return (
+            f"worst row: {self.channel} of trajectory `{self.trajectory}` at {self.time:.6g}: measured "
+            f"{self.measured:.4g}, predicted {self.predicted:.4g}, {self.deviations:.2g} standard deviations apart"
+        )
 
 
 @dataclass(frozen=True)
 class Validation:
     """The result of `gbspec validate`. `channels` are errors of autoregressive predictions from the initial states.
 
-    Failed trajectories are named in `trajectories` and `warnings`, and excluded from all errors.
+    Failed trajectories are named in `trajectories` and `warnings`, and excluded from all errors; `worst` is the
+    measurement with the largest error.
     """
 
     member: int | Literal["mean"]
@@ -61,11 +87,17 @@ class Validation:
     truth: TruthErrors | None = None
     warnings: tuple[str, ...] = ()
     predictions: tuple[Prediction, ...] = field(default=(), repr=False)
+    worst: WorstRow | None = None
 
     @property
     def failed(self) -> tuple[str, ...]:
         """The trajectories that could not be solved."""
         return tuple(item.trajectory for item in self.trajectories if item.failure)
+
+    @property
+    def empty(self) -> bool:
+        """Whether there were measurements, but no trajectory could be solved, so that nothing was scored."""
+        return bool(self.trajectories) and all(item.failure for item in self.trajectories)
 
     def warnings_after(self, known: Sequence[str]) -> list[str]:
         """The warnings of a fit (`fit.json`), then those of its validation that are not among them."""
@@ -80,6 +112,8 @@ class Validation:
         }
         if self.truth is not None:
             document["truth"] = self.truth.to_json()
+        if self.worst is not None:
+            document["worst"] = encode(self.worst)
         return document | {"member": self.member, "warnings": list(self.warnings)}
 
     def __str__(self) -> str:
@@ -88,6 +122,8 @@ class Validation:
             lines.append(f"{'channel':<16}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
             for name, one in self.channels.items():
                 lines.append(f"{name:<16}{one.n:>7}{one.rmse:>12.4g}{one.nrmse:>12.4g}{one.mae:>12.4g}{one.r2:>10.5g}")
+        if self.worst is not None:
+            lines.append(str(self.worst))
         check = self.step_check
         if check.half_step is not None and check.adaptive is not None:
             lines.append(f"step {check.step:.6g}: half step {check.half_step:.3g}, adaptive {check.adaptive:.3g}")
@@ -123,11 +159,14 @@ def validate(
     predicted: tuple[Prediction, ...] = ()
     channels: dict[str, ChannelErrors] = {}
     errors: tuple[TrajectoryError, ...] = ()
+    worst: WorstRow | None = None
     check = StepCheck(None, None, run.max_step)
     if trajectories is not None:
-        each = [predictions(one, run.model, trajectories, run.fit.data) for one in evaluators]
+        each = [predictions(one, run.model, trajectories, run.fit) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
-        channels, errors = _on_data(run.model, trajectories, predicted)
+        known = extrapolation_of(run, None if member == "mean" else member)
+        channels, errors = _on_data(run.model, trajectories, predicted, known)
+        worst = worst_row(trajectories, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], run.max_step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
@@ -136,7 +175,7 @@ def validate(
     compared = None
     if truth and has_reference(run.model):
         compared = _against_truth(run.model, evaluators, sampling, metrics, warnings)
-    return Validation(member, channels, errors, check, compared, tuple(warnings), predicted)
+    return Validation(member, channels, errors, check, compared, tuple(warnings), predicted, worst)
 
 
 def _stacked(trajectories: Trajectories) -> Array:
@@ -144,7 +183,7 @@ def _stacked(trajectories: Trajectories) -> Array:
 
 
 def _on_data(
-    model: Model, trajectories: Trajectories, predictions: Sequence[Prediction]
+    model: Model, trajectories: Trajectories, predictions: Sequence[Prediction], known: Extrapolation | None
 ) -> tuple[dict[str, ChannelErrors], tuple[TrajectoryError, ...]]:
     measured = _stacked(trajectories)
     predicted = np.concatenate(
@@ -158,8 +197,31 @@ def _on_data(
     for item, one in zip(trajectories.items, predictions, strict=True):
         relative = ((one.channels - item.values) / scales)[np.isfinite(item.values)]
         nrmse = float(np.sqrt(np.mean(relative**2))) if relative.size and not one.failure else float("nan")
-        errors.append(TrajectoryError(item.label, nrmse, one.start.origin, one.failure))
+        far = {} if one.failure else extrapolated(known, model, item, one.states, one.start)
+        counts = {name: int(rows.sum()) for name, rows in far.items() if rows.any()}
+        errors.append(TrajectoryError(item.label, nrmse, one.start.origin, one.failure, counts))
     return channels, tuple(errors)
+
+
+def worst_row(trajectories: Trajectories, predictions: Sequence[Prediction]) -> WorstRow | None:
+    """The measurement with the largest error; None if there is none that could be compared."""
+    scales = channel_scales(trajectories)
+    found: WorstRow | None = None
+    for item, one in zip(trajectories.items, predictions, strict=True):
+        off = np.abs(one.channels - item.values) / scales
+        if one.failure or not np.isfinite(off).any():
+            continue
+        row, column = np.unravel_index(int(np.nanargmax(off)), off.shape)
+        if found is None or off[row, column] > found.deviations:
+            found = WorstRow(
+                item.label,
+                float(item.times[row]),
+                trajectories.channels[int(column)],
+                float(item.values[row, column]),
+                float(one.channels[row, column]),
+                float(off[row, column]),
+            )
+    return found
 
 
 def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
@@ -168,6 +230,12 @@ def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
         for one in errors
         if one.failure
     ]
+    far = [one for one in errors if one.extrapolated]
+    if far:
+        listed = ", ".join(f"`{one.trajectory}`" for one in far[:5]) + (", ..." if len(far) > 5 else "")
+        names = ", ".join(f"`{name}`" for name in dict.fromkeys(name for one in far for name in one.extrapolated))
+        rows = sum(max(one.extrapolated.values()) for one in far)
+        warnings.append(f"{names} is extrapolated, far from its training data, in {rows} rows ({listed})")
     estimated = [one.trajectory for one in errors if one.initial == "estimated"]
     if estimated:
         listed = ", ".join(f"`{label}`" for label in estimated[:5]) + (", ..." if len(estimated) > 5 else "")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
-from gbspec.backends.casadi.timeline import Jump, Segment, Signal, segments
+from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.ir import METHODS
 
@@ -41,6 +41,8 @@ class Events(Protocol):
         """How much."""
 
 
+NOTHING = 1e-100
+"""An initial value that gives no scale: what is left of a state that has decayed."""
 MAPS = 64
 """Most mapped functions that an evaluator caches, each for a given number of points."""
 
@@ -189,7 +191,7 @@ class Evaluator:
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
-        pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
+        pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
         nominal = self._scales(x0) if scales is None else np.asarray(scales, dtype=np.float64)
         problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
@@ -207,17 +209,18 @@ class Evaluator:
         max_step: float,
         doses: Sequence[Events] = (),
         constants: ArrayLike | None = None,
+        parts: int = 1,
     ) -> Array:
         """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
-        and kinks.
+        and kinks, each divided into `parts`.
 
         States may be infinite or NaN: the fixed step is not checked.
         """
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
-        pieces = self._segments(begin, float(outputs[-1]), condition, inputs, doses, constants)
+        pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
         sizes = (self.n_states, self.n_inputs)
-        plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver])
+        plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
         condition = np.asarray(condition, dtype=np.float64).ravel()
         return self._stepper.run(np.asarray(x0, dtype=np.float64), plan, condition, self._constants(constants))
 
@@ -240,7 +243,7 @@ class Evaluator:
     def _segments(
         self,
         begin: float,
-        end: float,
+        outputs: Array,
         condition: ArrayLike,
         inputs: Sequence[Course],
         doses: Sequence[Events],
@@ -252,8 +255,8 @@ class Evaluator:
             Signal(np.asarray(item.times, dtype=np.float64), np.asarray(item.values, dtype=np.float64))
             for item in inputs
         ]
-        jumps = self._jumps(condition, doses, constants)
-        return segments(begin, end, self.n_states, signals, self.instance.interpolation, jumps)
+        jumps = at_rows(self._jumps(condition, doses, constants), begin, outputs)
+        return segments(begin, float(outputs[-1]), self.n_states, signals, self.instance.interpolation, jumps)
 
     def _jumps(self, condition: ArrayLike, doses: Sequence[Events], constants: ArrayLike | None) -> list[Jump]:
         if not doses:
@@ -272,10 +275,13 @@ class Evaluator:
         ]
 
     def _scales(self, x0: ArrayLike) -> Array:
-        """The scale of each state: from its range if it is bounded, else from its initial value; 1 if both are zero."""
+        """The scale of each state: from its range if it is bounded, else from its initial value; 1 if both are zero.
+
+        A remainder such as 5e-151 counts as zero: in units of it, products and squares overflow inside CVODES.
+        """
         scales = np.abs(np.asarray(x0, dtype=np.float64)).ravel().copy()
         for i, name in enumerate(self.instance.states):
             size = max(map(abs, self.instance.ranges.get(name, (0.0,))))
             if 0 < size < np.inf:
                 scales[i] = size
-        return np.where(scales > 0, scales, 1.0)
+        return np.where(scales > NOTHING, scales, 1.0)

@@ -37,8 +37,13 @@ def plan(
     n_states: int,
     n_inputs: int,
     method: Method = RK4,
+    parts: int = 1,
 ) -> Plan:
-    """Steps of a method, equal and at most `max_step` long between consecutive outputs and ends of segments."""
+    """Steps of a method, equal and at most `max_step` long between consecutive outputs and ends of segments.
+
+    With `parts`, each of these steps is divided into as many: where inputs change often, a smaller `max_step` alone may
+    change nothing.
+    """
     if not max_step > 0:
         raise ValueError(f"max_step must be positive, not {max_step}")
     times: list[float] = []
@@ -52,7 +57,7 @@ def plan(
         bounds = [piece.begin, *map(float, inside), piece.end]
         jump = piece.jump
         for a, b in pairwise(bounds):
-            count = max(1, ceil((b - a) / max_step - 1e-9))
+            count = parts * max(1, ceil((b - a) / max_step - 1e-9))
             h = (b - a) / count
             for j in range(count):
                 t = a + j * h

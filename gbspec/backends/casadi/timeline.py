@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +38,22 @@ class Jump:
     time: float
     state: int
     amount: float
+
+
+ROUNDING = 1e-9
+"""An arrival within this fraction of a trajectory's length (or of its last time) of a row arrives at that row."""
+
+
+def at_rows(jumps: Sequence[Jump], begin: float, rows: Array) -> list[Jump]:
+    """The jumps, those within rounding of the beginning or of a row moved there, as in training: a measurement at the
+    time of a dose is made before it."""
+    places = np.unique(np.append(rows, begin))
+    tolerance = ROUNDING * max(float(places[-1]) - begin, abs(float(places[-1])))
+    nearest = [float(places[np.argmin(np.abs(places - jump.time))]) for jump in jumps]
+    return [
+        replace(jump, time=place) if abs(place - jump.time) <= tolerance else jump
+        for jump, place in zip(jumps, nearest, strict=True)
+    ]
 
 
 def value_and_slope(signal: Signal, kind: str, time: float) -> tuple[float, float]:

@@ -32,8 +32,8 @@ def run(
         int | None,
         typer.Option(
             "--window",
-            help="Number of measured rows from which the initial state of a new trajectory is estimated; "
-            "default: a third of them, at least three.",
+            help="Number of measured rows from which the initial state of a new trajectory is estimated, measured "
+            "first values included; default: a third of them, at least three, for values that are not measured.",
             metavar="ROWS",
         ),
     ] = None,

@@ -9,7 +9,7 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
-from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 
 
 @command("validate", "gbspec validate my_run", "gbspec validate my_run test.csv --member 0 --json")
@@ -34,6 +34,13 @@ def run(
     found = analysing.validate(made, measured, chosen)
     output.document(found.to_json())
     output.result(str(found))
+    if found.empty:
+        first = found.trajectories[0]
+        raise ComputationError(
+            f"no trajectory can be solved, so that nothing was scored: {first.failure}",
+            where=f"trajectory {first.trajectory}",
+            remedy="train with a smaller `--max-step`, or state bounds that keep the states where the model is defined",
+        )
 
 
 def which(member: str) -> int | Literal["mean"]:

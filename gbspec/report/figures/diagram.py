@@ -33,13 +33,15 @@ MARKERS: dict[str, tuple[Marker, str]] = {
 }
 """The shape and colour of each kind of special point."""
 ACROSS = 3
+FAINT = 0.35
+"""The opacity of what is far from the data."""
 
 
 def figure(shown: Diagram, others: Sequence[Diagram] = (), truth: Diagram | None = None) -> Figure:
     """One panel per state: `shown` in colour, `others` (members) faint behind it, the `truth` broad and grey.
 
-    Stable parts are solid, unstable ones dashed; cycles are drawn by their largest and smallest values. The range in
-    which the model was trained is white, the rest grey.
+    Stable parts are solid, unstable ones dashed; cycles are drawn by their largest and smallest values. Parts far from
+    the data are faint; the range in which the model was trained is white, the rest grey.
     """
     panels = tuple(_panel(shown, others, truth, state) for state in range(len(shown.states)))
     return Figure(((Block(wrapped(panels, ACROSS), "below"),),))
@@ -58,17 +60,17 @@ def _panel(shown: Diagram, others: Sequence[Diagram], truth: Diagram | None, sta
     return Panel(tuple(marks), x, Axis(shown.states[state]), width=4.2, height=3.4)
 
 
-def _curves(shown: Diagram, state: int) -> Iterator[tuple[str, Array, Array, tuple[bool, ...]]]:
-    """Each curve: its kind, parameter values, heights, and mask of stability."""
+def _curves(shown: Diagram, state: int) -> Iterator[tuple[str, Array, Array, tuple[tuple[bool, bool], ...]]]:
+    """Each curve: its kind, parameter values, heights, and whether each point is stable, and far from the data."""
     for branch in shown.branches:
         if branch.points:
             x = np.array([point.value for point in branch.points])
             y = np.array([point.state[state] for point in branch.points])
-            yield "steady", x, y, tuple(point.stable for point in branch.points)
+            yield "steady", x, y, tuple((point.stable, bool(point.outside)) for point in branch.points)
     for family in shown.cycles:
         if family.cycles:
             x = np.array([cycle.value for cycle in family.cycles])
-            stable = tuple(cycle.stable for cycle in family.cycles)
+            stable = tuple((cycle.stable, bool(cycle.outside)) for cycle in family.cycles)
             yield "cycle", x, np.array([cycle.maximum[state] for cycle in family.cycles]), stable
             yield "cycle", x, np.array([cycle.minimum[state] for cycle in family.cycles]), stable
 
@@ -76,9 +78,10 @@ def _curves(shown: Diagram, state: int) -> Iterator[tuple[str, Array, Array, tup
 def _branches(shown: Diagram, state: int, *, named: bool) -> Iterator[Line]:
     for word, xs, ys, stability in _curves(shown, state):
         color = LEARNED if word == "steady" else CYCLE
-        for stable, x, y in pieces(xs, ys, stability):
-            label = f"{word}, {'stable' if stable else 'unstable'}" if named else ""
-            width, alpha = (1.8, 1.0) if named else (1.0, 0.25)
+        for (stable, far), x, y in pieces(xs, ys, stability):
+            label = f"{word}, {'stable' if stable else 'unstable'}" + (", far from the data" if far else "")
+            label = label if named else ""
+            width, alpha = (1.8, FAINT if far else 1.0) if named else (1.0, 0.25)
             yield Line(x, y, label, color, width, "solid" if stable else "dashed", alpha)
 
 

@@ -28,7 +28,7 @@ def along(source: Source) -> Eigen:
     fitted, model = source.fitted, source.run.model
     evaluator = fitted.evaluators[0]
     truth = None if fitted.truth is None else system_of(fitted.truth, model)
-    predicted = predictions(evaluator, model, fitted.data, source.run.fit.data)
+    predicted = predictions(evaluator, model, fitted.data, source.run.fit)
     return eigen(system_of(evaluator, model), truth=truth, along=fitted.data, predicted=predicted)
 
 

@@ -10,6 +10,7 @@ from gbspec.arrays import Array
 from gbspec.report.content import LearnedFunction, Plane, Slice
 from gbspec.report.description import (
     Axis,
+    Band,
     Block,
     Figure,
     Heat,
@@ -22,6 +23,7 @@ from gbspec.report.description import (
     beyond,
     diagonal,
     ensemble,
+    extrapolated,
     truth,
     wrapped,
 )
@@ -61,9 +63,15 @@ def figure(learned: Sequence[LearnedFunction], slices: int | None = SLICES) -> F
 
 
 def slice_panel(name: str, piece: Slice, *, legend: bool = True) -> Panel:
-    """A function along one argument, with its truth and postulate; ticks show the positions of data."""
+    """A function along one argument, with its 90 % band, its truth and its postulate.
+
+    Ticks show the positions of data; the background is grey where the function is extrapolated.
+    """
     ends = float(piece.x[0]), float(piece.x[-1])
-    marks: list[Mark] = [*beyond("x", ends, piece.trained)]
+    grounds = beyond("x", ends, piece.trained) if piece.far is None else extrapolated(piece.x, piece.far)
+    marks: list[Mark] = [*grounds]
+    if piece.band is not None:
+        marks.append(Band(piece.x, piece.band[0], piece.band[1], "90 % band", alpha=0.12))
     if piece.postulate is not None:
         marks.append(Line(piece.x, piece.postulate, "postulate", MUTED, 1.5, "dotted", layer=2))
     marks += ensemble(piece.x, piece.members)

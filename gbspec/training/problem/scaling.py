@@ -27,4 +27,4 @@ class Scaling:
 def scaling_of(model: Model, packed: Packed, trajectories: Trajectories) -> Scaling:
     """The scales for all trajectories of a fit, at the rows of a packing of these or of others."""
     scales = scales_of(model, trajectories)
-    return Scaling(scales.log, scales.of_rows(packed.sd), scales.channel, scales.noise)
+    return Scaling(scales.log, scales.of_rows(packed.sd, packed.values), scales.channel, scales.noise)

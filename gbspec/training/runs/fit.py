@@ -11,15 +11,17 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from gbspec.backends import INTERFACE, generate, load_module
-from gbspec.data import Trajectories
+from gbspec.data import Trajectories, scales_of
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import finite
-from gbspec.ir import METHODS, Model
-from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, files, read_record
+from gbspec.ir import METHODS, Learnable, Model
+from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, ScalesRecord, files, read_record
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
+from gbspec.training.problem import Bijections
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe import build_context, plan
 from gbspec.training.runs.jobs import Job
@@ -30,6 +32,8 @@ from gbspec.version import __version__
 
 TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
+QUANTILE = 1.645
+"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
 NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
 OWN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html", "__pycache__"})
@@ -145,6 +149,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         warnings=(),
         solver=options.solver,
         interface=INTERFACE,
+        scales=ScalesRecord.of(scales_of(model, trajectories)),
     )
 
 
@@ -218,7 +223,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     ]
     return replace(
         record,
-        constants={k.name: _constant(k.name, k.start, ordered) for k in model.learnables},
+        constants={k.name: _constant(k, ordered) for k in model.learnables},
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(map(_member, ordered)),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
@@ -244,15 +249,29 @@ def _member(result: MemberResult) -> MemberRecord:
     return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages, interval, result.channels)
 
 
-def _constant(name: str, start: float, results: list[MemberResult]) -> ConstantRecord:
-    """Mean over members, standard deviation (within and between members), and a 90 % interval."""
+def _constant(learnable: Learnable, results: list[MemberResult]) -> ConstantRecord:
+    """Mean over members, standard deviation (within and between members), and a 90 % interval within the bounds."""
+    name = learnable.name
     values = np.array([r.constants[name] for r in results])
     within = np.array([r.sd[name] for r in results])
     between = values.var(ddof=1) if len(values) > 1 else 0.0
     sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
     center = float(values.mean())
-    interval = (center - 1.645 * sd, center + 1.645 * sd) if math.isfinite(sd) else None
-    return ConstantRecord(center, finite(sd), interval, start, tuple(map(float, values)))
+    interval = inside_bounds(learnable, center, sd) if math.isfinite(sd) else None
+    return ConstantRecord(center, finite(sd), interval, learnable.start, tuple(map(float, values)))
+
+
+def inside_bounds(learnable: Learnable, center: float, sd: float) -> tuple[float, float] | None:
+    """The 90 % interval of a constant: symmetrical on the scale on which it is trained, whose values all lie within the
+    bounds; None for a constant at its bound, where this scale ends, and where an end is too large for a number."""
+    scale = Bijections.of((learnable,))
+    place = scale.from_natural(np.array([center]))
+    slope = abs(float(scale.derivative(place)[0]))
+    if not slope > 0:
+        return None
+    half = QUANTILE * sd / slope
+    ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-half, half)]
+    return (min(*ends, center), max(*ends, center)) if np.isfinite(ends).all() else None
 
 
 def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:

@@ -15,12 +15,13 @@ from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.ir import Model
-from gbspec.runs import JsonError, StageRecord, decode, encode, files
+from gbspec.runs import COVARIANCE, JsonError, StageRecord, decode, encode, files
 from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
+from gbspec.training.runs.certainties import certainties
 from gbspec.training.runs.summary import MemberResult, summarise
 from gbspec.training.stages import StageName
 
@@ -307,6 +308,10 @@ class _Runner:
         temporary = path.with_name(f".{files.WEIGHTS}.tmp")
         instance.save(temporary)
         temporary.replace(path)
+        (self.directory / COVARIANCE).unlink(missing_ok=True)
+        if position.finished:
+            names = [stage.name for stage in position.stages]
+            certainties(self.context, self.parameters, position.best, names, instance).write(self.directory)
         result.history = list(position.history)
         for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
             result.sd[name] = float(deviation)

@@ -144,8 +144,7 @@ class _Noise:
         cls, context: Context, parameters: Parameters, theta: Array, freedom: float, stages: Sequence[str]
     ) -> _Noise:
         """The noise from the residuals at `theta`, with the forcing of the training."""
-        asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
-        whole = asked and (not parameters.n_weights or StageName.AUTOREGRESSIVE in stages)
+        whole = whole_solutions(context, parameters, stages)
         residuals = residual_table(context.engine(parameters, 0.0 if whole else context.options.blend), theta)
         count = int((context.packed().weights > 0).sum())
         if not whole or not count:
@@ -162,6 +161,12 @@ class _Noise:
             return _robust_deviation(column)
         inside = np.minimum(np.abs(column), self.threshold)
         return float(np.sqrt(np.mean(inside**2) / self.share))
+
+
+def whole_solutions(context: Context, parameters: Parameters, stages: Sequence[str]) -> bool:
+    """Whether whole solutions were fitted in the end, rather than each value from the previous one."""
+    asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
+    return asked and (not parameters.n_weights or StageName.AUTOREGRESSIVE in stages)
 
 
 def _robust_deviation(residuals: Array) -> float:

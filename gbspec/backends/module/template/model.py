@@ -23,6 +23,7 @@ import numpy as np
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
+from gbspec.backends.module.template.slopes import _function_slopes
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
@@ -265,8 +266,7 @@ class Template:  # {{class}}
     def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t, with constant `inputs`."""
         x, condition, inputs = self._arguments(x, condition, inputs)
-        k, f = self._parameters(x, constants)
-        m = _torch_arithmetic()
+        (k, f), m = self._parameters(x, constants), _torch_arithmetic()
         grid = self.equations.grid(m, self._like(t, x), self._like(h, x))
         return self.equations.step(m, self.equations.field(m, condition, k, f), grid, x, (inputs,) * len(grid[0]))
 
@@ -314,6 +314,10 @@ class Template:  # {{class}}
     def functions(self) -> dict[str, Callable[..., Any]]:
         """The unknown functions by name: of one tensor [..., n_arguments], or of separate arguments -> [...]."""
         return {name: functools.partial(self._function, name) for name in self.unknowns}
+
+    def function_slopes(self, name: str, arguments: Any) -> dict[str, Any]:
+        """Derivatives of an unknown's values at points [P, n_arguments] by weights and constants: arrays [P, ...]."""
+        return _function_slopes(self, name, arguments)
 
     def _function(self, name: str, *arguments: Any, constants: Any = None) -> Any:
         index, output, method = self.equations.unknowns[name]

@@ -1,0 +1,32 @@
+"""Derivatives by trained weights. Generated modules omit everything above the line `# <body>`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gbspec.backends.module.template.arithmetic import _torch_arithmetic
+
+# <body>
+# ---------------------------------------------------------------------- derivatives by weights
+
+
+def _function_slopes(module: Any, name: str, arguments: Any) -> dict[str, Any]:
+    """Derivatives of an unknown's values at points [P, n_arguments] with respect to its network's trained weights and
+    the constants: arrays [P, ...] by name."""
+    import torch
+
+    index, output, method = module.equations.unknowns[name]
+    prefix = f"network.{module.networks[index]['name']}."
+    weights = {key: torch.as_tensor(np.asarray(value)) for key, value in module.weights.items()}
+    trained = {k: v for k, v in weights.items() if k.startswith(prefix) and k.endswith((".weight", ".bias"))}
+
+    def value(varied: Any, point: Any) -> Any:
+        networks = module.torch_networks({**weights, **varied})
+        return method(_torch_arithmetic(), varied["constants"].unbind(), networks, *point.unbind())[output]
+
+    found = torch.func.vmap(torch.func.grad(value), in_dims=(None, 0))(
+        {**trained, "constants": weights["constants"]}, torch.as_tensor(arguments, dtype=torch.float64)
+    )
+    return {key: each.numpy() for key, each in found.items()}

@@ -1,0 +1,39 @@
+"""The arguments with which a model calls its networks, recorded while its equations are evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.backends.protocol import GeneratedModule, Network
+
+
+class _Recorded:
+    """A network that records the arguments of its calls; all other attributes are those of the network."""
+
+    def __init__(self, network: Network) -> None:
+        self.network = network
+        self.calls: list[Array] = []
+
+    def __call__(self, *arguments: Array | float) -> tuple[Array, ...]:
+        self.calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
+        found: tuple[Array, ...] = self.network(*arguments)
+        return found
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.network, name)
+
+
+def network_arguments(
+    member: GeneratedModule, t: Array, states: Array, condition: Array, inputs: Array, constants: Array
+) -> list[list[Array]]:
+    """For each network the arguments [R, n_arguments] of each of its calls at R points: times [R], states [R, n],
+    conditions, inputs [R, m] and constants [R, k]. Calls at a point of a contract (`zero at`) are left out."""
+    networks = [_Recorded(network) for network in member.numpy_networks()]
+    own: Sequence[Array] = tuple(np.asarray(constants, dtype=np.float64).T)
+    with np.errstate(all="ignore"):
+        for method in (member.equations.rhs, member.equations.observe):
+            method(member.arithmetic("numpy"), t, states, condition, inputs, own, tuple(networks))
+    return [[call for call in network.calls if len(call) == len(states)] for network in networks]

@@ -1,0 +1,115 @@
+"""The covariance of a member's weights and constants, and where its unknowns were trained: `covariance.safetensors`.
+
+With n weights w, whose prior is normal around zero, and the shared constants k, the posterior of the linearised fit is
+
+    w ~ N(fit, C),      C = spread^2 (I - V^T (I - S) V),      k given w ~ N(fit - B (w - fit), D)
+
+V are the leading eigenvectors of the curvature [m, n] and S the shares of the prior's variance that the data leave
+along them; along all other directions the data leave the prior as it is. So a network of thousands of weights takes a
+few hundred vectors. The derivative g of any result with respect to (w, k) gives its standard deviation, sqrt(g^T C g).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.json_values import JsonObject
+from gbspec.runs import files
+
+COVARIANCE = "covariance.safetensors"
+
+
+@dataclass(frozen=True)
+class Support:
+    """The arguments `points` [P, A] with which the fitted trajectories call a network; `owner` [P] counts the
+    trajectories."""
+
+    points: Array
+    owner: Array
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """See the module's documentation; constants in their units.
+
+    `names` are the weights' arrays in the order of w (each flattened row by row), `constants` those in k. `spread` is
+    the prior's standard deviation, `vectors` [m, n] and `shares` [m] are V and the diagonal of S, `coupling` [k, n] is
+    B, `conditional` [k, k] is D.
+    """
+
+    names: tuple[str, ...]
+    constants: tuple[str, ...]
+    spread: float
+    vectors: Array
+    shares: Array
+    coupling: Array
+    conditional: Array
+
+    def deviations(self, weights: Array, constants: Array) -> Array:
+        """Standard deviations [P] of results with the derivatives `weights` [P, n] and `constants` [P, k]."""
+        along = weights - constants @ self.coupling
+        inside = along @ self.vectors.T
+        # Formed from the part outside V, not as a difference of squares, which would cancel.
+        outside = along - inside @ self.vectors
+        of_weights = self.spread**2 * (np.sum(outside**2, axis=1) + np.sum(self.shares * inside**2, axis=1))
+        of_constants = np.einsum("pi,ij,pj->p", constants, self.conditional, constants)
+        return np.asarray(np.sqrt(of_weights + np.maximum(of_constants, 0.0)), dtype=np.float64)
+
+    def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """A random displacement of the weights [n] and of the constants [k]."""
+        normal = rng.standard_normal(self.vectors.shape[1])
+        inside = self.vectors @ normal
+        weights = self.spread * (normal + (inside * (np.sqrt(self.shares) - 1.0)) @ self.vectors)
+        values, vectors = np.linalg.eigh(self.conditional) if len(self.constants) else (np.zeros(0), np.zeros((0, 0)))
+        own = vectors @ (np.sqrt(np.maximum(values, 0.0)) * rng.standard_normal(len(values)))
+        return weights, np.asarray(own - self.coupling @ weights, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Certainties:
+    """The content of the file; `covariance` is None where the curvature is not known."""
+
+    covariance: Covariance | None = None
+    support: Mapping[str, Support] = field(default_factory=dict)
+
+    def write(self, directory: Path) -> None:
+        """Writes it into a member's directory."""
+        arrays: dict[str, Array] = {}
+        remarks: JsonObject = {"networks": list(self.support)}
+        for name, one in self.support.items():
+            arrays |= {f"support.{name}": one.points, f"owner.{name}": one.owner}
+        if self.covariance is not None:
+            known = self.covariance
+            remarks |= {"weights": list(known.names), "constants": list(known.constants), "spread": known.spread}
+            arrays["vectors"] = known.vectors.astype(np.float32)
+            arrays |= {"shares": known.shares, "coupling": known.coupling, "conditional": known.conditional}
+        files.write_tensors(directory / COVARIANCE, arrays, remarks)
+
+
+def read_certainties(directory: Path) -> Certainties:
+    """The content of a member's file; empty if there is none (older runs, interrupted fits) or it is damaged."""
+    path = directory / COVARIANCE
+    if not path.is_file():
+        return Certainties()
+    try:
+        arrays, remarks = files.read_tensors(path)
+        support = {
+            name: Support(arrays[f"support.{name}"], arrays[f"owner.{name}"]) for name in remarks.get("networks", ())
+        }
+        if "vectors" not in arrays:
+            return Certainties(None, support)
+        found = Covariance(
+            tuple(remarks["weights"]),
+            tuple(remarks["constants"]),
+            float(remarks["spread"]),
+            arrays["vectors"].astype(np.float64),
+            *(arrays[name] for name in ("shares", "coupling", "conditional")),
+        )
+    except (ValueError, KeyError, TypeError):
+        return Certainties()
+    return Certainties(found, support)

@@ -1,0 +1,157 @@
+"""The covariance of weights and shared constants from the curvature at the end of a fit, whatever stage ended it.
+
+The normal matrix of the weighted residuals is reduced to the weights by elimination of all other columns (trajectory by
+trajectory, then the shared constants). The precision of the weights' prior is that of the evidence (MacKay 1992), whose
+fixed point at one linearisation needs only the eigenvalues of the reduced matrix. `gbspec.runs.Covariance` describes
+the result. Eigenvectors that the data do not determine are not stored, and for large networks only the leading ones
+are computed: along the others the variance is that of the prior, an upper bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.runs import Covariance
+from gbspec.training.engines import Engine, Linearised, linearise
+from gbspec.training.optimise.levenberg_marquardt import DELTA_HIGH, DELTA_LOW, WEAK
+from gbspec.training.optimise.normal_equations import huber_weights
+from gbspec.training.optimise.priors import Priors
+from gbspec.training.problem import Integers, Parameters
+
+LARGEST = 2**28
+"""The most entries of the Jacobian's shared columns (2 GiB): beyond, the covariance is left out."""
+DENSE, RANK = 1200, 384
+"""With more weights, this many leading eigenvectors are computed by Nystroem's approximation."""
+NEGLIGIBLE = 1e-3
+"""Eigenvectors along which the data reduce the prior's variance by less than this fraction are not stored."""
+FIXED_POINT = 100
+"""Iterations of the evidence's fixed point."""
+
+
+def covariance(engine: Engine, theta: Array) -> Covariance | None:
+    """The covariance at the end of a fit; None if it is not known (a solution that is not finite, a singular matrix) or
+    too large to be computed."""
+    parameters = engine.parameters
+    if int(engine.problem.seen.sum()) * parameters.n_shared > LARGEST or not parameters.n_shared:
+        return None
+    try:
+        system = linearise(engine, theta)
+        if not bool(np.isfinite(system.residuals.numpy()).all()):
+            return None
+        return _solved(_Reduced.of(engine, system, theta), parameters, theta)
+    except np.linalg.LinAlgError:
+        return None
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """The normal matrix of the shared columns [m, n] after elimination of the trajectories' own.
+
+    `squares` is the sum of squared residuals, `count` their number, `used` the degrees of freedom of own columns.
+    `shared` and, for each trajectory, `thin` [r, n_local] have the matrix A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T.
+    """
+
+    shared: Array
+    thin: tuple[tuple[Integers, Array], ...]
+    squares: float
+    count: int
+    used: float
+    weak: float
+
+    @classmethod
+    def of(cls, engine: Engine, system: Linearised, theta: Array) -> _Reduced:
+        measured = system.residuals.numpy()
+        delta = float(np.clip(4 * np.median(np.abs(measured)), DELTA_LOW, DELTA_HIGH)) if len(measured) else np.inf
+        weights = huber_weights(measured, delta)
+        priors = Priors.of(engine.problem, engine.parameters, measured)
+        rows = priors.with_rows(system, theta)
+        balance = float(weights.mean()) if len(weights) else 1.0
+        root = np.sqrt(np.concatenate([weights, np.full(len(priors), balance)]))
+        local, owner = rows.local.numpy() * root[:, None], rows.owner.numpy()
+        weak = WEAK * max(float(np.mean(measured**2)), 1e-300)
+        thin: list[tuple[Integers, Array]] = []
+        used = 0.0
+        for i in range(engine.parameters.trajectories if local.shape[1] else 0):
+            here = np.flatnonzero(owner == i)
+            values, vectors = np.linalg.eigh(local[here].T @ local[here])
+            values = np.maximum(values, 0.0)
+            used += float(np.sum(values / (values + weak)))
+            thin.append((here, local[here] @ (vectors / np.sqrt(values + weak))))
+        squares = float(np.sum(weights * measured**2))
+        return cls(rows.shared.numpy() * root[:, None], tuple(thin), squares, len(measured), used, weak)
+
+    def times(self, columns: Array) -> Array:
+        """The product [n, k] of the matrix with `columns` [n, k]."""
+        rows = self.shared @ columns
+        for here, thin in self.thin:
+            rows[here] -= thin @ (thin.T @ rows[here])
+        return np.asarray(self.shared.T @ rows, dtype=np.float64)
+
+    def matrix(self) -> Array:
+        """The matrix [n, n]."""
+        out = self.shared.T @ self.shared
+        for here, thin in self.thin:
+            wide = self.shared[here].T @ thin
+            out -= wide @ wide.T
+        return np.asarray(0.5 * (out + out.T), dtype=np.float64)
+
+
+def _solved(reduced: _Reduced, parameters: Parameters, theta: Array) -> Covariance:
+    n, total = parameters.n_weights, parameters.n_shared
+    unit = np.eye(total)[:, n:]
+    columns = reduced.times(unit) if total > n else np.zeros((total, 0))
+    block = 0.5 * (columns[n:] + columns[n:].T) + reduced.weak * np.eye(total - n)
+    inverse = np.linalg.inv(block) if total > n else np.zeros((0, 0))
+    coupling = inverse @ columns[:n].T
+    if n <= DENSE:
+        matrix = reduced.matrix()[:n, :n] - columns[:n] @ coupling
+        values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    else:
+        values, vectors = _leading(reduced, columns, coupling, n)
+    values = np.maximum(values, 0.0)
+    of_constants = float(np.trace(inverse @ (block - reduced.weak * np.eye(total - n))))
+    ridge, variance = _evidence(reduced, values, theta[:n], reduced.used + of_constants)
+    shares = ridge / (values + ridge) if n else np.zeros(0)
+    kept = np.flatnonzero(shares < 1 - NEGLIGIBLE)[::-1]
+    slopes = parameters.bijections(parameters.shared).derivative(theta[n:total])
+    return Covariance(
+        names=tuple(parameters.weight_shapes),
+        constants=tuple(parameters.model.learnables[i].name for i in parameters.shared),
+        spread=float(np.sqrt(variance / ridge)) if n else 0.0,
+        vectors=np.ascontiguousarray(vectors[:, kept].T),
+        shares=shares[kept],
+        coupling=slopes[:, None] * coupling,
+        conditional=slopes[:, None] * (variance * inverse) * slopes,
+    )
+
+
+def _evidence(reduced: _Reduced, values: Array, weights: Array, others: float) -> tuple[float, float]:
+    """The ridge that maximises the evidence, and the variance of the residuals, from the eigenvalues [m]."""
+    size, ridge = float(weights @ weights), 1e-3 * max(float(values.max(initial=0.0)), 1e-300)
+    for _ in range(FIXED_POINT):
+        effective = float(np.sum(values / (values + ridge)))
+        left = max(reduced.count - effective - others, 0.1 * reduced.count, 1.0)
+        variance = max(reduced.squares, 1e-300) / left
+        before, ridge = ridge, variance * max(effective, 1.0) / size if size > 0 else ridge
+        if abs(np.log(ridge / before)) < 1e-6:
+            break
+    return ridge, variance
+
+
+def _leading(reduced: _Reduced, columns: Array, coupling: Array, n: int) -> tuple[Array, Array]:
+    """The leading eigenvalues [m] and eigenvectors [n, m] of the weights' matrix, ascending, without forming it.
+
+    Nystroem's approximation from products with random vectors (Frangella, Tropp and Udell 2023, algorithm 2.1).
+    """
+    test = np.linalg.qr(np.random.default_rng([61, n]).standard_normal((n, RANK)))[0]
+    padded = np.concatenate([test, np.zeros((len(reduced.shared.T) - n, RANK))])
+    product = reduced.times(padded)[:n] - columns[:n] @ (coupling @ test)
+    shift = float(np.finfo(np.float64).eps * np.linalg.norm(product))
+    product += shift * test
+    core = test.T @ product
+    factor = np.linalg.cholesky(0.5 * (core + core.T))
+    left, singular, _ = np.linalg.svd(np.linalg.solve(factor, product.T).T, full_matrices=False)
+    return np.maximum(singular**2 - shift, 0.0)[::-1], left[:, ::-1]

@@ -1,0 +1,59 @@
+"""What a member's directory keeps of a fit's certainty: the covariance of its parameters, and where its unknowns were
+trained."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.backends import GeneratedModule, network_arguments
+from gbspec.data import evenly_spaced
+from gbspec.runs import Certainties, Support
+from gbspec.training.engines import Engine, predicted
+from gbspec.training.optimise import covariance
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context
+from gbspec.training.runs.summary import whole_solutions
+
+POINTS = 2000
+"""The most points that are kept for a network."""
+
+
+def certainties(
+    context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
+) -> Certainties:
+    """The certainty of a finished fit at `theta`, from residuals as its last stages saw them; `member` has its
+    weights."""
+    blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
+    engine = context.engine(parameters, blend)
+    return Certainties(covariance(engine, theta), support(engine, theta, member))
+
+
+def support(engine: Engine, theta: Array, member: GeneratedModule) -> dict[str, Support]:
+    """For each network the arguments with which it is called at the measured rows, at most `POINTS` of them."""
+    if not member.networks:
+        return {}
+    packed, moments = engine.problem.packed, predicted(engine, theta)
+    with torch.no_grad():
+        own = engine.parameters.constants(torch.from_numpy(theta)).numpy()
+    rows = np.flatnonzero(np.isfinite(moments.before).all(axis=1) & np.isfinite(moments.after).all(axis=1))
+    # An arrival, such as a dose, moves a state to where no measurement is: both sides of it were trained on.
+    moved = rows[np.any(moments.before[rows] != moments.after[rows], axis=1)]
+    row, states = np.concatenate([rows, moved]), np.concatenate([moments.before[rows], moments.after[moved]])
+    chosen = evenly_spaced(len(row), POINTS)
+    row, states = row[chosen], states[chosen]
+    owner = packed.row_trajectory[row]
+    calls = network_arguments(
+        member, packed.row_time[row], states, packed.condition[owner], packed.row_inputs[row], own[owner]
+    )
+    found = {}
+    for network, each in zip(engine.parameters.model.networks, calls, strict=True):
+        points = np.concatenate([np.zeros((0, len(network.arguments))), *each])
+        owners = np.tile(owner, len(each))
+        good = np.flatnonzero(np.isfinite(points).all(axis=1))
+        good = good[:: max(1, -(-len(good) // POINTS))]
+        found[network.name] = Support(points[good], owners[good].astype(np.float64))
+    return found

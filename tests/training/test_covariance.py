@@ -1,0 +1,128 @@
+"""The covariance of weights and constants at the end of a fit, and what a run keeps of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gbspec.analysis import fences, function_bands
+from gbspec.backends import load_module
+from gbspec.data.trajectories import Trajectories
+from gbspec.runs import Certainties, Covariance, Support, read_certainties
+from gbspec.training import TrainOptions, train
+from gbspec.training.engines.torch.engine import TorchEngine
+from gbspec.training.optimise import curvature as module
+from gbspec.training.optimise.curvature import covariance
+from gbspec.training.optimise.levenberg_marquardt import DELTA_HIGH, DELTA_LOW, WEAK
+from gbspec.training.optimise.normal_equations import huber_weights
+from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
+from tests.training.reference import linearise, whole_jacobian
+
+RIDGE, VARIANCE = 0.02, 0.3
+
+
+@pytest.mark.parametrize("text", [URP, EVERYTHING])
+@pytest.mark.parametrize("dense", [True, False])
+def test_it_is_the_inverse_of_the_normal_matrix(text: str, dense: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = urp_data(3, 2.0, 1) if text == URP else everything_data()
+    problem, parameters, theta = problem_of(model_of(text), data, 0.2)
+    monkeypatch.setattr(module, "_evidence", lambda *_: (RIDGE, VARIANCE))
+    if not dense:
+        monkeypatch.setattr(module, "DENSE", 0)
+        monkeypatch.setattr(module, "RANK", min(60, parameters.n_weights))
+    found = covariance(TorchEngine(problem, parameters), theta)
+    assert found is not None
+
+    system = linearise(problem, parameters, theta)
+    residuals = system.residuals.numpy()
+    delta = np.clip(4 * np.median(np.abs(residuals)), DELTA_LOW, DELTA_HIGH)
+    jacobian = whole_jacobian(system, parameters).numpy()
+    diagonal = np.full(parameters.size, WEAK * np.mean(residuals**2))
+    diagonal[: parameters.n_weights] = RIDGE
+    normal = jacobian.T @ (huber_weights(residuals, float(delta))[:, None] * jacobian) + np.diag(diagonal)
+    n, total = parameters.n_weights, parameters.n_shared
+    whole = VARIANCE * np.linalg.inv(normal)[:total, :total]
+    slopes = parameters.bijections(parameters.shared).derivative(theta[n:total])
+    for derivative in np.random.default_rng(0).standard_normal((5, total)):
+        weights, constants = derivative[None, :n], derivative[None, n:]
+        expected = np.concatenate([derivative[:n], derivative[n:] * slopes])
+        (deviation,) = found.deviations(weights, constants)
+        exact = np.sqrt(expected @ whole @ expected)
+        assert deviation == pytest.approx(exact, rel=1e-3), "directions that are left out keep the prior's variance"
+        assert deviation >= exact * (1 - 1e-9)
+
+
+def test_displacements_are_drawn_from_it() -> None:
+    rng = np.random.default_rng(0)
+    vectors = np.linalg.qr(rng.standard_normal((5, 2)))[0].T
+    known = Covariance(("w",), ("k",), 0.5, vectors, np.array([0.1, 0.01]), np.ones((1, 5)), np.array([[0.2]]))
+    drawn = [np.concatenate(known.draw(rng)) for _ in range(4000)]
+    sample = np.cov(np.array(drawn).T)
+    for derivative in np.eye(6):
+        (deviation,) = known.deviations(derivative[None, :5], derivative[None, 5:])
+        assert np.sqrt(sample @ derivative @ derivative) == pytest.approx(deviation, rel=0.1)
+
+
+def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
+    assert read_certainties(tmp_path) == Certainties()
+    known = Covariance(("w",), ("k",), 0.5, np.eye(2, 5), np.ones(2), np.ones((1, 5)), np.eye(1))
+    Certainties(known, {"f": Support(np.ones((3, 2)), np.arange(3.0))}).write(tmp_path)
+    found = read_certainties(tmp_path)
+    assert found.covariance is not None
+    np.testing.assert_allclose(found.covariance.deviations(np.eye(5), np.ones((5, 1))),
+                               known.deviations(np.eye(5), np.ones((5, 1))))  # fmt: skip
+    np.testing.assert_array_equal(found.support["f"].points, np.ones((3, 2)))
+    (tmp_path / "covariance.safetensors").write_bytes(b"damaged")
+    assert read_certainties(tmp_path) == Certainties()
+
+
+@pytest.mark.parametrize("contract", ["", " >= 0, increasing in b"])
+def test_derivatives_of_a_function_by_its_weights(contract: str) -> None:
+    text = f"""model f
+state a in [0, 2]
+state b in [0, 2]
+learn s = 0.7
+unknown g(a, b) = s*nn by mlp(4, 3){contract}
+a' = -g
+b' = -b
+observe a
+observe b
+"""
+    member = load_module(model_of(text)).random(1)
+    points = np.random.default_rng(2).uniform(0, 2, (6, 2))
+    slopes = member.function_slopes("g", points)
+    assert set(slopes) == {name for name in member.shapes() if name.endswith((".weight", ".bias", "constants"))}
+    for name, slope in slopes.items():
+        moved = []
+        for sign in (1, -1):
+            weights = {key: value.copy() for key, value in member.weights.items()}
+            weights[name].flat[0] += sign * 1e-6
+            other = type(member)(weights)
+            moved.append(other.functions["g"](torch.from_numpy(points)).detach().numpy())
+        np.testing.assert_allclose(slope.reshape(6, -1)[:, 0], (moved[0] - moved[1]) / 2e-6, rtol=1e-5, atol=1e-9)
+
+
+def test_a_fit_has_bands_and_fences(tmp_path: Path, quick_fit: None) -> None:
+    model = model_of("""model decay
+time t from 0
+state x in [0, 2]
+unknown f(x) >= 0 by mlp(6)
+x' = -f
+initial x = 1
+observe x
+""")
+    times = np.linspace(0.2, 2, 10)
+    noise = 0.02 * np.random.default_rng(0).standard_normal((2, 10))
+    items = [trajectory(str(i), 0.0, times, (np.exp(-times) + noise[i])[:, None], []) for i in range(2)]
+    run = train(model, Trajectories(tuple(items), ("x",)), TrainOptions(effort="low", max_step=0.1), tmp_path / "run")
+    points = np.array([[0.2], [0.5], [0.9], [3.0]])
+    value, low, high = function_bands(run, "f", points)
+    assert np.all((low <= value) & (value <= high) & (low >= 0))
+    width = high - low
+    assert 0.005 < width[1] < 0.5
+    assert width[3] > 5 * width[1], "it widens where there are no data"
+    fence = fences(run)["f"]
+    assert fence.beyond(points).tolist() == [False, False, False, True]
