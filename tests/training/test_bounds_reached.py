@@ -33,3 +33,13 @@ def test_a_fit_says_so(tmp_path: Path, rate: float, stopped: bool) -> None:
     fit = gbspec.load(tmp_path / "m.gb").train(tmp_path / "d.csv", tmp_path / "run", effort="low").run.fit
     assert any("`k` ended at its bound 2" in warning for warning in fit.warnings) is stopped
     assert (fit.constants["k"].interval is None) is stopped
+
+
+@pytest.mark.parametrize(
+    ("k", "wanted"), [(0.5, []), (1.001e-5, []), (1e-5, [("k", 1e-5)]), (9.9e4, []), (1e5, [("k", 1e5)])]
+)
+def test_far_apart_bounds_are_reached_on_the_scale_of_logarithms(
+    tmp_path: Path, k: float, wanted: list[tuple[str, float]]
+) -> None:
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k in [1e-5, 1e5] = 0.03"))
+    assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted

@@ -20,6 +20,7 @@ from gbspec.ir import METHODS, Model
 from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, files, read_record
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
+from gbspec.training.problem import Bijection
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe import build_context, plan
 from gbspec.training.runs.jobs import Job
@@ -31,6 +32,11 @@ TOGETHER = 0.95
 """A warning is given for correlations beyond this."""
 NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
+NEAR, CLEAR = 1e-5, 5.0
+"""A constant closer to a bound than the fraction `NEAR` of its range is at the bound, unless it is `CLEAR` standard
+deviations away from it."""
+EXACT = 1e-20
+"""Up to this mean loss, the data are fitted to rounding."""
 OWN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html", "__pycache__"})
 """What a run directory contains; Python leaves `__pycache__` where somebody imported the module."""
 
@@ -207,7 +213,9 @@ _OTHER = "continue it with the original settings, or name another directory with
 def completed(record: FitRecord, model: Model, results: dict[int, MemberResult], options: TrainOptions) -> FitRecord:
     """The record completed by the results of the members, of which there is at least one."""
     ordered = [results[k] for k in sorted(results)]
-    ended = [(member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants)]
+    ended = [
+        (member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants, r.sd)
+    ]
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
@@ -287,20 +295,24 @@ def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str
     return warnings
 
 
-def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:
+def at_bounds(
+    model: Model, constants: Mapping[str, float], sd: Mapping[str, float] | None = None
+) -> list[tuple[str, float]]:
     """Learnable constants that ended at a bound, and the bound: closer to it than 1e-5 of the range's width.
 
-    With a single bound, the distance of the starting value from it is used as the width.
+    Where bounds are so far apart that training uses their logarithms, so does this. With a single bound, the distance
+    of the starting value from it is used as the width. A constant that lies several of its standard deviations `sd`
+    away from the bound is not at the bound, however wide the range.
     """
     out = []
     for learnable in model.learnables:
         low, high = learnable.range.low, learnable.range.high
         if learnable.name not in constants or high <= low:
             continue
-        value = constants[learnable.name]
+        value, scale = constants[learnable.name], Bijection.of(learnable)
+        deviation = (sd or {}).get(learnable.name, float("nan"))
         for bound in (low, high):
-            width = high - low if math.isfinite(high - low) else abs(learnable.start - bound)
-            if math.isfinite(bound) and abs(value - bound) < 1e-5 * width:
+            if scale.distance(value, bound) < NEAR and not abs(value - bound) > CLEAR * deviation:
                 out.append((learnable.name, bound))
     return out
 
