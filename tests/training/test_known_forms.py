@@ -38,11 +38,11 @@ initial y2 = 0
 initial y3 = 0
 initial y4 = 0
 initial y5 = 0
-observe y1
-observe y2
-observe y3
-observe y4
-observe y5
+observe y1 noise normal(1)
+observe y2 noise normal(1)
+observe y3 noise normal(1)
+observe y4 noise normal(1)
+observe y5 noise normal(1)
 """
 
 GAS_OIL = """model gas_oil
@@ -56,8 +56,8 @@ y1' = -(k1 + k3)*y1^2
 y2' = k1*y1^2 - k2*y2
 initial y1 = 1
 initial y2 = 0
-observe y1
-observe y2
+observe y1 noise normal(1)
+observe y2 noise normal(1)
 """
 
 
