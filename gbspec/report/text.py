@@ -146,5 +146,11 @@ def run_summary(run: Run) -> str:
             for i, m in enumerate(members)
         ]
         parts.append(table(["member", "loss", *(f"rmse {c}" for c in channels), "time"], lines))
+    parts += [
+        f"{stage.name}{f' of member {i}' if len(members) > 1 else ''}: {stage.remark}"
+        for i, m in enumerate(members)
+        for stage in m.stages
+        if stage.remark
+    ]
     parts += [f"warning: {warning}" for warning in run.fit.warnings]
     return "\n\n".join(parts)

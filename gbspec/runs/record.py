@@ -14,7 +14,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
-from gbspec.runs.typed_json import JsonError, decode, encode, read_object
+from gbspec.runs.typed_json import OMITTED, JsonError, decode, encode, read_object
 from gbspec.version import __version__
 
 Option = str | int | float | bool | None
@@ -50,12 +50,16 @@ class ConstantRecord:
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage of a member's training; the loss is None if it is not finite or the stage did not begin."""
+    """A stage of a member's training; the loss is None if it is not finite or the stage did not begin.
+
+    `remark` says in words what the stage did, if its numbers do not.
+    """
 
     name: str
     iterations: int
     loss: float | None
     seconds: float
+    remark: str | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

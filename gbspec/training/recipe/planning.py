@@ -16,7 +16,7 @@ from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts import Search
+from gbspec.training.starts import PATIENCE, Search
 
 ENOUGH: Mapping[Effort, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
 """Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the standard
@@ -143,7 +143,8 @@ class _Planner:
         context, parameters = self.context, self.parameters
 
         def make(reached: Reached) -> Stage:
-            return Search(context.engine(parameters, blend), context.seed)
+            forced = context.engine(parameters, 1.0) if blend == 0.0 else None
+            return Search(context.engine(parameters, blend), forced, context.seed, context.options.effort)
 
         def believed(reached: Reached) -> bool:
             """Whether initial values are single measurements of noisy data."""
@@ -156,7 +157,7 @@ class _Planner:
 
         released = self._at(0.0, 1.0, self.released)
         return [
-            Planned(StageName.SEARCH, 1, make),
+            Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
         ]

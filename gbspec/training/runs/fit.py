@@ -214,7 +214,10 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     """The record completed by the results of the members, of which there is at least one."""
     ordered = [results[k] for k in sorted(results)]
     ended = [
-        (member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants, r.sd)
+        (member, k, bound)
+        for member, r in sorted(results.items())
+        if r.loss > EXACT  # nothing holds back a fit without residuals
+        for k, bound in at_bounds(model, r.constants, r.sd)
     ]
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")

@@ -224,7 +224,9 @@ class _Runner:
         position.seconds = time.monotonic() - self._began
         constants = self._constants(position.theta)
         position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
-        position.stages[-1] = StageRecord(stage.name, position.iteration, outcome.loss, stage_seconds)
+        position.stages[-1] = StageRecord(
+            stage.name, position.iteration, outcome.loss, stage_seconds, outcome.remark or None
+        )
         self._score()
         names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]
         self.progress.update(
@@ -237,6 +239,7 @@ class _Runner:
                 position.seconds,
                 self._seconds_left(stage, stage_seconds),
                 dict(zip(names, constants, strict=True)),
+                outcome.remark,
             )
         )
 
