@@ -37,14 +37,28 @@ class DataRecord:
 
 
 @dataclass(frozen=True)
+class OwnRecord:
+    """A trajectory's value of a constant per trajectory, like that of a shared constant."""
+
+    value: float
+    sd: float | None
+    interval: tuple[float, float] | None
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ConstantRecord:
-    """A learned constant, in its unit: mean over members, standard deviation, 90 % interval (None: not known)."""
+    """A learned constant, in its unit: mean over members, standard deviation, 90 % interval (None: not known).
+
+    A constant per trajectory has its mean over the trajectories here, and their values by label in `per_trajectory`.
+    """
 
     value: float
     sd: float | None
     interval: tuple[float, float] | None
     start: float
     per_member: tuple[float, ...]
+    per_trajectory: Mapping[str, OwnRecord] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -1,5 +1,4 @@
 from .arrivals import Integers as Integers
-from .bounds import LOGARITHMIC_FROM as LOGARITHMIC_FROM
 from .bounds import STRETCH as STRETCH
 from .bounds import Bijection as Bijection
 from .bounds import Bijections as Bijections

@@ -4,7 +4,7 @@ The optimiser works with `u`, and the constant is the map at `STRETCH * u`: a un
 because constants are few and their starting values are more often far off than those of weights.
 
 - Two-sided bounds use the logistic function: on the scale of logarithms if both bounds have the same sign and are far
-  apart (from `LOGARITHMIC_FROM` on), since such a range says that the order of magnitude is unknown, else linearly.
+  apart (`Range.logarithmic`), since such a range says that the order of magnitude is unknown, else linearly.
 - One-sided bounds use the exponential function of the distance from the bound.
 - Without bounds the map is the identity, scaled by the starting value.
 - A constant that *starts* on its bound would have no derivative there, since all of these reach a bound at infinite `u`
@@ -23,11 +23,9 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir import Learnable
+from gbspec.ir import Learnable, Range
 
 STRETCH = 3.0
-LOGARITHMIC_FROM = 100.0
-"""Ratio of two bounds of the same sign from which their logarithms are used, as for default starting values."""
 EDGE = 1e-12
 """Distance from the bound, as a fraction of the range, at which a constant begins whose starting value is on the bound:
 the derivative of its map is about the root of this."""
@@ -71,9 +69,7 @@ class Bijection:
     @property
     def logarithmic(self) -> bool:
         """Whether logarithms of the (two, far apart) bounds are used."""
-        if not self.two_sided or self.low * self.high <= 0:
-            return False
-        return max(self.low / self.high, self.high / self.low) >= LOGARITHMIC_FROM
+        return Range(self.low, self.high).logarithmic
 
     @property
     def width(self) -> float:

@@ -287,7 +287,7 @@ class _Planner:
         def make(reached: Reached) -> Stage:
             return InitialStates(name.value, self.context.engine(layout, blend), self.context.seed)
 
-        return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any()))
+        return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any() or layout.own))
 
     def _adam(self, epochs: int, wanted: Decision = always) -> Planned:
         def make(reached: Reached) -> Stage:

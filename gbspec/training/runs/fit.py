@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gbspec.arrays import Array
 from gbspec.backends import INTERFACE, generate, load_module
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import finite
-from gbspec.ir import METHODS, Model
-from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, files, read_record
+from gbspec.ir import METHODS, Learnable, Model
+from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, OwnRecord, Run, files, read_record
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijection
@@ -221,6 +222,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     ]
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
+    own = own_records(model, ordered)
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     bounds = [
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
@@ -228,7 +230,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     ]
     return replace(
         record,
-        constants={k.name: _constant(k.name, k.start, ordered) for k in model.learnables},
+        constants={k.name: _constant(k, ordered, own.get(k.name)) for k in model.learnables},
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(map(_member, ordered)),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
@@ -253,15 +255,38 @@ def _member(result: MemberResult) -> MemberRecord:
     return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages)
 
 
-def _constant(name: str, start: float, results: list[MemberResult]) -> ConstantRecord:
+def _constant(learnable: Learnable, results: list[MemberResult], own: Mapping[str, OwnRecord] | None) -> ConstantRecord:
     """Mean over members, standard deviation (within and between members), and a 90 % interval."""
-    values = np.array([r.constants[name] for r in results])
-    within = np.array([r.sd[name] for r in results])
+    values = np.array([r.constants[learnable.name] for r in results])
+    center, sd, interval = _estimate(values, np.array([r.sd[learnable.name] for r in results]))
+    return ConstantRecord(center, sd, interval, learnable.start, tuple(map(float, values)), own)
+
+
+def _estimate(values: Array, within: Array) -> tuple[float, float | None, tuple[float, float] | None]:
+    """The mean of the members' values, its standard deviation from those `within` members, and a 90 % interval."""
     between = values.var(ddof=1) if len(values) > 1 else 0.0
     sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
     center = float(values.mean())
-    interval = (center - 1.645 * sd, center + 1.645 * sd) if math.isfinite(sd) else None
-    return ConstantRecord(center, finite(sd), interval, start, tuple(map(float, values)))
+    return center, finite(sd), (center - 1.645 * sd, center + 1.645 * sd) if math.isfinite(sd) else None
+
+
+def own_records(model: Model, results: list[MemberResult]) -> dict[str, dict[str, OwnRecord]]:
+    """The constants per trajectory by name, and by the labels of the trajectories that all members were fitted to."""
+    common = [label for label in results[0].labels if all(label in r.labels for r in results)]
+    out: dict[str, dict[str, OwnRecord]] = {}
+    for j, learnable in enumerate(k for k in model.learnables if k.per_trajectory):
+        records = out[learnable.name] = {}
+        for label in common:
+            rows = [(r, r.labels.index(label)) for r in results]
+            values, within = (np.array([getattr(r, name)[row, j] for r, row in rows]) for name in ("own", "own_sd"))
+            center, sd, interval = _estimate(values, within)
+            records[label] = OwnRecord(center, sd, interval and _inside(interval, learnable))
+    return out
+
+
+def _inside(interval: tuple[float, float], learnable: Learnable) -> tuple[float, float]:
+    """The part of an interval that lies within a constant's bounds."""
+    return max(interval[0], learnable.range.low), min(interval[1], learnable.range.high)
 
 
 def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:

@@ -302,6 +302,8 @@ class _Runner:
         for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
             result.sd[name] = float(deviation)
         result.correlations = position.certainty.correlations
+        if position.certainty.own.shape == result.own_sd.shape:
+            result.own_sd = position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
@@ -310,7 +312,8 @@ class _Runner:
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
         arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
-        arrays |= {"deviations": position.certainty.deviations, "correlations": position.certainty.correlations}
+        certainty = position.certainty
+        arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = Remarks(
@@ -354,7 +357,12 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         iteration=remarks.iteration,
         state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
         entry=arrays["entry"],
-        certainty=Certainty(arrays["deviations"], arrays["correlations"], float.fromhex(remarks.exact.freedom)),
+        certainty=Certainty(
+            arrays["deviations"],
+            arrays["correlations"],
+            float.fromhex(remarks.exact.freedom),
+            arrays.get("own", np.zeros((0, 0))),
+        ),
         theta=arrays["theta"],
         best=arrays["best"],
         best_score=float.fromhex(remarks.exact.best_score),

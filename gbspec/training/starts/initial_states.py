@@ -135,12 +135,12 @@ def keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple[
     return out, np.where(better, trial, losses)
 
 
-def polish(engine: Engine, theta: Array, losses: Array) -> Array:
+def polish(engine: Engine, theta: Array, losses: Array, steps: int = POLISH_STEPS) -> Array:
     """The vector with the trajectories' blocks improved by damped steps, each block with its own damping."""
     parameters = engine.parameters
     n, width = parameters.trajectories, parameters.n_local
     damping = np.full(n, 1e-2)
-    for _ in range(POLISH_STEPS):
+    for _ in range(steps):
         system = linearise(engine, theta, only_local=True)
         if len(system.owner) == 0 or not np.isfinite(system.residuals.numpy()).all():
             break

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, explain_failure, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import mean_loss
 from gbspec.training.stages import Effort, StageName
-from gbspec.training.starts.draws import sobol, spread_over_ranges
 from gbspec.training.starts.own_constants import refit_own
 
 SAME, CLOSE = 1e-3, 1e-10
@@ -29,7 +29,9 @@ OPTIONS = LevenbergOptions(robust=False, tolerance=1e-4, damping=1e-1, enough=1e
 WORK = 2e7
 """Sub-steps times columns over which the improvements of all starts may extend, so that large data get fewer starts."""
 FEWEST = 6
-"""Starts that are improved however large the data are."""
+"""Starts that are drawn and improved however large the data are."""
+LARGEST = 10**7
+"""Largest number of entries of all draws."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,8 @@ class Search:
     def _candidates(self, theta: Array) -> Array:
         """The given vector, the declared starting values, and draws [n, size]; learned initial states are drawn too, in
         every other draw."""
-        parameters, count = self.parameters, self.patience.draws
+        parameters = self.parameters
+        count = int(np.clip(LARGEST // parameters.size, FEWEST, self.patience.draws))
         declared = parameters.vector(parameters.natural(theta))
         declared[parameters.n_shared :] = self._blocks(theta, declared).ravel()
         learnables = parameters.model.learnables

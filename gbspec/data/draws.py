@@ -8,7 +8,6 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.ir import Learnable
-from gbspec.training.problem import Bijection
 
 DECADES = 4.0
 """A linear range that touches 0 is also drawn from on a scale of logarithms, over this many decades below its end."""
@@ -39,20 +38,21 @@ def spread_over_ranges(learnables: tuple[Learnable, ...], points: Array) -> Arra
 
 def _quantiles(learnable: Learnable, q: Array) -> Array:
     """The values of a constant at quantiles."""
-    scale, low, high, start = Bijection.of(learnable), learnable.range.low, learnable.range.high, learnable.start
+    bounds, low, high, start = learnable.range, learnable.range.low, learnable.range.high, learnable.start
+    unit = abs(start) or 1.0
     if learnable.prior is not None:
         return _of_prior(learnable, q)
-    if scale.logarithmic:
-        return np.asarray(low * np.exp(scale.width * q), dtype=np.float64)
-    if scale.two_sided:
+    if bounds.logarithmic:
+        return np.asarray(low * (high / low) ** q, dtype=np.float64)
+    if bounds.bounded:
         # One half of the draws is uniform; the other one covers orders of magnitude, seen from 0 or from the start.
         inner = np.where(q < 0.5, 2 * q, 2 * q - 1)
-        return np.where(q < 0.5, low + scale.width * inner, _magnitudes(scale, inner))
+        return np.where(q < 0.5, low + (high - low) * inner, _magnitudes(learnable, inner))
     if math.isfinite(low):
-        return np.asarray(low + scale.scale * _factor(q), dtype=np.float64)
+        return np.asarray(low + unit * _factor(q), dtype=np.float64)
     if math.isfinite(high):
-        return np.asarray(high - scale.scale * _factor(q), dtype=np.float64)
-    return np.asarray(start + scale.scale * np.tan(np.pi * (q - 0.5)), dtype=np.float64)
+        return np.asarray(high - unit * _factor(q), dtype=np.float64)
+    return np.asarray(start + unit * np.tan(np.pi * (q - 0.5)), dtype=np.float64)
 
 
 def _factor(q: Array) -> Array:
@@ -60,16 +60,17 @@ def _factor(q: Array) -> Array:
     return np.asarray(10.0 ** (SPREAD * np.log(q / (1 - q))), dtype=np.float64)
 
 
-def _magnitudes(scale: Bijection, q: Array) -> Array:
+def _magnitudes(learnable: Learnable, q: Array) -> Array:
     """Values of many orders of magnitude in a linear range: from an end that is 0, else around the start."""
-    if scale.low == 0:
-        lowest = min(10**-DECADES, 0.01 * max(scale.start / scale.high, 1e-12))
-        return np.asarray(scale.high * lowest ** (1 - q), dtype=np.float64)
-    if scale.high == 0:
-        lowest = min(10**-DECADES, 0.01 * max(scale.start / scale.low, 1e-12))
-        return np.asarray(scale.low * lowest**q, dtype=np.float64)
-    unit = min(scale.scale, 0.25 * scale.width)
-    return np.asarray(scale.start + unit * np.tan(np.pi * (q - 0.5)), dtype=np.float64)
+    low, high, start = learnable.range.low, learnable.range.high, learnable.start
+    if low == 0:
+        lowest = min(10**-DECADES, 0.01 * max(start / high, 1e-12))
+        return np.asarray(high * lowest ** (1 - q), dtype=np.float64)
+    if high == 0:
+        lowest = min(10**-DECADES, 0.01 * max(start / low, 1e-12))
+        return np.asarray(low * lowest**q, dtype=np.float64)
+    unit = min(abs(start) or 1.0, 0.25 * (high - low))
+    return np.asarray(start + unit * np.tan(np.pi * (q - 0.5)), dtype=np.float64)
 
 
 def _of_prior(learnable: Learnable, q: Array) -> Array:
