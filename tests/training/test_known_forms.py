@@ -125,6 +125,30 @@ def test_a_constant_without_influence_at_its_start_is_found(tmp_path: Path) -> N
     assert search.remark is not None and "the best minimum found" in search.remark
 
 
+OSCILLATOR = """model driven
+time t from 0
+state x
+state v
+learn a in [1e-3, 1e3]
+learn w in [1e-3, 1e3]
+x' = v
+v' = -x + a*cos(w*t)
+initial x = 1
+initial v = 0
+observe x
+"""
+
+
+def test_the_search_goes_on_while_residuals_follow_one_another(tmp_path: Path) -> None:
+    """Most starts lead to a frequency that is wrong, and to the same minimum."""
+    times = np.linspace(0.25, 12, 48)
+    forced = 0.8 / (1 - 1.3**2) * (np.cos(1.3 * times) - np.cos(times))
+    values = np.cos(times) + forced + 0.02 * np.random.default_rng(0).standard_normal(len(times))
+    data = Trajectories((trajectory("1", 0.0, times, values[:, None], []),), ("x",))
+    fit = train(model_of(OSCILLATOR), data, TrainOptions(threads=1), tmp_path / "r").fit
+    assert [fit.constants[name].value for name in "aw"] == pytest.approx([0.8, 1.3], rel=0.05)
+
+
 def test_draws_that_blow_up_are_discarded(tmp_path: Path) -> None:
     """Growth without bound from nearly all constants that the bounds allow, the declared ones among them."""
     text = DECAY.replace("-k*x", "k*x^2 - x").format(start="1e3")

@@ -7,6 +7,7 @@ step, until the best minimum has been found several times or the effort is spent
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,9 +16,9 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Engine, explain_failure, residual_vector
+from gbspec.training.engines import Engine, explain_failure, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
-from gbspec.training.problem import mean_loss
+from gbspec.training.problem import Problem, mean_loss
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts.own_constants import refit_own
 
@@ -30,6 +31,11 @@ WORK = 2e7
 """Sub-steps times columns over which the improvements of all starts may extend, so that large data get fewer starts."""
 FEWEST = 6
 """Starts that are drawn and improved however large the data are."""
+FOLLOWING = 0.3
+"""Residuals follow one another if their correlation with the next ones is this, and twice its standard error, above 0:
+a minimum with such residuals is either wrong, or the model cannot follow the data."""
+FOLLOWED = 1e-7
+"""Mean loss up to which a minimum is good whatever its residuals: they are less than 0.05 % of the deviations."""
 LARGEST = 10**7
 """Largest number of entries of all draws."""
 
@@ -37,7 +43,7 @@ LARGEST = 10**7
 @dataclass(frozen=True)
 class Patience:
     """The effort of a search: `draws`, of which at most `improved` are improved; at least `least` are, and the search
-    ends when the best minimum has been found `times` times."""
+    ends when the best minimum has been found `times` times, unless its residuals follow one another."""
 
     draws: int
     improved: int
@@ -47,14 +53,27 @@ class Patience:
 
 PATIENCE: Mapping[Effort, Patience] = {
     "low": Patience(64, 8, 4, 2),
-    "normal": Patience(256, 32, 8, 3),
-    "high": Patience(1024, 128, 24, 6),
+    "normal": Patience(256, 64, 8, 3),
+    "high": Patience(1024, 192, 24, 6),
 }
 
 
 def starts_within(patience: Patience, substeps: int, columns: int) -> int:
     """The largest number of starts that are improved for data with `substeps` sub-steps."""
     return int(np.clip(WORK / max(substeps * (columns + 10), 1), min(FEWEST, patience.improved), patience.improved))
+
+
+def followed(residuals: Array, problem: Problem) -> bool:
+    """Whether residuals [R, C] are correlated with the next ones of the same trajectory and channel."""
+    packed = problem.packed
+    order = np.lexsort((packed.row_index, packed.row_trajectory))
+    ours, seen, owner = residuals[order], problem.seen[order], packed.row_trajectory[order]
+    both = seen[1:] & seen[:-1] & (owner[1:] == owner[:-1])[:, None]
+    count, squares = int(both.sum()), float(np.sum(ours[seen] ** 2)) / max(int(seen.sum()), 1)
+    if not count or not np.isfinite(squares) or squares == 0:
+        return False
+    correlation = float(np.sum((ours[1:] * ours[:-1])[both])) / count / squares
+    return correlation > FOLLOWING + 2 / math.sqrt(count)
 
 
 class Search:
@@ -100,7 +119,7 @@ class Search:
             theta, best = vector, reached
         found = np.append(state["found"], reached)
         count = int(np.sum(found <= best * (1 + SAME) + CLOSE))
-        enough = len(found) >= self.patience.least and count >= self.patience.times
+        enough = len(found) >= self.patience.least and count >= self.patience.times and self._plausible(theta, best)
         done = enough or iteration + 1 >= len(starts)
         if done:
             theta, best = self._best_of_own(theta, best)
@@ -110,6 +129,10 @@ class Search:
         )
         new: State = state | {"theta": theta, "best": np.array(best), "found": found}
         return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, remark=remark)
+
+    def _plausible(self, theta: Array, best: float) -> bool:
+        """Whether the residuals at a vector look like noise."""
+        return best <= FOLLOWED or not followed(residual_table(self.engine, theta), self.engine.problem)
 
     # ---------------------------------------------------------------- starts
     def _candidates(self, theta: Array) -> Array:
