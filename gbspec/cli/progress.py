@@ -38,6 +38,8 @@ def line(update: Update) -> str:
     """The text of one iteration."""
     parts = [f"{update.stage} {update.iteration}/{update.total}", f"loss {number(update.loss)}"]
     parts += [f"{name} {number(value, 5)}" for name, value in update.constants.items()]
+    if update.remark:
+        parts.append(update.remark)
     if update.seconds_left is not None:
         parts.append(f"{clock(update.seconds_left)} left")
     return f"[{update.member}] " + ", ".join(parts)

@@ -5,6 +5,8 @@ from .cases import MetricsOptions as MetricsOptions
 from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
 from .columns import TRAJECTORY as TRAJECTORY
+from .draws import sobol as sobol
+from .draws import spread_over_ranges as spread_over_ranges
 from .fingerprints import fingerprint as fingerprint
 from .naive import Naive as Naive
 from .naive import naive_predictors as naive_predictors

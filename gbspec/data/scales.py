@@ -10,8 +10,9 @@ averages, 0 where nothing was measured. The scale of a channel is
   residuals are in units of the data's standard deviation and the stated noises determine the channels' relative
   weights. An entry with its own standard deviation has its own scale.
 
-In a model whose functions are all known, channels that have the same unit and no stated noise share one scale: the fit
-is then the ordinary least squares of textbooks.
+In a model whose functions are all known, channels that declare the same unit and no noise share one scale: the fit is
+then the ordinary least squares of textbooks. Nothing is known about channels without units (a voltage may stand beside
+a temperature), so each has its own scale.
 """
 
 from __future__ import annotations
@@ -67,11 +68,18 @@ def scales_of(model: Model, trajectories: Trajectories) -> Scales:
     level = float(np.mean(stated[known] / deviation[known])) if known.any() else 1.0
     channel = np.where(known, np.where(known, stated, 1.0) / level, deviation)
     if model.complete:
-        free = np.flatnonzero(~known).tolist()
+        units = [_unit(model, i) for i in range(len(known))]
+        free = [i for i in np.flatnonzero(~known).tolist() if units[i] is not None]
         for i in free:
-            alike = [j for j in free if model.channels[j].unit == model.channels[i].unit]
+            alike = [j for j in free if units[j] == units[i]]
             channel[i] = float(np.sqrt(np.mean(deviation[alike] ** 2)))
     return Scales(log, channel, deviation, level, level if known.all() and level > 0 else None)
+
+
+def _unit(model: Model, index: int) -> str | None:
+    """The declared unit of a channel, or of the state that it measures; None if none is declared."""
+    channel = model.channels[index]
+    return channel.unit if channel.unit or channel.state is None else model.states[channel.state].unit
 
 
 def _stated(model: Model, trajectories: Trajectories) -> Array:

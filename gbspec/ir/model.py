@@ -35,6 +35,11 @@ def unknown_function(name: str) -> type[sympy.Function]:
     return sympy.Function(name, real=True)  # type: ignore[no-any-return]
 
 
+LOGARITHMIC_FROM = 100.0
+"""Ratio of two bounds of the same sign from which logarithms are the scale of a constant, as for default starting
+values."""
+
+
 @dataclass(frozen=True)
 class Range:
     """A closed interval; either end may be infinite."""
@@ -46,6 +51,13 @@ class Range:
     def bounded(self) -> bool:
         """Whether both ends are finite."""
         return math.isfinite(self.low) and math.isfinite(self.high)
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether the bounds say that an order of magnitude is unknown: two of one sign, far apart."""
+        if not self.bounded or self.low * self.high <= 0:
+            return False
+        return max(self.low / self.high, self.high / self.low) >= LOGARITHMIC_FROM
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from gbspec.report.content import (
     History,
     LearnedConstant,
     Orbit,
+    OwnConstant,
     Residuals,
     TrajectoryFit,
 )
@@ -191,6 +192,20 @@ def constants(run: Run) -> tuple[LearnedConstant, ...]:
         LearnedConstant(name, entry.value, entry.interval, entry.per_member, entry.start, truths.get(name))
         for name, entry in run.fit.constants.items()
     )
+
+
+def own_constants(run: Run) -> tuple[OwnConstant, ...]:
+    """The constants per trajectory of `fit.json`."""
+    truths = {t.name: t.value for t in run.model.truth_constants}
+    units = {k.name: k.unit or "" for k in run.model.learnables}
+    out = []
+    for name, entry in run.fit.constants.items():
+        own = entry.per_trajectory
+        if own:
+            values = np.array([one.value for one in own.values()])
+            ends = np.array([one.interval or (math.nan, math.nan) for one in own.values()]).T
+            out.append(OwnConstant(name, tuple(own), values, ends[0], ends[1], units.get(name, ""), truths.get(name)))
+    return tuple(out)
 
 
 def history(run: Run) -> tuple[History, ...]:

@@ -98,6 +98,20 @@ class LearnedConstant:
 
 
 @dataclass(frozen=True)
+class OwnConstant:
+    """A constant per trajectory: the `values` [N] and 90 % intervals `low` to `high` [N] (NaN: not known) of the
+    trajectories `labels`."""
+
+    name: str
+    labels: tuple[str, ...]
+    values: Array
+    low: Array
+    high: Array
+    unit: str = ""
+    truth: float | None = None
+
+
+@dataclass(frozen=True)
 class History:
     """One member's training: `seconds` [N] (cumulative), `loss` [N], the name of the `stage` of each, and the
     constants."""

@@ -28,7 +28,8 @@ class Kind:
     """A kind of figure: `name` for `gbspec plot`, its `help`, and the `module` that builds it.
 
     `heading` and `note` are those of its section on the page (without a heading it has none), `section` is the
-    section's id where it is not the name. `also` are other names for `gbspec plot`.
+    section's id where it is not the name; that of an `optional` one is left out where there is nothing to show. `also`
+    are other names for `gbspec plot`.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Kind:
     note: str = ""
     section: str = ""
     also: tuple[str, ...] = ()
+    optional: bool = False
 
     @property
     def id(self) -> str:
@@ -70,6 +72,15 @@ KINDS = (
         also=("function",),
     ),
     Kind("constants", "learned constants with intervals", f"{_HERE}.constants", also=("constant",)),
+    Kind(
+        "per-trajectory",
+        "the constants that each trajectory has for itself, with intervals",
+        f"{_HERE}.per_trajectory",
+        heading="Constants of single trajectories",
+        note="Values with 90 % intervals, given the other parameters' uncertainty.",
+        also=("own",),
+        optional=True,
+    ),
     Kind(
         "parity",
         "the right-hand side, learned against true",

@@ -126,6 +126,31 @@ def _left(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True)).rstrip() for line in lines)
 
 
+SHOWN = 40
+"""Trajectories whose constants are in a summary; all are in `fit.json`, the report and `plot RUN per-trajectory`."""
+
+
+def _own_constants(run: Run) -> list[str]:
+    """A table of the constants per trajectory, one line for each trajectory, and what is left out."""
+    own = {name: entry.per_trajectory for name, entry in run.fit.constants.items() if entry.per_trajectory}
+    labels = list(dict.fromkeys(label for values in own.values() for label in values))
+    if not labels:
+        return []
+    lines = []
+    for label in labels[:SHOWN]:
+        cells = [label]
+        for values in own.values():
+            one = values.get(label)
+            between = one.interval if one is not None else None
+            cells.append(number(one.value if one is not None else None, 5))
+            cells.append(f"{number(between[0], 3)} to {number(between[1], 3)}" if between else "-")
+        lines.append(cells)
+    header = ["trajectory", *(word for name in own for word in (name, "interval"))]
+    more = len(labels) - SHOWN
+    left_out = [f"and {more} more trajectories, in fit.json and `gbspec plot {run.path} per-trajectory`"]
+    return [table(header, lines)] + (left_out if more > 0 else [])
+
+
 def run_summary(run: Run) -> str:
     """A run in a few lines: constants with their standard deviation and interval, errors of each member, warnings."""
     parts = [f"{run.model.name}: {run.model.title}" if run.model.title else run.model.name]
@@ -138,11 +163,18 @@ def run_summary(run: Run) -> str:
         header = ["constant", "value", "sd", "interval", "truth"]
         keep = header if truths else header[:-1]
         parts.append(table(keep, [row[: len(keep)] for row in rows]))
+    parts += _own_constants(run)
     members = run.fit.members
     if members:
         lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
         parts.append(table(["member", "loss", "time"], lines))
         parts.append(_channels(members))
+    parts += [
+        f"{stage.name}{f' of member {i}' if len(members) > 1 else ''}: {stage.remark}"
+        for i, m in enumerate(members)
+        for stage in m.stages
+        if stage.remark
+    ]
     parts += [f"warning: {warning}" for warning in run.fit.warnings]
     return "\n\n".join(parts)
 

@@ -11,6 +11,7 @@ from .record import DataRecord as DataRecord
 from .record import FitRecord as FitRecord
 from .record import MemberRecord as MemberRecord
 from .record import Option as Option
+from .record import OwnRecord as OwnRecord
 from .record import ScalesRecord as ScalesRecord
 from .record import StageRecord as StageRecord
 from .record import StepRecord as StepRecord

@@ -41,25 +41,43 @@ class DataRecord:
 
 
 @dataclass(frozen=True)
+class OwnRecord:
+    """A trajectory's value of a constant per trajectory, like that of a shared constant."""
+
+    value: float
+    sd: float | None
+    interval: tuple[float, float] | None
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ConstantRecord:
-    """A learned constant, in its unit: mean over members, standard deviation, 90 % interval (None: not known)."""
+    """A learned constant, in its unit: mean over members, standard deviation, 90 % interval (None: not known).
+
+    A constant per trajectory has its mean over the trajectories here, and their values by label in `per_trajectory`.
+    """
 
     value: float
     sd: float | None
     interval: tuple[float, float] | None
     start: float
     per_member: tuple[float, ...]
+    per_trajectory: Mapping[str, OwnRecord] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class StageRecord:
-    """A stage of a member's training; the loss is None if it is not finite or the stage did not begin."""
+    """A stage of a member's training; the loss is None if it is not finite or the stage did not begin.
+
+    `remark` says in words what the stage did, if its numbers do not.
+    """
 
     name: str
     iterations: int
     loss: float | None
     seconds: float
+    remark: str | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -13,7 +13,7 @@ class Update:
 
     `total` is the largest number of iterations of the stage; `loss` is the mean over measured values of half the
     squared residual; `constants` are shared learned constants by name; `seconds_left` is an estimate of the time to the
-    end.
+    end; `remark` says in words how far the stage is.
     """
 
     member: int
@@ -24,6 +24,7 @@ class Update:
     seconds: float
     seconds_left: float | None = None
     constants: Mapping[str, float] = field(default_factory=dict)
+    remark: str = ""
 
 
 class Progress(Protocol):

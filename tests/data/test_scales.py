@@ -80,11 +80,20 @@ def test_a_standard_deviation_is_in_the_unit_of_its_value_also_where_logarithms_
 
 
 def test_channels_of_a_unit_share_a_scale_where_all_functions_are_known() -> None:
-    scales = scales_of(three(complete=True), table())
+    def in_grams(*noise: str) -> Model:
+        states = "time t : s\nstate x : g in [0, 5]\nconst k : 1/s = 1\nx' = -k*x"
+        text = TEXT.replace("state x in [0, 5]\nx' = -x{term}", states).replace("*x{", "*x : g{")
+        return model_of(text.format(*(noise or ("", "", ""))))
+
+    scales = scales_of(in_grams(), table())
     assert scales.channel == pytest.approx([np.sqrt(np.mean(spread() ** 2))] * 3)
-    noisy = scales_of(three("", " noise normal(1)", "", complete=True), table())
+    noisy = scales_of(in_grams("", " noise normal(1)", ""), table())
     shared = np.sqrt((spread()[0] ** 2 + spread()[2] ** 2) / 2)
     assert noisy.channel == pytest.approx([shared, spread()[1], shared])
+
+
+def test_channels_without_units_have_scales_of_their_own() -> None:
+    assert scales_of(three(complete=True), table()).channel == pytest.approx(spread())
 
 
 def test_the_weight_is_the_square_root_of_the_number_averaged() -> None:

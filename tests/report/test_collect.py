@@ -180,7 +180,10 @@ def test_the_liveliest_trajectory_changes_most(data: Trajectories) -> None:
     assert liveliest(replace(data, items=(*data.items[:2], wild))) == 2
 
 
-@pytest.mark.parametrize("kind", [kind.name for kind in KINDS if kind.name not in ("history", "initial-states")])
+NOT_THERE = ("history", "initial-states", "per-trajectory")
+
+
+@pytest.mark.parametrize("kind", [kind.name for kind in KINDS if kind.name not in NOT_THERE])
 def test_every_kind_is_drawn(run: Run, data: Trajectories, kind: str) -> None:
     assert draw(kind, run, data).axes
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import gbspec
-from gbspec.training.runs.fit import at_bounds, inside_bounds
+from gbspec.training.runs.constants import at_bounds, inside_bounds
 
 TEXT = """\
 model m
@@ -52,3 +52,13 @@ def test_a_narrow_interval_is_symmetrical(tmp_path: Path, bounds: str) -> None:
     (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", f"k = 0.5 {bounds}"))
     (learnable,) = gbspec.load(tmp_path / "m.gb").model.learnables
     assert inside_bounds(learnable, 0.8, 1e-4) == pytest.approx((0.8 - 1.645e-4, 0.8 + 1.645e-4), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("k", "wanted"), [(0.5, []), (1.001e-5, []), (1e-5, [("k", 1e-5)]), (9.9e4, []), (1e5, [("k", 1e5)])]
+)
+def test_far_apart_bounds_are_reached_on_the_scale_of_logarithms(
+    tmp_path: Path, k: float, wanted: list[tuple[str, float]]
+) -> None:
+    (tmp_path / "m.gb").write_text(TEXT.replace("k = 1 in [0, 2]", "k in [1e-5, 1e5] = 0.03"))
+    assert at_bounds(gbspec.load(tmp_path / "m.gb").model, {"k": k}) == wanted

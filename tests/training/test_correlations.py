@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gbspec
-from gbspec.training.runs.fit import moving_together
+from gbspec.training.runs.constants import moving_together
 
 LINE = """\
 model line

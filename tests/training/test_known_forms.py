@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from gbspec.data.table import read
-from gbspec.diagnostics import Findings
+from gbspec.data.trajectories import Trajectories
+from gbspec.diagnostics import ComputationError, Findings
 from gbspec.training import TrainOptions, train
-from tests.training.conftest import model_of
+from tests.training.conftest import model_of, trajectory
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -38,11 +39,11 @@ initial y2 = 0
 initial y3 = 0
 initial y4 = 0
 initial y5 = 0
-observe y1
-observe y2
-observe y3
-observe y4
-observe y5
+observe y1 noise normal(1)
+observe y2 noise normal(1)
+observe y3 noise normal(1)
+observe y4 noise normal(1)
+observe y5 noise normal(1)
 """
 
 GAS_OIL = """model gas_oil
@@ -56,8 +57,8 @@ y1' = -(k1 + k3)*y1^2
 y2' = k1*y1^2 - k2*y2
 initial y1 = 1
 initial y2 = 0
-observe y1
-observe y2
+observe y1 noise normal(1)
+observe y2 noise normal(1)
 """
 
 
@@ -78,3 +79,89 @@ def test_reaches_the_published_sum_of_squares(text: str, table: str, expected: f
     rmse = run.fit.members[0].rmse
     total = sum(n * rmse[name] ** 2 for n, name in zip(counts, data.channels, strict=True))
     assert total == pytest.approx(expected, rel=1e-4)
+
+
+DECAY = """model decay
+time t from 0
+state x
+learn k in [1e-5, 1e5] = {start}
+x' = -k*x
+initial x = 1
+observe x
+"""
+
+
+@pytest.mark.parametrize("start", ["0.03", "2e-5", "1e-5", "1e5"])
+def test_exact_data_give_the_exact_constant_from_any_start(start: str, tmp_path: Path) -> None:
+    times = np.linspace(0.1, 3, 30)
+    data = Trajectories((trajectory("1", 0.0, times, np.exp(-0.5 * times)[:, None], []),), ("x",))
+    fit = train(
+        model_of(DECAY.format(start=start)), data, TrainOptions(effort="low", max_step=0.01), tmp_path / "r"
+    ).fit
+    assert fit.constants["k"].value == pytest.approx(0.5, rel=1e-8)
+    assert fit.constants["k"].start == pytest.approx(float(start), rel=1e-11)
+    assert not [warning for warning in fit.warnings if "bound" in warning]
+
+
+THRESHOLD = """model threshold
+time t from 0
+state x
+learn level in [0, 10] = 9.9
+learn gain in [1e-3, 1e3]
+x' = gain*max(x - level, 0) - x
+initial x = 8
+observe x
+"""
+
+
+def test_a_constant_without_influence_at_its_start_is_found(tmp_path: Path) -> None:
+    """At the start the threshold is never reached, so that nothing depends on it."""
+    times = np.linspace(0.1, 3, 30)
+    values = 8 * np.exp(-0.5 * times)  # level 0, gain 1/2
+    data = Trajectories((trajectory("1", 0.0, times, values[:, None], []),), ("x",))
+    fit = train(model_of(THRESHOLD), data, TrainOptions(max_step=0.05), tmp_path / "r").fit
+    assert fit.members[0].rmse["x"] is not None and fit.members[0].rmse["x"] < 1e-4
+    (search,) = [stage for stage in fit.members[0].stages if stage.name == "search"]
+    assert search.remark is not None and "the best minimum found" in search.remark
+
+
+OSCILLATOR = """model driven
+time t from 0
+state x
+state v
+learn a in [1e-3, 1e3]
+learn w in [1e-3, 1e3]
+x' = v
+v' = -x + a*cos(w*t)
+initial x = 1
+initial v = 0
+observe x
+"""
+
+
+def test_the_search_goes_on_while_residuals_follow_one_another(tmp_path: Path) -> None:
+    """Most starts lead to a frequency that is wrong, and to the same minimum."""
+    times = np.linspace(0.25, 12, 48)
+    forced = 0.8 / (1 - 1.3**2) * (np.cos(1.3 * times) - np.cos(times))
+    values = np.cos(times) + forced + 0.02 * np.random.default_rng(0).standard_normal(len(times))
+    data = Trajectories((trajectory("1", 0.0, times, values[:, None], []),), ("x",))
+    fit = train(model_of(OSCILLATOR), data, TrainOptions(threads=1), tmp_path / "r").fit
+    assert [fit.constants[name].value for name in "aw"] == pytest.approx([0.8, 1.3], rel=0.05)
+
+
+def test_draws_that_blow_up_are_discarded(tmp_path: Path) -> None:
+    """Growth without bound from nearly all constants that the bounds allow, the declared ones among them."""
+    text = DECAY.replace("-k*x", "k*x^2 - x").format(start="1e3")
+    times = np.linspace(0.1, 3, 30)
+    values = 1 / (0.5 + 0.5 * np.exp(times))  # k = 0.5
+    data = Trajectories((trajectory("1", 0.0, times, values[:, None], []),), ("x",))
+    fit = train(model_of(text), data, TrainOptions(effort="low", max_step=0.05), tmp_path / "r").fit
+    assert fit.constants["k"].value == pytest.approx(0.5, rel=1e-4)
+
+
+def test_a_model_that_no_start_solves_says_where_and_why(tmp_path: Path) -> None:
+    text = DECAY.replace("-k*x", "exp(exp(exp(k*x + 10)))").format(start="1")
+    data = Trajectories((trajectory("one", 0.0, [1.0], [[0.5]], []),), ("x",))
+    with pytest.raises(ComputationError, match="cannot be solved from any of 66 starts") as caught:
+        train(model_of(text), data, TrainOptions(effort="low"), tmp_path / "r")
+    assert "x'" in caught.value.what and "`one`" in str(caught.value.where)

@@ -16,7 +16,7 @@ from gbspec.ir.model import Learnable, Range
 from gbspec.training.engines.torch.engine import TorchEngine
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_each, huber_weights
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem.bounds import Bijections
+from gbspec.training.problem.bounds import Bijection, Bijections
 from gbspec.training.problem.packing import pack
 from gbspec.training.problem.scaling import scaling_of
 from gbspec.training.recipe.context import build_context
@@ -28,39 +28,103 @@ from gbspec.training.starts.warm_start import eliminate
 from tests.training.conftest import EVERYTHING, URP, everything_data, model_of, problem_of, trajectory, urp_data
 from tests.training.reference import linearise, solve, whole_jacobian
 
-RANGES = [Range(0, 50), Range(low=0.0), Range(high=3.0), Range(), Range(-2, -1)]
+RANGES = [Range(0, 50), Range(low=0.0), Range(high=3.0), Range(), Range(-2, -1), Range(1e-5, 1e5), Range(-1e3, -1e-2)]
 
 
-@given(st.sampled_from(RANGES), st.floats(-30, 30))
-def test_bounds_hold_whatever_the_optimiser_does(range_: Range, u: float) -> None:
-    bijections = Bijections.of((Learnable("k", start=-1.5 if range_.high < 0 else 1.0, range=range_),))
-    value = float(bijections.to_natural(torch.tensor([u], dtype=torch.float64))[0])
+def bijections_of(range_: Range, start: float) -> Bijections:
+    return Bijections.of((Learnable("k", start=start, range=range_),))
+
+
+def inside(range_: Range) -> float:
+    return -1.5 if range_.high < 0 else 1.0
+
+
+@given(st.sampled_from(RANGES), st.floats(-30, 30), st.booleans())
+def test_bounds_hold_whatever_the_optimiser_does(range_: Range, u: float, at_the_bound: bool) -> None:
+    start = range_.low if at_the_bound and np.isfinite(range_.low) else inside(range_)
+    value = float(bijections_of(range_, start).to_natural(torch.tensor([u], dtype=torch.float64))[0])
     assert range_.low <= value <= range_.high
 
 
 @given(st.sampled_from(RANGES), st.floats(-1.5, 1.5))
 def test_bijections_invert_and_differentiate(range_: Range, u: float) -> None:
-    bijections = Bijections.of((Learnable("k", start=-1.5 if range_.high < 0 else 1.0, range=range_),))
+    bijections = bijections_of(range_, inside(range_))
 
     def natural(x: float) -> float:
         return float(bijections.to_natural(torch.tensor([x], dtype=torch.float64))[0])
 
     assert bijections.from_natural(np.array([natural(u)]))[0] == pytest.approx(u, abs=1e-7)
     slope = (natural(u + 1e-6) - natural(u - 1e-6)) / 2e-6
-    assert bijections.derivative(np.array([u]))[0] == pytest.approx(slope, rel=1e-6, abs=1e-9)
+    assert bijections.derivative(np.array([u]))[0] == pytest.approx(slope, rel=1e-5, abs=1e-9)
 
 
-def test_a_start_on_its_bound_is_moved_inside() -> None:
-    bijections = Bijections.of((Learnable("k", start=0.0, range=Range(0, 10)),))
-    assert np.isfinite(
-        bijections.from_natural(
-            np.array(
-                [
-                    0.0,
-                ]
-            )[None]
-        )
-    ).all()
+@pytest.mark.parametrize(
+    ("range_", "start"),
+    [
+        (Range(1e-5, 1e5), 0.03),
+        (Range(1e-5, 1e5), 1.0001e-5),
+        (Range(0, 1e5), 0.03),
+        (Range(0, 1e9), 1e-3),
+        (Range(0, 1), 1 - 1e-9),
+        (Range(-1e5, 1e5), 0.03),
+        (Range(-1e5, -1e-5), -0.03),
+        (Range(low=0), 0.03),
+        (Range(low=1000), 1000.001),
+        (Range(high=5), 4.99999),
+        (Range(2, 3), 2.0001),
+        (Range(), -7.0),
+    ],
+)
+def test_a_start_is_not_moved(range_: Range, start: float) -> None:
+    bijections = bijections_of(range_, start)
+    u = bijections.from_natural(np.array([start]))
+    rounding = 1e-15 * (range_.high - range_.low) if range_.low * range_.high < 0 else 0.0
+    value = float(bijections.to_natural(torch.from_numpy(u))[0])
+    assert value == pytest.approx(start, rel=1e-12, abs=rounding)
+    assert bijections.derivative(u)[0] != 0
+
+
+@pytest.mark.parametrize(
+    ("range_", "start"),
+    [
+        (Range(0, 10), 0.0),
+        (Range(0, 10), 10.0),
+        (Range(1e-3, 1e3), 1e-3),
+        (Range(1e-3, 1e3), 1e3),
+        (Range(low=0), 0.0),
+        (Range(high=2), 2.0),
+    ],
+)
+def test_a_start_on_its_bound_is_off_it_by_rounding_and_can_leave(range_: Range, start: float) -> None:
+    bijections = bijections_of(range_, start)
+    u = bijections.from_natural(np.array([start]))
+    value = float(bijections.to_natural(torch.from_numpy(u))[0])
+    assert range_.low <= value <= range_.high and value == pytest.approx(start, rel=1e-9, abs=1e-9)
+    slope = abs(bijections.derivative(u)[0])
+    assert slope > 1e-7 * min(abs(start) or 1.0, 1.0)
+    here, damping = abs(1.0 - value), 1e-2
+    for _ in range(60):  # damped steps towards 1
+        slope = bijections.derivative(u)[0]
+        trial = u + slope * (1.0 - value) / (slope**2 + damping)
+        there = float(bijections.to_natural(torch.from_numpy(trial))[0])
+        better = abs(1.0 - there) < here
+        u, value, here = (trial, there, abs(1.0 - there)) if better else (u, value, here)
+        damping *= 0.2 if better else 4.0
+    assert value == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("range_", "logarithmic"),
+    [
+        (Range(1, 99), False),
+        (Range(1, 100), True),
+        (Range(-5, -0.05), True),
+        (Range(0, 1e6), False),
+        (Range(-1, 1e6), False),
+    ],
+)
+def test_ranges_of_two_decades_have_a_logarithmic_scale(range_: Range, logarithmic: bool) -> None:
+    assert Bijection.of(Learnable("k", start=range_.low, range=range_)).logarithmic is logarithmic
 
 
 @pytest.mark.parametrize("ridge", [0.0, 0.02])

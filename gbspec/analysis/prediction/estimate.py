@@ -9,6 +9,7 @@ data do not determine.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import quasirandom_points
 from gbspec.arrays import Array
-from gbspec.data import recognised, scales_of
+from gbspec.data import recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
 
 if TYPE_CHECKING:
@@ -42,7 +43,15 @@ TOLERANCE = 1e-6
 UNSOLVED = 1e3
 """The residuals of a solution that cannot be integrated, in standard deviations of the data."""
 TRIALS = 8
-"""Initial guesses that are compared before the best one is refined."""
+"""Initial guesses around the prior's center that are compared before the best one is refined."""
+INSIDE = 1e-9
+"""Distance of a guess from a bound, in standard deviations."""
+WIDE = 32
+"""Further guesses over the whole ranges of constants that each trajectory has for itself."""
+SCREENED, SCREEN = 12, 4
+"""Then, `SCREENED` guesses are improved with at most `SCREEN` evaluations beside their derivatives,"""
+REFINED, AGREED, SAME = 6, 2, 1e-3
+"""and up to `REFINED` of these further, until `AGREED` have led to the best cost, up to the fraction `SAME`."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +158,6 @@ class Estimator:
         return state
 
     def _estimate(self, item: Trajectory, state: Array, constants: Array, free: tuple[int, ...]) -> Start:
-        from scipy.optimize import least_squares
-
         columns = list(free)
         scale = np.concatenate([self.start_sd(item)[columns], self.own_sd])
         factor = self.scales.factor(item)
@@ -170,17 +177,59 @@ class Estimator:
                 return worst
             return np.concatenate([self.residuals(item, found.channels)[measured], self.pull * z])
 
-        trials = self._trials(len(scale))
         with np.errstate(over="ignore"):  # squares of a diverging solution: its cost is infinite
-            costs = [float(np.sum(errors(z) ** 2)) for z in trials]
-            best = trials[int(np.argmin(costs))]
-            if min(costs) >= float(np.sum(worst**2)):
+            trials = self._trials(scale, constants)
+            costs = np.array([float(np.sum(errors(z) ** 2)) for z in trials])
+            solved = [trials[i] for i in np.argsort(costs, kind="stable") if costs[i] < float(np.sum(worst**2))]
+            if not solved:
                 return Start(state, constants, "failed", "no initial state was found from which it can be integrated")
-            solution = least_squares(errors, best, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=20)
-        return moved(np.asarray(solution.x, dtype=float))
+            return moved(self._refined(errors, solved, self._ends(scale, constants)))
 
-    @staticmethod
-    def _trials(size: int) -> list[Array]:
-        """The guess and points around it, in units of the standard deviation."""
-        around = 3.0 * quasirandom_points(TRIALS, size) - 1.5
-        return [np.zeros(size), *around]
+    def _refined(self, errors: Callable[[Array], Array], trials: list[Array], ends: tuple[Array, Array]) -> Array:
+        """The best of the refined guesses: of the first one alone, if no constants have a range of their own."""
+        if not self.own:
+            return _least(errors, trials[0], ends, 20)[1]
+        # The guesses with the least cost are often merely those with the smallest effect: others are tried too.
+        some = [*trials[: SCREENED // 2], *trials[SCREENED // 2 :: max(len(trials) * 2 // SCREENED - 1, 1)]][:SCREENED]
+        screened = sorted((_least(errors, trial, ends, SCREEN) for trial in some), key=lambda found: found[0])
+        refined: list[tuple[float, Array]] = []
+        for _, near in screened[:REFINED]:
+            refined.append(_least(errors, near, ends, 20))
+            least = min(cost for cost, _ in refined)
+            if sum(cost <= least * (1 + SAME) for cost, _ in refined) >= AGREED:
+                break
+        return min(refined, key=lambda found: found[0])[1]
+
+    def _ends(self, scale: Array, constants: Array) -> tuple[Array, Array]:
+        """The bounds of the unknowns, in standard deviations from the guess; those of constants alone are finite."""
+        low, high = np.full(len(scale), -np.inf), np.full(len(scale), np.inf)
+        if self.own:
+            own, sd = list(self.own), self.own_sd
+            low[-len(own) :] = (self.low[own] - constants[own]) / sd - INSIDE
+            high[-len(own) :] = (self.high[own] - constants[own]) / sd + INSIDE
+        return low, high
+
+    def _trials(self, scale: Array, constants: Array) -> list[Array]:
+        """The guess, points around it, in units of the standard deviation, and constants over their whole ranges."""
+        out = [np.zeros(len(scale)), *(3.0 * quasirandom_points(TRIALS, len(scale)) - 1.5)]
+        if not self.own:
+            return out
+        own, points = list(self.own), sobol(WIDE, len(scale), 0)
+        learnables = {k.name: k for k in self.model.learnables}
+        named = tuple(learnables[name] for name in self.evaluator.instance.per_trajectory)
+        wide = 3.0 * points - 1.5
+        wide[:, -len(own) :] = (spread_over_ranges(named, points[:, -len(own) :]) - constants[own]) / self.own_sd
+        return [*out, *wide]
+
+
+def _least(
+    errors: Callable[[Array], Array], guess: Array, ends: tuple[Array, Array], evaluations: int
+) -> tuple[float, Array]:
+    """The cost and the vector that least squares reach within bounds."""
+    from scipy.optimize import least_squares
+
+    inside = np.clip(guess, ends[0] + INSIDE, ends[1] - INSIDE)
+    found = least_squares(
+        errors, inside, bounds=ends, diff_step=1e-3, xtol=1e-6, ftol=1e-8, gtol=1e-10, max_nfev=evaluations
+    )
+    return float(found.cost), np.asarray(found.x, dtype=float)

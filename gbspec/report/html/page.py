@@ -118,7 +118,8 @@ LAST = (Section("reproduce", "How to reproduce it"),)
 
 def _sections(source: Source, store: _Charts) -> list[Section]:
     """All sections in their order."""
-    figures = [_section(kind, source, store) for kind in KINDS if kind.heading]
+    made = [(kind, _section(kind, source, store)) for kind in KINDS if kind.heading]
+    figures = [section for kind, section in made if not (kind.optional and section.missing)]
     return [*BEFORE, *(one for figure in figures for one in (figure, *AFTER.get(figure.id, ()))), *LAST]
 
 
@@ -146,6 +147,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "sections": _sections(source, store),
         "total": len(fitted.data) if fitted else 0,
         "constants": tables.constants(run),
+        "own_constants": tables.own_constants(run),
         "correlations": tables.correlations(run),
         "metrics": tables.metrics(found.validation.to_json()),
         "diagram": _diagram(found, store),

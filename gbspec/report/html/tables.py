@@ -29,6 +29,16 @@ def constants(run: Run) -> Table:
     return Table(("constant", "value", "90 % interval", "start", "truth", "off by"), tuple(rows))
 
 
+def own_constants(run: Run) -> Table:
+    """The constants of each trajectory with their intervals; no rows if the model has none."""
+    rows = [
+        (one.name, label, number(float(value), 6), f"{number(float(low))} to {number(float(high))}")
+        for one in collect.own_constants(run)
+        for label, value, low, high in zip(one.labels, one.values, one.low, one.high, strict=True)
+    ]
+    return Table(("constant", "trajectory", "value", "90 % interval"), tuple(rows))
+
+
 def correlations(run: Run) -> Table:
     """Correlations of the learned constants; no rows if they are not known."""
     known = run.fit.correlations

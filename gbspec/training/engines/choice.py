@@ -48,7 +48,9 @@ def choose(model: Model, module: type[GeneratedModule], options: TrainOptions, s
     Raises UserError (GB863) if the kernel was requested and is not available.
     """
     device, wanted = device_of(options.device), options.backend == "native"
-    if options.backend == "torch" or not (wanted or substeps >= LEAST_SUBSTEPS):
+    # A search for the best minimum solves the model thousands of times, however few the data are.
+    worthwhile = substeps >= LEAST_SUBSTEPS or (model.complete and options.method == "auto")
+    if options.backend == "torch" or not (wanted or worthwhile):
         return Choice(None, device, options.batch_size)
     if device != "cpu":
         found: Kernel | Unable = Unable(Lack.DEVICE, "the native kernel does not work on a GPU")

@@ -12,7 +12,7 @@ from gbspec.training.engines import Engine, Linearised, linearise, residual_vect
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
-from gbspec.training.problem import mean_loss
+from gbspec.training.problem import Parameters, mean_loss
 
 DELTA_HIGH, DELTA_LOW = 0.1, 0.003
 """Bounds on Huber's threshold, in standard deviations of the data; it is four times the median residual."""
@@ -118,7 +118,7 @@ class LevenbergMarquardt:
         try:
             return self._certainty(state)
         except np.linalg.LinAlgError:  # for example if all residuals are zero
-            return Certainty.unknown(len(self.engine_at(0).parameters.shared))
+            return Certainty.unknown(self.engine_at(0).parameters)
 
     def _certainty(self, state: State) -> Certainty:
         engine, theta, ridge = self.engine_at(0), state["theta"], scalar(state, "ridge")
@@ -126,7 +126,7 @@ class LevenbergMarquardt:
         system = linearise(engine, theta)
         residuals = system.residuals.numpy()
         if not np.isfinite(residuals).all():
-            return Certainty.unknown(len(parameters.shared))
+            return Certainty.unknown(parameters)
         delta = self.threshold(residuals)
         fit = _Fit(engine, system, theta, delta, ridge)
         equations = fit.equations
@@ -143,22 +143,40 @@ class LevenbergMarquardt:
             own, move = np.sqrt(max(inverse[i, i], 0.0) * variance), float(ahead[parameters.n_weights + i])
             out[i] = abs(float(slope)) * np.hypot(own, move) if abs(move) <= own else np.nan
         roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)) * np.where(slopes < 0, -1.0, 1.0)
-        return Certainty(out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots), freedom)
+        own = _own_deviations(equations, theta, weak, variance, ahead)
+        return Certainty(out, 0.5 * (inverse + inverse.T) / np.outer(roots, roots), freedom, own)
+
+
+def _own_deviations(equations: NormalEquations, theta: Array, weak: float, variance: float, ahead: Array) -> Array:
+    """Standard deviations [N, k] of the constants per trajectory, by the rule for shared ones."""
+    parameters = equations.parameters
+    if not parameters.own:
+        return np.zeros((parameters.trajectories, 0))
+    count = len(parameters.own)
+    blocks, moves = (v[parameters.n_shared :].reshape(-1, parameters.n_local)[:, :count] for v in (theta, ahead))
+    own = np.sqrt(np.maximum(equations.local_variances(weak)[:, :count], 0.0) * variance)
+    slopes = parameters.bijections(parameters.own).derivative(blocks)
+    return np.where(np.abs(moves) <= own, np.abs(slopes) * np.hypot(own, moves), np.nan)
 
 
 @dataclass(frozen=True)
 class Certainty:
     """Standard deviations [k] and correlations [k, k] of the shared constants (natural values), and the degrees of
-    freedom that the fit used, with priors and ridge taken into account; NaN, and no correlations, if not known."""
+    freedom that the fit used, with priors and ridge taken into account; NaN, and no correlations, if not known.
+
+    `own` [N, j] are the standard deviations of the constants per trajectory.
+    """
 
     deviations: Array = field(default_factory=lambda: np.zeros(0))
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     freedom: float = float("nan")
+    own: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
-    def unknown(cls, count: int) -> Certainty:
-        """The result for `count` constants if nothing is known."""
-        return cls(np.full(count, np.nan), np.full((count, count), np.nan))
+    def unknown(cls, parameters: Parameters) -> Certainty:
+        """The result if nothing is known."""
+        count, own = len(parameters.shared), (parameters.trajectories, len(parameters.own))
+        return cls(np.full(count, np.nan), np.full((count, count), np.nan), own=np.full(own, np.nan))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ Found = TypeVar("Found")
 
 LARGE = 1000
 """Matrices of at least this size are factored by all threads (everything else in training is too small to gain)."""
+SINGLE = 300
+"""Largest number of solutions with one unit vector each, if there is no shorter way to a diagonal."""
 PROBES = 12
 """Random vectors in the estimate of a trace; its relative error is about sqrt(2 / (PROBES * trace))."""
 
@@ -176,6 +178,26 @@ class NormalEquations:
         scaled = vector / diagonal
         y = self._dual_factor(damping).solve(self.times(scaled))
         return np.asarray(scaled - self.transposed(y) / diagonal, dtype=np.float64)
+
+    def local_variances(self, damping: float) -> Array:
+        """The entries of the trajectories' blocks [N, n_local] on the diagonal of (J^T J + D)^-1; NaN where they would
+        take too long."""
+        parameters = self.parameters
+        shape = parameters.trajectories, parameters.n_local
+        if self.sketch is None and not self.dual:
+            factor, inverses, crosses = self._primal_factor(damping)
+            # The inverse of a block, plus what it inherits from the uncertainty of the shared part.
+            spreads = [(c @ v, v) for c, v in zip(crosses, inverses, strict=True)]
+            found = [np.diag(v) + np.einsum("ij,ij->j", wide, factor.solve(wide)) for wide, v in spreads]
+            return np.array(found).reshape(shape)
+        if parameters.trajectories * parameters.n_local > SINGLE:
+            return np.full(shape, np.nan)
+        out = np.zeros(parameters.size)
+        for i in range(parameters.n_shared, parameters.size):
+            unit = np.zeros(parameters.size)
+            unit[i] = 1.0
+            out[i] = self.invert(unit, damping)[i]
+        return out[parameters.n_shared :].reshape(shape)
 
     def degrees_of_freedom(self, damping: float, seed: int) -> float:
         """tr(J (J^T J + D)^-1 J^T), the effective number of parameters, by Hutchinson's estimator."""

@@ -22,13 +22,15 @@ State = dict[str, Array]
 class Outcome:
     """The state after a step, the loss there (mean of half squared residuals), and whether the stage has ended.
 
-    `note` is a remark for the user that is kept with the fit.
+    `note` is a warning for the user that is kept with the fit; `remark` says in words how far the stage is, in the
+    progress and afterwards in the summary.
     """
 
     state: State
     loss: float
     done: bool
     note: str = ""
+    remark: str = ""
 
 
 class Stage(Protocol):

@@ -1,5 +1,6 @@
 from .arrivals import Integers as Integers
 from .bounds import STRETCH as STRETCH
+from .bounds import Bijection as Bijection
 from .bounds import Bijections as Bijections
 from .forcing import Forcing as Forcing
 from .forcing import measured_states as measured_states

@@ -1,71 +1,155 @@
-"""Smooth bijections between a constant's allowed range and the real line, so that bounds hold by construction.
+"""Smooth maps from the real line to a constant's allowed range, so that bounds hold by construction.
 
-Two-sided bounds use the logistic function, one-sided bounds the exponential function, and no bounds the identity scaled
-by the starting value. The optimiser works with `u`, and the constant is the bijection at `STRETCH * u`: a unit step of
-`u` is about a factor of e^3, because constants are few and their starting values are more often far off than those of
-weights.
+The optimiser works with `u`, and the constant is the map at `STRETCH * u`: a unit step of `u` is about a factor of e^3,
+because constants are few and their starting values are more often far off than those of weights.
+
+- Two-sided bounds use the logistic function: on the scale of logarithms if both bounds have the same sign and are far
+  apart (`Range.logarithmic`), since such a range says that the order of magnitude is unknown, else linearly.
+- One-sided bounds use the exponential function of the distance from the bound.
+- Without bounds the map is the identity, scaled by the starting value.
+- A constant that *starts* on its bound would have no derivative there, since all of these reach a bound at infinite `u`
+  only. Its map touches the bound at a finite `u` instead and turns back: sin^2 with two bounds, cosh - 1 with one.
+
+Starting values are kept as they are, up to rounding; those on a bound are off it by `EDGE` of the range.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, assert_never
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.ir import Learnable
-
-Bounds = Literal["both", "low", "high", "none"]
-"""The bounds that a constant has."""
+from gbspec.ir import Learnable, Range
 
 STRETCH = 3.0
-MARGIN = 1e-3
-"""A starting value on a bound is moved inside by this fraction of the range (the exact bound is at infinite `u`)."""
+EDGE = 1e-12
+"""Distance from the bound, as a fraction of the range, at which a constant begins whose starting value is on the bound:
+the derivative of its map is about the root of this."""
+ROUNDING = 1e-16
+"""Least distance from a bound, as a fraction of the range, in the inverse of a map that reaches the bound at infinity:
+final values may have been rounded to their bound."""
+LEAST = 1e-30
+"""The same with a single bound, as a fraction of the starting value."""
+
+
+@dataclass(frozen=True)
+class Bijection:
+    """The map of one constant."""
+
+    low: float
+    high: float
+    start: float
+
+    @classmethod
+    def of(cls, learnable: Learnable) -> Bijection:
+        """The map for a constant's bounds and starting value."""
+        return cls(learnable.range.low, learnable.range.high, learnable.start)
+
+    @property
+    def scale(self) -> float:
+        """The unit of values without two bounds."""
+        return abs(self.start) if self.start != 0 else 1.0
+
+    @property
+    def reflecting(self) -> bool:
+        """Whether the starting value is on a bound, so that the map must reach it."""
+        if self.two_sided:
+            return min(self.distance(self.start, bound) for bound in (self.low, self.high)) <= EDGE
+        return self.start in (self.low, self.high)
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether there are two bounds."""
+        return math.isfinite(self.low) and math.isfinite(self.high)
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether logarithms of the (two, far apart) bounds are used."""
+        return Range(self.low, self.high).logarithmic
+
+    @property
+    def width(self) -> float:
+        """The width of a two-sided range on its scale."""
+        return math.log(self.high / self.low) if self.logarithmic else self.high - self.low
+
+    def distance(self, value: float, bound: float) -> float:
+        """The distance of a value from a bound as a fraction of the range on its scale, or of the starting value's
+        distance from a single bound; infinite without a bound there."""
+        if math.isinf(bound):
+            return math.inf
+        if self.two_sided:
+            inside = np.array(value)
+            return float(self._fraction(inside) if bound == self.low else self._rest(inside))
+        return abs(value - bound) / (abs(self.start - bound) or self.scale)
+
+    # ---------------------------------------------------------------- natural values from raw ones
+    def natural(self, raw: Tensor) -> Tensor:
+        """The constant's values."""
+        if self.two_sided:
+            return self._between(raw)
+        if math.isinf(self.low) and math.isinf(self.high):
+            return self.scale * raw
+        # cosh(x) - 1, without its loss of digits near 0
+        beyond = 2 * torch.sinh(0.5 * raw) ** 2 if self.reflecting else torch.exp(raw)
+        return self.low + self.scale * beyond if math.isfinite(self.low) else self.high - self.scale * beyond
+
+    def _between(self, raw: Tensor) -> Tensor:
+        # The slope in the middle of the range is that of the logistic function, or 1 on a scale of logarithms: as with
+        # a single bound, one unit is then a factor of e.
+        inner = raw * (4 / abs(self.width)) if self.logarithmic else raw
+        fraction = torch.sin(0.25 * inner) ** 2 if self.reflecting else torch.sigmoid(inner)
+        value = self.low * torch.exp(self.width * fraction) if self.logarithmic else self.low + self.width * fraction
+        return torch.clamp(value, self.low, self.high)
+
+    # ---------------------------------------------------------------- raw values from natural ones
+    def raw(self, value: Array) -> Array:
+        """The raw values of natural ones; values on or beyond a bound are moved inside."""
+        if self.two_sided:
+            least = EDGE if self.reflecting else ROUNDING
+            fraction, rest = np.maximum(self._fraction(value), least), np.maximum(self._rest(value), least)
+            inner = 4 * np.arctan2(np.sqrt(fraction), np.sqrt(rest)) if self.reflecting else np.log(fraction / rest)
+            return np.asarray(inner * (abs(self.width) / 4 if self.logarithmic else 1.0), dtype=np.float64)
+        if math.isinf(self.low) and math.isinf(self.high):
+            return np.asarray(value / self.scale, dtype=np.float64)
+        beyond = (value - self.low if math.isfinite(self.low) else self.high - value) / self.scale
+        if self.reflecting:
+            return np.asarray(2 * np.arcsinh(np.sqrt(0.5 * np.maximum(beyond, EDGE))), dtype=np.float64)
+        return np.asarray(np.log(np.maximum(beyond, LEAST)), dtype=np.float64)
+
+    def _fraction(self, value: Array) -> Array:
+        """The distance from the lower bound, as a fraction of the range on its scale."""
+        if self.logarithmic:
+            inside = np.clip(value, self.low, self.high)
+            return np.asarray(np.log(inside / self.low) / self.width, dtype=np.float64)
+        return np.asarray((value - self.low) / self.width, dtype=np.float64)
+
+    def _rest(self, value: Array) -> Array:
+        """The distance from the upper bound, computed without loss of digits near it."""
+        if self.logarithmic:
+            inside = np.clip(value, self.low, self.high)
+            return np.asarray(np.log(self.high / inside) / self.width, dtype=np.float64)
+        return np.asarray((self.high - value) / self.width, dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Bijections:
-    """One bijection per learnable, evaluated together. Arrays are [n_learnables]."""
+    """One map per learnable, evaluated together."""
 
-    low: Array
-    high: Array
-    scale: Array
+    each: tuple[Bijection, ...]
 
     @staticmethod
     def of(learnables: tuple[Learnable, ...]) -> Bijections:
-        """The bijections of a model's learnables."""
-        return Bijections(
-            np.array([k.range.low for k in learnables], dtype=np.float64),
-            np.array([k.range.high for k in learnables], dtype=np.float64),
-            np.array([abs(k.start) if k.start != 0 else 1.0 for k in learnables], dtype=np.float64),
-        )
-
-    def kind(self, i: int) -> Bounds:
-        """The bounds that constant i has."""
-        low, high = math.isfinite(self.low[i]), math.isfinite(self.high[i])
-        return "both" if low and high else "low" if low else "high" if high else "none"
+        """The maps of a model's learnables."""
+        return Bijections(tuple(map(Bijection.of, learnables)))
 
     def to_natural(self, u: Tensor) -> Tensor:
         """Natural values [..., n] of trainable values `u` [..., n]."""
         raw = STRETCH * u
-        parts = []
-        for i in range(len(self.low)):
-            match self.kind(i):
-                case "both":
-                    value = self.low[i] + (self.high[i] - self.low[i]) * torch.sigmoid(raw[..., i])
-                case "low":
-                    value = self.low[i] + self.scale[i] * torch.exp(raw[..., i])
-                case "high":
-                    value = self.high[i] - self.scale[i] * torch.exp(raw[..., i])
-                case "none":
-                    value = self.scale[i] * raw[..., i]
-                case unknown:
-                    assert_never(unknown)
-            parts.append(value)
+        parts = [one.natural(raw[..., i]) for i, one in enumerate(self.each)]
         return torch.stack(parts, -1) if parts else u
 
     def derivative(self, u: Array) -> Array:
@@ -79,19 +163,6 @@ class Bijections:
     def from_natural(self, value: Array) -> Array:
         """Trainable values of natural ones [..., n]; values on or beyond a bound are moved inside."""
         out = np.empty_like(value, dtype=np.float64)
-        for i in range(len(self.low)):
-            v, low, high, scale = value[..., i], self.low[i], self.high[i], self.scale[i]
-            match self.kind(i):
-                case "both":
-                    fraction = np.clip((v - low) / (high - low), MARGIN, 1 - MARGIN)
-                    raw = np.log(fraction / (1 - fraction))
-                case "low":
-                    raw = np.log(np.maximum((v - low) / scale, MARGIN))
-                case "high":
-                    raw = np.log(np.maximum((high - v) / scale, MARGIN))
-                case "none":
-                    raw = v / scale
-                case unknown:
-                    assert_never(unknown)
-            out[..., i] = raw / STRETCH
+        for i, one in enumerate(self.each):
+            out[..., i] = one.raw(value[..., i]) / STRETCH
         return out

@@ -343,7 +343,10 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
     for _ in range(most):
         entry = float(best.theta[profiler.column]) + place * stride
         here = profiler.held(entry, here)
-        if not math.isfinite(here.objective) or here.value == (found[-1] if found else best).value:
+        before = (found[-1] if found else best).value
+        outwards = found[0].value - best.value if found else here.value - before
+        # The map of a constant whose starting value is on its bound turns back there.
+        if not math.isfinite(here.objective) or not (here.value - before) * outwards > 0:
             break
         found.append(here)
         deviance = 2.0 * (here.objective - best.objective) / profiler.variance

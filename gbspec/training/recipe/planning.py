@@ -18,7 +18,7 @@ from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.stages import Effort, StageName, most_iterations
-from gbspec.training.starts import Search
+from gbspec.training.starts import PATIENCE, Search
 
 ENOUGH: Mapping[Effort, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
 """Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the standard
@@ -148,7 +148,8 @@ class _Planner:
         context, parameters = self.context, self.parameters
 
         def make(reached: Reached) -> Stage:
-            return Search(context.engine(parameters, blend), context.seed)
+            forced = context.engine(parameters, 1.0) if blend == 0.0 else None
+            return Search(context.engine(parameters, blend), forced, context.seed, context.options.effort)
 
         def believed(reached: Reached) -> bool:
             """Whether initial values are single measurements of noisy data."""
@@ -161,7 +162,7 @@ class _Planner:
 
         released = self._at(0.0, 1.0, self.released)
         return [
-            Planned(StageName.SEARCH, 1, make),
+            Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
         ]
@@ -342,7 +343,7 @@ class _Planner:
         def make(reached: Reached) -> Stage:
             return InitialStates(name.value, self.context.engine(layout, blend), self.context.seed)
 
-        return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any()))
+        return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any() or layout.own))
 
     def _adam(self, epochs: int, wanted: Decision = always) -> Planned:
         def make(reached: Reached) -> Stage:

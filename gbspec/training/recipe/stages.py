@@ -12,7 +12,10 @@ from gbspec.training.optimise import Outcome, State
 from gbspec.training.problem import Forcing, Problem, mean_loss
 from gbspec.training.recipe.context import Context
 from gbspec.training.stages import StageName
-from gbspec.training.starts import refit_starts
+from gbspec.training.starts import refit_own, refit_starts
+
+OWN_DRAWS = 32
+"""Draws of each trajectory's own constants, of which the best one is improved."""
 
 
 def imputed_forcing(context: Context, problem: Problem) -> Forcing:
@@ -29,7 +32,7 @@ def imputed_forcing(context: Context, problem: Problem) -> Forcing:
 
 
 class InitialStates:
-    """The stage that refits the initial states, trajectory by trajectory, in one step."""
+    """The stage that refits the initial states and own constants, trajectory by trajectory, in one step."""
 
     total = 1
 
@@ -43,6 +46,7 @@ class InitialStates:
     def step(self, state: State, iteration: int) -> Outcome:
         """Refits all initial states at once."""
         theta = refit_starts(self.engine, state["theta"], self.seed)
+        theta = refit_own(self.engine, theta, self.seed, OWN_DRAWS, 1)
         return Outcome({"theta": theta}, mean_loss(residual_vector(self.engine, theta)), True)
 
 

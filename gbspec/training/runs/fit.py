@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
-import math
 import platform
-from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from gbspec.backends import INTERFACE, generate, load_module
 from gbspec.data import Trajectories, scales_of
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import finite
-from gbspec.ir import METHODS, Learnable, Model
-from gbspec.runs import ConstantRecord, DataRecord, FitRecord, MemberRecord, Run, ScalesRecord, files, read_record
+from gbspec.ir import METHODS, Model
+from gbspec.runs import (
+    DataRecord,
+    FitRecord,
+    MemberRecord,
+    Run,
+    ScalesRecord,
+    files,
+    read_record,
+)
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Bijections
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe import build_context, plan
+from gbspec.training.runs.constants import (
+    EXACT,
+    at_bounds,
+    constant_record,
+    correlations_of,
+    moving_together,
+    own_records,
+)
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import verdicts
 from gbspec.version import __version__
 
-TOGETHER = 0.95
-"""A warning is given for correlations beyond this."""
-QUANTILE = 1.645
-"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
-NEGLIGIBLE = 0.3
-"""Constants with smaller components are omitted from the description of a direction."""
 OWN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html", "__pycache__"})
 """What a run directory contains; Python leaves `__pycache__` where somebody imported the module."""
 
@@ -213,9 +218,15 @@ _OTHER = "continue it with the original settings, or name another directory with
 def completed(record: FitRecord, model: Model, results: dict[int, MemberResult], options: TrainOptions) -> FitRecord:
     """The record completed by the results of the members, of which there is at least one."""
     ordered = [results[k] for k in sorted(results)]
-    ended = [(member, k, bound) for member, r in sorted(results.items()) for k, bound in at_bounds(model, r.constants)]
+    ended = [
+        (member, k, bound)
+        for member, r in sorted(results.items())
+        if r.loss > EXACT  # nothing holds back a fit without residuals
+        for k, bound in at_bounds(model, r.constants, r.sd)
+    ]
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
+    own = own_records(model, ordered)
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     bounds = [
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
@@ -223,7 +234,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     ]
     return replace(
         record,
-        constants={k.name: _constant(k, ordered) for k in model.learnables},
+        constants={k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables},
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(map(_member, ordered)),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
@@ -247,83 +258,6 @@ def _member(result: MemberResult) -> MemberRecord:
     rmse = {name: finite(value) for name, value in result.rmse.items()}
     interval = finite(result.interval_loss)
     return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages, interval, result.channels)
-
-
-def _constant(learnable: Learnable, results: list[MemberResult]) -> ConstantRecord:
-    """Mean over members, standard deviation (within and between members), and a 90 % interval within the bounds."""
-    name = learnable.name
-    values = np.array([r.constants[name] for r in results])
-    within = np.array([r.sd[name] for r in results])
-    between = values.var(ddof=1) if len(values) > 1 else 0.0
-    sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
-    center = float(values.mean())
-    interval = inside_bounds(learnable, center, sd) if math.isfinite(sd) else None
-    return ConstantRecord(center, finite(sd), interval, learnable.start, tuple(map(float, values)))
-
-
-def inside_bounds(learnable: Learnable, center: float, sd: float) -> tuple[float, float] | None:
-    """The 90 % interval of a constant: symmetrical on the scale on which it is trained, whose values all lie within the
-    bounds; None for a constant at its bound, where this scale ends, and where an end is too large for a number."""
-    scale = Bijections.of((learnable,))
-    place = scale.from_natural(np.array([center]))
-    slope = abs(float(scale.derivative(place)[0]))
-    if not slope > 0:
-        return None
-    half = QUANTILE * sd / slope
-    ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-half, half)]
-    return (min(*ends, center), max(*ends, center)) if np.isfinite(ends).all() else None
-
-
-def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:
-    """Correlations of the shared constants by their names, the mean over members; empty where one is not known."""
-    tables = [r.correlations for r in results]
-    if len(names) < 2 or any(t.shape != (len(names), len(names)) or not np.isfinite(t).all() for t in tables):
-        return {}
-    mean = np.mean(tables, axis=0)
-    return {a: {b: float(mean[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)}
-
-
-def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Warnings about strongly correlated constants: pairs, then groups that contain no such pair.
-
-    A group consists of the constants in an eigenvector of the correlation matrix whose eigenvalue is below
-    1 - TOGETHER, the value of a pair at the limit: along this direction the data determine the constants worst.
-    """
-    names = list(correlations)
-    table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
-    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(table[i, j]) > TOGETHER]
-    warnings = [
-        f"`{names[i]}` and `{names[j]}` are strongly correlated (correlation {table[i, j]:.3f}): "
-        "the data determine a combination of them better than either"
-        for i, j in pairs
-    ]
-    values, vectors = np.linalg.eigh(table)
-    for value, direction in zip(values, vectors.T, strict=True):
-        group = [i for i in range(len(names)) if abs(direction[i]) > NEGLIGIBLE]
-        if value < 1 - TOGETHER and not any(i in group and j in group for i, j in pairs):
-            listed = ", ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
-            warnings.append(
-                f"the data hardly determine the direction {listed} (in standard deviations): fix one of these"
-            )
-    return warnings
-
-
-def at_bounds(model: Model, constants: Mapping[str, float]) -> list[tuple[str, float]]:
-    """Learnable constants that ended at a bound, and the bound: closer to it than 1e-5 of the range's width.
-
-    With a single bound, the distance of the starting value from it is used as the width.
-    """
-    out = []
-    for learnable in model.learnables:
-        low, high = learnable.range.low, learnable.range.high
-        if learnable.name not in constants or high <= low:
-            continue
-        value = constants[learnable.name]
-        for bound in (low, high):
-            width = high - low if math.isfinite(high - low) else abs(learnable.start - bound)
-            if math.isfinite(bound) and abs(value - bound) < 1e-5 * width:
-                out.append((learnable.name, bound))
-    return out
 
 
 def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:

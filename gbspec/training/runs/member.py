@@ -239,7 +239,9 @@ class _Runner:
         position.seconds = time.monotonic() - self._began
         constants = self._constants(position.theta)
         position.history.append((stage.name, position.iteration, position.seconds, outcome.loss, constants))
-        position.stages[-1] = StageRecord(stage.name, position.iteration, outcome.loss, stage_seconds)
+        position.stages[-1] = StageRecord(
+            stage.name, position.iteration, outcome.loss, stage_seconds, outcome.remark or None
+        )
         self._score()
         names = [self.parameters.model.learnables[i].name for i in range(len(self.parameters.model.learnables))]
         self.progress.update(
@@ -252,6 +254,7 @@ class _Runner:
                 position.seconds,
                 self._seconds_left(stage, stage_seconds),
                 dict(zip(names, constants, strict=True)),
+                outcome.remark,
             )
         )
 
@@ -316,6 +319,8 @@ class _Runner:
         for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
             result.sd[name] = float(deviation)
         result.correlations = position.certainty.correlations
+        if position.certainty.own.shape == result.own_sd.shape:
+            result.own_sd = position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
@@ -324,7 +329,8 @@ class _Runner:
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
         arrays |= {"theta": position.theta, "best": position.best, "entry": position.entry}
-        arrays |= {"deviations": position.certainty.deviations, "correlations": position.certainty.correlations}
+        certainty = position.certainty
+        arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
         remarks = Remarks(
@@ -368,7 +374,12 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         iteration=remarks.iteration,
         state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
         entry=arrays["entry"],
-        certainty=Certainty(arrays["deviations"], arrays["correlations"], float.fromhex(remarks.exact.freedom)),
+        certainty=Certainty(
+            arrays["deviations"],
+            arrays["correlations"],
+            float.fromhex(remarks.exact.freedom),
+            arrays.get("own", np.zeros((0, 0))),
+        ),
         theta=arrays["theta"],
         best=arrays["best"],
         best_score=float.fromhex(remarks.exact.best_score),

@@ -27,7 +27,8 @@ class MemberResult:
     follow the data (`channels`), root mean square of prediction minus value of the autoregressive solution (`rmse`, NaN
     if it is not finite), and the estimated standard deviation of the `noise`; `constants` by name; `sd` by name (NaN:
     not known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed`
-    names the trajectories whose autoregressive solution is not finite.
+    names the trajectories whose autoregressive solution is not finite. `own` and `own_sd` [N, j] are the constants per
+    trajectory and their standard deviations (NaN: not known).
     """
 
     seed: int
@@ -47,6 +48,8 @@ class MemberResult:
     finished: bool = True
     notes: list[str] = field(default_factory=list)
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    own: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    own_sd: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def summarise(
@@ -75,6 +78,7 @@ def summarise(
         noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i])
     known = len(model.constants)
     values = constants.numpy()[:, known:].mean(axis=0)
+    own = constants.numpy()[:, [known + i for i in parameters.own]]
     names = [k.name for k in model.learnables]
     return MemberResult(
         context.seed,
@@ -90,6 +94,8 @@ def summarise(
         solution.initial.copy(),
         list(context.packed().labels),
         failed,
+        own=own,
+        own_sd=np.full(own.shape, np.nan),
     )
 
 

@@ -1,5 +1,7 @@
 from .differentiation import with_derived as with_derived
 from .initial_states import refit_starts as refit_starts
+from .own_constants import refit_own as refit_own
+from .search import PATIENCE as PATIENCE
 from .search import Search as Search
 from .slopes import Points as Points
 from .slopes import collocate as collocate

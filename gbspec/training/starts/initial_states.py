@@ -38,7 +38,7 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
         noise = max(typical(residual_vector(window, theta)), LEAST_NOISE)
         problem = replace(problem, scaling=replace(problem.scaling, noise=noise if np.isfinite(noise) else 0.0))
         window = engine.rebound(problem, parameters)
-    best, losses = theta, _trajectory_losses(window, theta)
+    best, losses = theta, trajectory_losses(window, theta)
     starts = _starts(parameters, theta)
     width = parameters.start_free * parameters.start_scale * radius
     points = np.random.default_rng([seed, 23]).uniform(-1, 1, (candidates, len(parameters.start_scale)))
@@ -46,7 +46,7 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
         found = _best_candidates(window, best, starts, points * fraction, width)
         best, losses = _keep_better(window, best, found, losses)
         starts = _starts(parameters, best)
-    return _polish(window, best, losses)
+    return polish(window, best, losses)
 
 
 def first_rows(problem: Problem, count: int) -> Problem:
@@ -96,7 +96,7 @@ def _starts(parameters: Parameters, theta: Array) -> Array:
         return np.asarray(parameters.starts(torch.from_numpy(theta)).numpy(), dtype=np.float64)
 
 
-def _trajectory_losses(engine: Engine, theta: Array) -> Array:
+def trajectory_losses(engine: Engine, theta: Array) -> Array:
     """Huber loss of each trajectory [N]; infinite if its solution is not finite."""
     problem = engine.problem
     rho = huber_each(residual_table(engine, theta), HUBER).sum(axis=1)
@@ -117,17 +117,17 @@ def _best_candidates(engine: Engine, theta: Array, starts: Array, points: Array,
     many = taken(engine, index)
     tried = starts[index] + width[index] * np.tile(points, (n, 1))
     vector = many.parameters.with_starts(parameters.take_vector(theta, index), tried)
-    losses = _trajectory_losses(many, vector).reshape(n, count)
+    losses = trajectory_losses(many, vector).reshape(n, count)
     return np.asarray(tried.reshape(n, count, -1)[np.arange(n), losses.argmin(axis=1)], dtype=np.float64)
 
 
 def _keep_better(engine: Engine, theta: Array, starts: Array, losses: Array) -> tuple[Array, Array]:
-    return _keep_blocks(engine, theta, engine.parameters.with_starts(theta, starts), losses)
+    return keep_blocks(engine, theta, engine.parameters.with_starts(theta, starts), losses)
 
 
-def _keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple[Array, Array]:
+def keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple[Array, Array]:
     """The vector with each trajectory's block from `new` if its loss is smaller, and the losses."""
-    trial, parameters = _trajectory_losses(engine, new), engine.parameters
+    trial, parameters = trajectory_losses(engine, new), engine.parameters
     better = trial < losses
     out = old.copy()
     blocks = out[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
@@ -135,11 +135,12 @@ def _keep_blocks(engine: Engine, old: Array, new: Array, losses: Array) -> tuple
     return out, np.where(better, trial, losses)
 
 
-def _polish(engine: Engine, theta: Array, losses: Array) -> Array:
+def polish(engine: Engine, theta: Array, losses: Array, steps: int = POLISH_STEPS) -> Array:
+    """The vector with the trajectories' blocks improved by damped steps, each block with its own damping."""
     parameters = engine.parameters
     n, width = parameters.trajectories, parameters.n_local
     damping = np.full(n, 1e-2)
-    for _ in range(POLISH_STEPS):
+    for _ in range(steps):
         system = linearise(engine, theta, only_local=True)
         if len(system.owner) == 0 or not np.isfinite(system.residuals.numpy()).all():
             break
@@ -153,7 +154,7 @@ def _polish(engine: Engine, theta: Array, losses: Array) -> Array:
         step = damped_steps(hessian, gradient, damping)
         trial = theta.copy()
         trial[parameters.n_shared :] += step.ravel()
-        theta, new = _keep_blocks(engine, theta, trial, losses)
+        theta, new = keep_blocks(engine, theta, trial, losses)
         improved = new < losses
         damping = np.where(improved, damping / 5, damping * 4)
         if not (new < losses * (1 - 1e-6) - 1e-15).any() and (damping > 1e3).all():

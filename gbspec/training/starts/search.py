@@ -1,64 +1,182 @@
-"""The search for starting values of constants: many candidates within their bounds, of which the best are improved."""
+"""The search for the best minimum of a model whose functions are all known.
+
+Points are drawn over the whole ranges of the constants; those from which the model cannot be solved are discarded. The
+given vector, the declared starting values and the best draws are then improved by Levenberg-Marquardt, one in each
+step, until the best minimum has been found several times or the effort is spent.
+"""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
-from gbspec.training.engines import Engine, explain_failure, residual_vector
+from gbspec.training.engines import Engine, explain_failure, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
-from gbspec.training.problem import mean_loss
-from gbspec.training.stages import StageName
+from gbspec.training.problem import Problem, mean_loss
+from gbspec.training.stages import Effort, StageName
+from gbspec.training.starts.own_constants import refit_own
 
-CANDIDATES, KEPT, IMPROVEMENTS = 64, 4, 12
-HALF_WIDTH = 1.0
-"""Half width of the candidates' box in trainable units: a factor of e^3 either way, or most of a bounded range."""
+SAME, CLOSE = 1e-3, 1e-10
+"""Losses of the same minimum differ by less than this, relatively or absolutely."""
+ITERATIONS, FORCED = 60, 15
+"""Largest numbers of iterations from one start: of whole solutions, and with teacher forcing before them."""
+OPTIONS = LevenbergOptions(robust=False, tolerance=1e-4, damping=1e-1, enough=1e-14)
+WORK = 2e7
+"""Sub-steps times columns over which the improvements of all starts may extend, so that large data get fewer starts."""
+FEWEST = 6
+"""Starts that are drawn and improved however large the data are."""
+FOLLOWING = 0.3
+"""Residuals follow one another if their correlation with the next ones is this, and twice its standard error, above 0:
+a minimum with such residuals is either wrong, or the model cannot follow the data."""
+FOLLOWED = 1e-7
+"""Mean loss up to which a minimum is good whatever its residuals: they are less than 0.05 % of the deviations."""
+LARGEST = 10**7
+"""Largest number of entries of all draws."""
+
+
+@dataclass(frozen=True)
+class Patience:
+    """The effort of a search: `draws`, of which at most `improved` are improved; at least `least` are, and the search
+    ends when the best minimum has been found `times` times, unless its residuals follow one another."""
+
+    draws: int
+    improved: int
+    least: int
+    times: int
+
+
+PATIENCE: Mapping[Effort, Patience] = {
+    "low": Patience(64, 8, 4, 2),
+    "normal": Patience(256, 64, 8, 3),
+    "high": Patience(1024, 192, 24, 6),
+}
+
+
+def starts_within(patience: Patience, substeps: int, columns: int) -> int:
+    """The largest number of starts that are improved for data with `substeps` sub-steps."""
+    return int(np.clip(WORK / max(substeps * (columns + 10), 1), min(FEWEST, patience.improved), patience.improved))
+
+
+def followed(residuals: Array, problem: Problem) -> bool:
+    """Whether residuals [R, C] are correlated with the next ones of the same trajectory and channel."""
+    packed = problem.packed
+    order = np.lexsort((packed.row_index, packed.row_trajectory))
+    ours, seen, owner = residuals[order], problem.seen[order], packed.row_trajectory[order]
+    both = seen[1:] & seen[:-1] & (owner[1:] == owner[:-1])[:, None]
+    count, squares = int(both.sum()), float(np.sum(ours[seen] ** 2)) / max(int(seen.sum()), 1)
+    if not count or not np.isfinite(squares) or squares == 0:
+        return False
+    correlation = float(np.sum((ours[1:] * ours[:-1])[both])) / count / squares
+    return correlation > FOLLOWING + 2 / math.sqrt(count)
 
 
 class Search:
-    """Chooses among the given vector, the declared starting values and random points around both, in one step."""
+    """One start in each step: the given vector, the declared starting values, then the draws from the best one on.
+
+    Every third start is first improved with teacher forcing by `forced`: errors from one measurement to the next have
+    fewer minima than those of whole solutions, whose best one they often lead to.
+    """
 
     name = StageName.SEARCH.value
-    total = 1
 
-    def __init__(self, engine: Engine, seed: int) -> None:
-        self.engine, self.parameters, self.seed = engine, engine.parameters, seed
+    def __init__(self, engine: Engine, forced: Engine | None, seed: int, effort: Effort) -> None:
+        self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
+        self.patience = PATIENCE[effort]
+        columns = self.parameters.n_shared + self.parameters.n_local
+        self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
 
     def begin(self, theta: Array) -> State:
-        """The initial state: only the vector."""
-        return {"theta": theta}
+        """The initial state: the vector, and the starts from the best one on.
+
+        Raises ComputationError if the model can be solved from none of them.
+        """
+        candidates = self._candidates(theta)
+        losses = np.array([self._loss(candidate) for candidate in candidates])
+        if not np.isfinite(losses).any():
+            raise self._none_survived(theta, len(losses))
+        order = [i for i in (0, 1, *(2 + np.argsort(losses[2:], kind="stable")).tolist()) if np.isfinite(losses[i])]
+        best = int(np.argmin(losses))
+        return {
+            "theta": candidates[best],
+            "best": np.array(self._objective(candidates[best])),
+            "starts": candidates[order[: self.total]],
+            "found": np.zeros(0),
+            "survived": np.array(float(np.isfinite(losses).sum())),
+            "drawn": np.array(float(len(losses))),
+        }
 
     def step(self, state: State, iteration: int) -> Outcome:
-        """Ranks all candidates by Huber's loss, improves the best few by Levenberg-Marquardt, keeps the best."""
-        candidates = self._candidates(state["theta"])
-        ranked = sorted((self._loss(theta), i) for i, theta in enumerate(candidates))
-        if not np.isfinite(ranked[0][0]):
-            raise explain_failure(self.engine.problem, self.parameters, state["theta"], self.name)
-        best = min((self._improve(candidates[i]) for _, i in ranked[:KEPT]), key=lambda found: found[0])
-        loss = mean_loss(residual_vector(self.engine, best[1]))
-        return Outcome({"theta": best[1]}, loss, True)
-
-    def _candidates(self, theta: Array) -> list[Array]:
-        parameters = self.parameters
-        declared = parameters.vector(parameters.natural(theta))
-        columns = slice(parameters.n_weights, parameters.n_shared)
-        own = len(parameters.own)
-        draws = np.random.default_rng([self.seed, 71]).uniform(
-            -HALF_WIDTH, HALF_WIDTH, (CANDIDATES, len(parameters.shared) + own)
+        """Improves one start."""
+        starts, theta, best = state["starts"], state["theta"], float(state["best"])
+        reached, vector = self._improve(starts[iteration], iteration)
+        if reached < best:
+            theta, best = vector, reached
+        found = np.append(state["found"], reached)
+        count = int(np.sum(found <= best * (1 + SAME) + CLOSE))
+        enough = len(found) >= self.patience.least and count >= self.patience.times and self._plausible(theta, best)
+        done = enough or iteration + 1 >= len(starts)
+        if done:
+            theta, best = self._best_of_own(theta, best)
+        remark = (
+            f"{int(state['survived'])} of {int(state['drawn'])} starts can be solved, {len(found)} improved, "
+            f"the best minimum found {count} time{'' if count == 1 else 's'}"
         )
-        out = [theta, declared]
-        for i, draw in enumerate(draws):
-            candidate = (theta if i % 2 else declared).copy()
-            candidate[columns] += draw[: len(parameters.shared)]
-            blocks = candidate[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
-            blocks[:, :own] += draw[len(parameters.shared) : len(parameters.shared) + own]
-            out.append(candidate)
-        return out
+        new: State = state | {"theta": theta, "best": np.array(best), "found": found}
+        return Outcome(new, mean_loss(residual_vector(self.engine, theta)), done, remark=remark)
 
+    def _plausible(self, theta: Array, best: float) -> bool:
+        """Whether the residuals at a vector look like noise."""
+        return best <= FOLLOWED or not followed(residual_table(self.engine, theta), self.engine.problem)
+
+    # ---------------------------------------------------------------- starts
+    def _candidates(self, theta: Array) -> Array:
+        """The given vector, the declared starting values, and draws [n, size]; learned initial states are drawn too, in
+        every other draw."""
+        parameters = self.parameters
+        count = int(np.clip(LARGEST // parameters.size, FEWEST, self.patience.draws))
+        declared = parameters.vector(parameters.natural(theta))
+        declared[parameters.n_shared :] = self._blocks(theta, declared).ravel()
+        learnables = parameters.model.learnables
+        n_constants, n_states = len(learnables), len(parameters.model.states)
+        points = sobol(count, n_constants + n_states, self.seed)
+        natural = spread_over_ranges(learnables, points[:, :n_constants])
+        out = [theta, declared]
+        for i in range(count):
+            drawn = parameters.vector(parameters.natural(theta), natural[i])
+            blocks = self._blocks(theta, drawn)
+            if i % 2:
+                blocks[:, len(parameters.own) :] += parameters.start_free * (2 * points[i, n_constants:] - 1)
+            drawn[parameters.n_shared :] = blocks.ravel()
+            out.append(drawn)
+        return np.array(out)
+
+    def _blocks(self, theta: Array, drawn: Array) -> Array:
+        """The trajectories' blocks with the constants of `drawn` and the initial states of `theta`."""
+        own, shape = len(self.parameters.own), (self.parameters.trajectories, self.parameters.n_local)
+        blocks = theta[self.parameters.n_shared :].reshape(shape).copy()
+        blocks[:, :own] = drawn[self.parameters.n_shared :].reshape(shape)[:, :own]
+        return blocks
+
+    def _none_survived(self, theta: Array, count: int) -> ComputationError:
+        cause = explain_failure(self.engine.problem, self.parameters, self._candidates(theta)[1], self.name)
+        what = f"the model cannot be solved from any of {count} starts; from the declared one {cause.what}"
+        return ComputationError(what, where=cause.where, remedy=cause.remedy)
+
+    # ---------------------------------------------------------------- objective
     def _loss(self, theta: Array) -> float:
+        """Huber's loss, by which draws are compared: far from any minimum, few residuals must not decide."""
         residuals = residual_vector(self.engine, theta)
         return huber(residuals, 1.0) + self._penalty(theta, residuals)
+
+    def _objective(self, theta: Array) -> float:
+        residuals = residual_vector(self.engine, theta)
+        return mean_loss(residuals) + self._penalty(theta, residuals) / max(len(residuals), 1)
 
     def _penalty(self, theta: Array, residuals: Array) -> float:
         """The contribution of the priors to half the sum of squares."""
@@ -68,17 +186,35 @@ class Search:
             else 0.0
         )
 
-    def _improve(self, theta: Array) -> tuple[float, Array]:
-        options = LevenbergOptions(robust=False, tolerance=1e-3, damping=1e-1)
-        stage = LevenbergMarquardt(self.name, IMPROVEMENTS, lambda i: self.engine, options)
+    # ---------------------------------------------------------------- improvement
+    def _improve(self, theta: Array, place: int) -> tuple[float, Array]:
+        if self.forced is not None and place % 3 == 2:
+            theta = self._descended(self.forced, theta, FORCED)
+        if self.parameters.own:
+            theta = refit_own(self.engine, theta, self.seed, 32, 2)
+        theta = self._descended(self.engine, theta, ITERATIONS)
+        return self._objective(theta), theta
+
+    def _best_of_own(self, theta: Array, best: float) -> tuple[Array, float]:
+        """The best vector after another look for better constants of single trajectories."""
+        for attempt in range(3 if self.parameters.own else 0):
+            trial = self._descended(self.engine, refit_own(self.engine, theta, self.seed + attempt), ITERATIONS)
+            reached = self._objective(trial)
+            if not reached < best * (1 - SAME):
+                break
+            theta, best = trial, reached
+        return theta, best
+
+    def _descended(self, engine: Engine, theta: Array, iterations: int) -> Array:
+        """The vector after some iterations of Levenberg-Marquardt, or the last one from which they were possible."""
+        stage = LevenbergMarquardt(self.name, iterations, lambda i: engine, OPTIONS)
         state = stage.begin(theta)
-        for i in range(IMPROVEMENTS):
+        for i in range(iterations):
             try:
                 outcome = stage.step(state, i)
             except ComputationError:
-                return float("inf"), theta
+                break
             state = outcome.state
             if outcome.done:
                 break
-        residuals = residual_vector(self.engine, state["theta"])
-        return mean_loss(residuals) + self._penalty(state["theta"], residuals) / max(len(residuals), 1), state["theta"]
+        return state["theta"]

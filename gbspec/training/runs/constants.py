@@ -1,0 +1,132 @@
+"""The learned constants of a run: values, standard deviations, intervals within the bounds, correlations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import combinations
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.files import finite
+from gbspec.ir import Learnable, Model
+from gbspec.runs import ConstantRecord, OwnRecord
+from gbspec.training.problem import Bijection, Bijections
+from gbspec.training.runs.summary import MemberResult
+
+TOGETHER = 0.95
+"""A warning is given for correlations beyond this."""
+QUANTILE = 1.645
+"""Half the width of a normal distribution's 90 % interval, in standard deviations."""
+NEGLIGIBLE = 0.3
+"""Constants with smaller components are omitted from the description of a direction."""
+NEAR, CLEAR = 1e-5, 5.0
+"""A constant closer to a bound than the fraction `NEAR` of its range is at the bound, unless it is `CLEAR` standard
+deviations away from it."""
+EXACT = 1e-20
+"""Up to this mean loss, the data are fitted to rounding."""
+
+
+def constant_record(
+    learnable: Learnable, results: list[MemberResult], own: Mapping[str, OwnRecord] | None
+) -> ConstantRecord:
+    """Mean over members, standard deviation (within and between members), and a 90 % interval."""
+    values = np.array([r.constants[learnable.name] for r in results])
+    center, sd, interval = _estimate(learnable, values, np.array([r.sd[learnable.name] for r in results]))
+    return ConstantRecord(center, sd, interval, learnable.start, tuple(map(float, values)), own)
+
+
+def _estimate(
+    learnable: Learnable, values: Array, within: Array
+) -> tuple[float, float | None, tuple[float, float] | None]:
+    """The mean of the members' values, its standard deviation from those `within` members, and a 90 % interval within
+    the bounds."""
+    between = values.var(ddof=1) if len(values) > 1 else 0.0
+    sd = math.sqrt(float(np.mean(within**2)) + float(between)) if np.isfinite(within).all() else float("nan")
+    center = float(values.mean())
+    return center, finite(sd), inside_bounds(learnable, center, sd) if math.isfinite(sd) else None
+
+
+def own_records(model: Model, results: list[MemberResult]) -> dict[str, dict[str, OwnRecord]]:
+    """The constants per trajectory by name, and by the labels of the trajectories that all members were fitted to."""
+    common = [label for label in results[0].labels if all(label in r.labels for r in results)]
+    out: dict[str, dict[str, OwnRecord]] = {}
+    for j, learnable in enumerate(k for k in model.learnables if k.per_trajectory):
+        records = out[learnable.name] = {}
+        for label in common:
+            rows = [(r, r.labels.index(label)) for r in results]
+            values, within = (np.array([getattr(r, name)[row, j] for r, row in rows]) for name in ("own", "own_sd"))
+            center, sd, interval = _estimate(learnable, values, within)
+            records[label] = OwnRecord(center, sd, interval)
+    return out
+
+
+def inside_bounds(learnable: Learnable, center: float, sd: float) -> tuple[float, float] | None:
+    """The 90 % interval of a constant: symmetrical on the scale on which it is trained, whose values all lie within the
+    bounds; None for a constant at its bound, where this scale ends, and where an end is too large for a number."""
+    scale = Bijections.of((learnable,))
+    place = scale.from_natural(np.array([center]))
+    slope = abs(float(scale.derivative(place)[0]))
+    if not slope > 0:
+        return None
+    half = QUANTILE * sd / slope
+    ends = [float(scale.to_natural(torch.from_numpy(place + move))[0]) for move in (-half, half)]
+    return (min(*ends, center), max(*ends, center)) if np.isfinite(ends).all() else None
+
+
+def correlations_of(names: list[str], results: list[MemberResult]) -> dict[str, dict[str, float]]:
+    """Correlations of the shared constants by their names, the mean over members; empty where one is not known."""
+    tables = [r.correlations for r in results]
+    if len(names) < 2 or any(t.shape != (len(names), len(names)) or not np.isfinite(t).all() for t in tables):
+        return {}
+    mean = np.mean(tables, axis=0)
+    return {a: {b: float(mean[i, j]) for j, b in enumerate(names)} for i, a in enumerate(names)}
+
+
+def moving_together(correlations: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Warnings about strongly correlated constants: pairs, then groups that contain no such pair.
+
+    A group consists of the constants in an eigenvector of the correlation matrix whose eigenvalue is below
+    1 - TOGETHER, the value of a pair at the limit: along this direction the data determine the constants worst.
+    """
+    names = list(correlations)
+    table = np.array([[correlations[a][b] for b in names] for a in names]).reshape(len(names), len(names))
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if abs(table[i, j]) > TOGETHER]
+    warnings = [
+        f"`{names[i]}` and `{names[j]}` are strongly correlated (correlation {table[i, j]:.3f}): "
+        "the data determine a combination of them better than either"
+        for i, j in pairs
+    ]
+    values, vectors = np.linalg.eigh(table)
+    for value, direction in zip(values, vectors.T, strict=True):
+        group = [i for i in range(len(names)) if abs(direction[i]) > NEGLIGIBLE]
+        if value < 1 - TOGETHER and not any(i in group and j in group for i, j in pairs):
+            listed = ", ".join(f"{direction[i]:+.2f} `{names[i]}`" for i in group)
+            warnings.append(
+                f"the data hardly determine the direction {listed} (in standard deviations): fix one of these"
+            )
+    return warnings
+
+
+def at_bounds(
+    model: Model, constants: Mapping[str, float], sd: Mapping[str, float] | None = None
+) -> list[tuple[str, float]]:
+    """Learnable constants that ended at a bound, and the bound: closer to it than 1e-5 of the range's width.
+
+    Where bounds are so far apart that training uses their logarithms, so does this. With a single bound, the distance
+    of the starting value from it is used as the width. A constant that lies several of its standard deviations `sd`
+    away from the bound is not at the bound, however wide the range.
+    """
+    out = []
+    for learnable in model.learnables:
+        low, high = learnable.range.low, learnable.range.high
+        if learnable.name not in constants or high <= low:
+            continue
+        value, scale = constants[learnable.name], Bijection.of(learnable)
+        deviation = (sd or {}).get(learnable.name, float("nan"))
+        for bound in (low, high):
+            if scale.distance(value, bound) < NEAR and not abs(value - bound) > CLEAR * deviation:
+                out.append((learnable.name, bound))
+    return out
