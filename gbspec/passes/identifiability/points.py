@@ -9,7 +9,7 @@ ranges do not exclude, get points that are not certain: they may raise a doubt a
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sympy
@@ -63,6 +63,19 @@ def bases_of(question: Question, branches: Branches, rng: np.random.Generator) -
     yield from _ties(question, branches, _base(question, drawn, start, constants))
     for choice in branches.unreached(list(first), generic):
         yield _base(branches.resolved(choice), drawn, start, constants, certain=False)
+    if question.signals and any(given is not None for given in question.starts):
+        yield from _later(question, constants, rng)
+
+
+def _later(question: Question, constants: dict[sympy.Symbol, float], rng: np.random.Generator) -> Iterator[Base]:
+    """A point at a later time: signals that change may lead from a known start to states that constant ones do not."""
+    free = replace(question, starts=(None,) * len(question.starts))
+    branches = Branches(free)
+    drawn = _draw(free, constants, FEW, rng)
+    for index, choice in enumerate(branches.choices(drawn.values, FEW)):
+        if choice is not None:
+            yield _base(branches.resolved(choice), drawn, index, constants, certain=False)
+            return
 
 
 def _kept(choices: Sequence[Choice]) -> list[Choice]:
