@@ -168,6 +168,11 @@ FURTHER: dict[str, Case] = {
         CELL + "learn R = 0.1\nunknown ocv(q)\nobserve V = ocv(q) - R*I\n", 1, {"Q"}, {"ocv"},
         "R from a step of I; Q as without it",
     ),
+    "terms that a constant input does not tell apart": (
+        "state q\nstate p\nstate y\ninput F held\nlearn a = 1\nlearn b = 2\nq' = F\np' = F^2\n"
+        "y' = a*F*q + b*p\ninitial q = 0\ninitial p = 0\nobserve y\n",
+        0, set(), set(), "(a + b)*F^2*t while F is constant; a change of F separates them",
+    ),
     "large numbers": (
         "state x in [0, 1e6]\nlearn V = 5e4 in [1e3, 1e6]\nlearn K = 2e5 in [1e3, 1e6]\nx' = -V*x/(K + x)\nobserve x\n",
         0, set(), set(), "the shape of the curve gives V and K",
@@ -187,11 +192,6 @@ UNDECIDED: dict[str, tuple[str, str]] = {
     ),
     "saturation that another start might reach": (
         "state x in [0, 1]\nlearn b = 5\nx' = -min(x, b)\nobserve x\n", "b has no bound, so that it may be below 1",
-    ),
-    "terms that a constant input does not tell apart": (
-        "state q\nstate p\nstate y\ninput F held\nlearn a = 1\nlearn b = 2\nq' = F\np' = F^2\n"
-        "y' = a*F*q + b*p\ninitial q = 0\ninitial p = 0\nobserve y\n",
-        "(a + b)*F^2*t while F is constant; a change of F separates them",
     ),
     "a threshold in a comparison": (
         "state x in [0, 10]\nlearn w = 5 in [1, 9]\nx' = if(x > w, -2*x, -x)\nobserve x\n",

@@ -124,7 +124,7 @@ def _thresholds(question: Question) -> Array:
 
 def _lines(question: Question, order: int) -> int:
     model = question.model
-    space = len(model.states) + len(model.conditions) + len(question.signals)
+    space = len(model.states) + len(model.conditions) + len(question.signals) + len(model.inputs)
     equations = max(1, len(question.known) + len(question.outputs)) * (order + 1)
     return min(LINES, comb(order + space, order) + 4, 8 + 2 * size(question, order) // equations)
 

@@ -127,7 +127,8 @@ class Jet:
         self._lasting = len(self._parameters)
         """The number of parameters that starts and constants of a trajectory may depend on: all but signals."""
         self._parameters += [i.symbol for i in model.inputs] + [d.amount for d in question.doses]
-        self._slopes = [i.symbol for i in model.inputs if i.interpolation == "linear"]
+        # Steps that follow each other fast come as close to a slope as one likes, so that held inputs have one too.
+        self._slopes = [i.symbol for i in model.inputs]
         self._unit = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
         self._widths = np.array([base.widths[symbol] for symbol in (*self._parameters, *self._slopes)])
         self._directions = self._unit * self._widths
