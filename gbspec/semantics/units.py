@@ -100,6 +100,8 @@ class Namespace:
 
     own: frozenset[str]
     _measures: dict[str, Measure | None] = field(default_factory=dict)
+    told: set[str] = field(default_factory=set)
+    """Names that were reported: one mistake is one diagnostic, however often the name is used."""
 
     def atom(self, name: str) -> Measure | None:
         """The measure of one named unit; None if there is no such unit."""
@@ -166,7 +168,9 @@ def read(unit: ast.UnitExpression, namespace: Namespace, findings: Findings) -> 
             case ast.UnitName(text=text):
                 if namespace.atom(text) is None:
                     sound = False
-                    _unknown(node, namespace, findings)
+                    if text not in namespace.told:
+                        namespace.told.add(text)
+                        _unknown(node, namespace, findings)
                 else:
                     result = result.times(Unit(((text, Fraction(1)),)), exponent)
     return result if sound else None
