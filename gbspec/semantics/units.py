@@ -138,6 +138,18 @@ class Namespace:
                     dimensions[dimension] = dimensions.get(dimension, Fraction(0)) + exponent * power
         return Measure(factor, powers(dimensions))
 
+    def mixed(self, unit: Unit) -> tuple[str, str] | None:
+        """Two units of one quantity in a unit, one above and one below the line, which differ by a factor."""
+        known = [(name, exponent, self.atom(name)) for name, exponent in unit.names if not name[0].isdigit()]
+        for name, exponent, atom in known:
+            for other, power, second in known:
+                if atom is None or second is None or exponent < 0 or power > 0 or not atom.dimensions:
+                    continue
+                same = atom.dimensions == second.dimensions
+                if same and not math.isclose(atom.factor, second.factor, rel_tol=EQUAL):
+                    return name, other
+        return None
+
     def is_one(self, unit: Unit) -> bool:
         """Whether a known unit equals 1, prefixes included."""
         if not unit.names:
