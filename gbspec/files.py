@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
+import stat
 import tempfile
 from pathlib import Path
 
@@ -19,6 +21,15 @@ def existing(path: str | Path, *, kind: str = "file") -> Path:
         message = f"`{path}` is a directory, not a {kind}"
         raise UserError([Diagnostic("GB802", message, None, help=f"give the path of the {kind}")])
     return found
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The bytes of a regular file. Raises OSError, for a pipe or a device too, which might never end or begin."""
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as file:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, "it is a pipe or a device, not a file; save its content first", str(path))
+        return file.read()
 
 
 def writable(path: str | Path) -> Path:

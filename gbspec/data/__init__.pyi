@@ -4,6 +4,7 @@ from .cases import Cases as Cases
 from .cases import MetricsOptions as MetricsOptions
 from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
+from .checks import far_outside as far_outside
 from .columns import TRAJECTORY as TRAJECTORY
 from .draws import sobol as sobol
 from .draws import spread_over_ranges as spread_over_ranges

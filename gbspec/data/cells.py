@@ -85,6 +85,8 @@ def _meant(text: str) -> str:
         return "write numbers without a separator of thousands"
     if re.match(r"[<>≤≥]", text):
         return "a value below or above a limit was not measured: leave the cell empty"
+    if re.match(r"\d{4}-\d{1,2}-\d{1,2}|\d{1,2}[./]\d{1,2}[./]\d{2,4}|\d{1,2}:\d{2}", text):
+        return "a date or a time of day: write the time since the start as a number, in the model's unit of time"
     if match := re.match(r"[-+]?[\d.]+([eE][-+]?\d+)?", text):
         return f"keep only the number, `{match.group()}`, and put its unit into the model"
     return "leave the cell empty where nothing was measured"

@@ -217,3 +217,24 @@ def _point_out(table: Records, groups: list[int], code: str, findings: Findings)
         message = f"{some} {names}: measured at only one time, which contains no information about the dynamics"
         advice = "a trajectory needs two times, or a known start (`time t from 0`)"
     findings.warning(code, message, Cell(table.path, row, None), help=advice)
+
+
+def far_outside(model: Model, values: Array) -> list[str]:
+    """A sentence for each channel that is a state and has values [rows, channels] far outside of its declared range.
+
+    Far is by more than a tenth of the range: noise and small errors of a fit may leave it by less.
+    """
+    found = []
+    for j, channel in enumerate(model.channels):
+        bounds = None if channel.state is None else model.states[channel.state].range
+        if bounds is None or not bounds.bounded:
+            continue
+        column, margin = values[:, j], 0.1 * (bounds.high - bounds.low)
+        beyond = column[(column < bounds.low - margin) | (column > bounds.high + margin)]
+        if len(beyond):
+            spread = f"from {beyond.min():.4g} to {beyond.max():.4g}" if len(beyond) > 1 else f"{beyond[0]:.4g}"
+            found.append(
+                f"`{channel.name}`: {len(beyond)} of {int(np.isfinite(column).sum())} values lie far outside of its"
+                f" range {_interval(bounds)}: {spread}"
+            )
+    return found

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Mask
 from gbspec.data.names import cell_name
 from gbspec.diagnostics import Cell, Findings
+from gbspec.files import read_bytes
 
 SEPARATORS = {".csv": ",", ".tsv": "\t"}
 PARQUET = frozenset({".parquet", ".pq"})
@@ -63,7 +64,7 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
         )
         return None
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         reason = "there is no such file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error))
         findings.error("GB701", f"cannot read the table `{path}`: {reason}", Cell(str(path)))

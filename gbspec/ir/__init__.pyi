@@ -11,6 +11,7 @@ from .derivatives import ordered as ordered
 from .derivatives import partials as partials
 from .dumping import dump as dump
 from .dumping import guarantee as guarantee
+from .dumping import in_language as in_language
 from .dumping import written as written
 from .forms import Block as Block
 from .forms import Form as Form

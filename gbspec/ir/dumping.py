@@ -18,7 +18,36 @@ class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
         return repr(float(expr))
 
 
+class _LanguagePrinter(_Printer):
+    """Prints what a `.gb` file would have: `if`, `max`, `min`, `abs`, `and`, `or`, `not`."""
+
+    def _print_Piecewise(self, expr: Expr) -> str:  # noqa: N802
+        text = self._print(expr.args[-1][0])
+        for value, condition in reversed(expr.args[:-1]):
+            text = f"if({self._print(condition)}, {self._print(value)}, {text})"
+        return str(text)
+
+    def _print_Max(self, expr: Expr) -> str:  # noqa: N802
+        return f"max({self.stringify(expr.args, ', ')})"
+
+    def _print_Min(self, expr: Expr) -> str:  # noqa: N802
+        return f"min({self.stringify(expr.args, ', ')})"
+
+    def _print_Abs(self, expr: Expr) -> str:  # noqa: N802
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_And(self, expr: Expr) -> str:  # noqa: N802
+        return " and ".join(f"({self._print(part)})" for part in expr.args)
+
+    def _print_Or(self, expr: Expr) -> str:  # noqa: N802
+        return " or ".join(f"({self._print(part)})" for part in expr.args)
+
+    def _print_Not(self, expr: Expr) -> str:  # noqa: N802
+        return f"not ({self._print(expr.args[0])})"
+
+
 _PRINTER = _Printer()
+_LANGUAGE_PRINTER = _LanguagePrinter()
 
 
 def written(expression: Expr) -> str:
@@ -26,9 +55,14 @@ def written(expression: Expr) -> str:
     return str(_PRINTER.doprint(expression))
 
 
+def in_language(expression: Expr) -> str:
+    """An expression as a `.gb` file would have it."""
+    return str(_LANGUAGE_PRINTER.doprint(expression)).replace("**", "^")
+
+
 def contract_text(contract: Contract) -> str:
     """A contract in the syntax of a `.gb` file."""
-    value = "" if contract.value is None else written(contract.value).replace("**", "^")
+    value = "" if contract.value is None else in_language(contract.value)
     match contract.kind:
         case "lower":
             return f">= {value}"

@@ -1,7 +1,7 @@
 """The Model: the meaning of a `.gb` file in sympy. Immutable; every part has its place in the text.
 
 All symbols are `sympy.Symbol(name, real=True)`, one per name (see `symbol`). An application of an unknown is an
-undefined sympy function of the unknown's name: `sympy.Function("phi", real=True)(x1, x2, Da)` (see `unknown_function`);
+undefined sympy function of the unknown's name, `phi(x1, x2, Da)` (see `unknown_function`);
 its value is given by `Unknown.postulate`. Intermediates (`let`, process rates) stay symbols in balances and
 observations and are listed in an order in which each depends only on earlier ones; `Model.inlined` replaces them.
 """
@@ -16,6 +16,9 @@ from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import sympy
+from sympy.core.function import AppliedUndef, UndefinedFunction
+from sympy.printing.precedence import PRECEDENCE
+from sympy.printing.printer import Printer
 
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
@@ -32,7 +35,19 @@ def symbol(name: str) -> sympy.Symbol:
 @cache
 def unknown_function(name: str) -> type[sympy.Function]:
     """The undefined sympy function for the unknown of that name."""
-    return sympy.Function(name, real=True)  # type: ignore[no-any-return]
+    return UndefinedFunction(name, bases=(_Unknown,), real=True)  # type: ignore[no-any-return]
+
+
+class _Unknown(AppliedUndef):  # type: ignore[misc]  # sympy is untyped
+    """An applied unknown. sympy finds a printer's method and a precedence by the name of a class, which is here that of
+    the unknown: one that is called `Integer` must be printed as a function all the same."""
+
+    precedence = PRECEDENCE["Func"]
+
+    def _printed(self, printer: Printer, **options: str) -> object:
+        return printer._print_Function(self, **options)
+
+    _sympystr = _sympyrepr = _latex = _mathml_presentation = _printed
 
 
 LOGARITHMIC_FROM = 100.0

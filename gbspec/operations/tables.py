@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 
 if TYPE_CHECKING:
@@ -26,6 +28,13 @@ def simulate(
     from gbspec.data import fixed
 
     return run(source.evaluator, source.model, fixed(options, source.values, source.model), like, progress)
+
+
+def far_outside(data: Trajectories, model: Model) -> list[str]:
+    """A sentence for each measured state with values far outside of its declared range."""
+    from gbspec.data import far_outside as judged
+
+    return judged(model, np.concatenate([item.values for item in data.items]))
 
 
 def read_data(path: str | Path, model: Model, findings: Findings, *, require_channels: bool = True) -> Trajectories:

@@ -17,7 +17,7 @@ import sympy
 from gbspec.diagnostics import Findings, Label
 from gbspec.ir import Claim, Expr, Model
 from gbspec.passes.conservation import as_text
-from gbspec.passes.terms import Opened, constants_of, exact, terms
+from gbspec.passes.terms import Opened, branching, constants_of, exact, terms
 
 DIGITS = 50
 POINTS = 6
@@ -25,7 +25,6 @@ ROUNDING = sympy.Float("1e-12")
 """With constants at their values, a sum below this fraction of its largest term counts as rounding."""
 
 _NOTHING: Mapping[sympy.Symbol, Expr] = {}
-_PIECEWISE = (sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max, sympy.sign)
 
 
 class Verdict(Enum):
@@ -105,7 +104,7 @@ def _vanishes(model: Model, expression: Expr, numbers: Mapping[sympy.Symbol, Exp
     table = opened.split(plain)
     if not table:
         return Verdict.HOLDS
-    opaque = {atom: sympy.Dummy(real=True) for atom in plain.atoms(*_PIECEWISE)}
+    opaque = {atom: sympy.Dummy(real=True) for atom in branching(plain)}
     if _zero_at_points(_outermost(plain, opaque), numbers):
         return Verdict.HOLDS
     if not opaque:

@@ -9,8 +9,8 @@ from typing import TypeVar
 import sympy
 from sympy.polys.matrices import DomainMatrix
 
-from gbspec.ir import Expr, Model, written
-from gbspec.passes.terms import Opened, constants_of, larger_than
+from gbspec.ir import Expr, Model, in_language
+from gbspec.passes.terms import Opened, branching, constants_of, larger_than
 
 K = TypeVar("K")
 
@@ -38,7 +38,7 @@ class Law:
 
 def as_text(expression: Expr) -> str:
     """An expression as a user would write it."""
-    return written(expression).replace("**", "^")
+    return in_language(expression)
 
 
 def linear_laws(model: Model) -> tuple[Law, ...]:
@@ -61,12 +61,13 @@ def _laws(model: Model, balances: Sequence[Expr], known: int) -> tuple[Law, ...]
     conserved, count = _left_null_support(rows)
     if count <= known:
         return ()
-    vectors = _null_space([rows[i] for i in conserved])
+    # With a branch as a generator sympy's polynomials are not defined, or wrong: each is one free symbol.
+    branches = {b: sympy.Dummy("b", real=True) for row in rows for c in row.values() for b in branching(c)}
+    vectors = _null_space([{key: c.xreplace(branches) for key, c in rows[i].items()} for i in conserved])
+    back = {symbol: branch for branch, symbol in branches.items()}
+    found = ([opened.close(value.xreplace(back)) for value in vector] for vector in vectors)
     names = [model.states[i].name for i in conserved]
-    return tuple(
-        Law(tuple((name, opened.close(value)) for name, value in zip(names, vector, strict=True) if value != 0))
-        for vector in vectors
-    )
+    return tuple(Law(tuple((n, v) for n, v in zip(names, law, strict=True) if v != 0)) for law in found)
 
 
 def _completed(laws: tuple[Law, ...], every: tuple[Law, ...]) -> tuple[Law, ...]:
@@ -150,7 +151,7 @@ def _residue(coefficient: Expr, values: dict[sympy.Symbol, int]) -> int:
     """A coefficient modulo the prime; a part that is not a rational function of symbols gets a random residue."""
     if coefficient.is_Rational:
         return int(coefficient.p) * pow(int(coefficient.q), -1, PRIME) % PRIME
-    atoms = coefficient.replace(lambda e: not _is_rational_operation(e), lambda e: sympy.Dummy(str(e)))
+    atoms = _with_atoms(coefficient)
     for s in sorted(coefficient.free_symbols | atoms.free_symbols, key=str):
         values.setdefault(_identity(s), pow(48271, 7 * len(values) + 11, PRIME))
     numerator, denominator = sympy.fraction(sympy.together(atoms))
@@ -158,6 +159,16 @@ def _residue(coefficient: Expr, values: dict[sympy.Symbol, int]) -> int:
     top, bottom = (sympy.Rational(part.xreplace(table)) for part in (numerator, denominator))
     value = top / bottom
     return int(value.p) * pow(int(value.q), -1, PRIME) % PRIME
+
+
+def _with_atoms(e: Expr) -> Expr:
+    """The expression with its parts that are no rational function of symbols, such as an `if`, each as one symbol.
+
+    From the outside in: the parts of an `if` are pairs and conditions, which no symbol can replace.
+    """
+    if not _is_rational_operation(e):
+        return sympy.Dummy(str(e))
+    return e.func(*map(_with_atoms, e.args)) if e.args and not e.is_Rational else e
 
 
 def _identity(s: sympy.Symbol) -> sympy.Symbol:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import sympy
 
 from gbspec.ir import Expr, Network, Unknown, center, input_scale, logistic, raw, scale, softplus
+from gbspec.passes.monotone import monotone
 from gbspec.passes.requirements import Link, Refused, Wanted, Zero, shown
 from gbspec.passes.signs import Prover
 
@@ -117,8 +118,7 @@ class Builder:
             for kind, bound in (("lower", demands.lower), ("upper", demands.upper)):
                 if bound is None or self.formals[i] not in bound.free_symbols:
                     continue
-                slope = self.prover.slope(bound, self.formals[i])
-                if slope is None or not self.prover.nonnegative(direction * slope):
+                if not monotone(self.prover, bound, self.formals[i], direction):
                     word = "increasing" if direction > 0 else "decreasing"
                     contracts = [c for c in self.unknown.contracts if c.kind in (kind, word)]
                     raise Refused(

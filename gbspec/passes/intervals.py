@@ -124,8 +124,8 @@ def _combined(expression: Expr, parts: list[Interval]) -> Interval | None:
         return _extremum(parts, max)
     if kind is sympy.Min:
         return _extremum(parts, min)
-    if kind in _INCREASING:
-        return _mapped(parts[0], *_INCREASING[kind])
+    if kind in INCREASING:
+        return _mapped(parts[0], *INCREASING[kind])
     if kind is sympy.acos:
         arc = _mapped(parts[0], math.asin, -1.0, 1.0)
         return None if arc is None else -arc + Interval(math.pi / 2, math.pi / 2)
@@ -169,7 +169,7 @@ def _softplus(x: float) -> float:
     return x if x > 40 else math.log1p(_exp(x))
 
 
-_INCREASING: dict[type[sympy.Basic], tuple[Callable[[float], float], float, float]] = {
+INCREASING: dict[type[sympy.Basic], tuple[Callable[[float], float], float, float]] = {
     sympy.exp: (_exp, -math.inf, math.inf),
     sympy.tanh: (math.tanh, -math.inf, math.inf),
     sympy.sinh: (_safe(math.sinh), -math.inf, math.inf),
@@ -191,7 +191,7 @@ def _mapped(
     """The image under an increasing function; None if the interval leaves the domain."""
     if part.low < low or part.high > high:
         return None
-    poles = function in (_INCREASING[sympy.log][0], _INCREASING[sympy.atanh][0])
+    poles = function in (INCREASING[sympy.log][0], INCREASING[sympy.atanh][0])
     if poles and ((part.low == low and not part.low_open) or (part.high == high and not part.high_open)):
         return None
     return Interval(function(part.low), function(part.high), keeps and part.low_open, keeps and part.high_open)
@@ -232,8 +232,8 @@ def _power(base: Interval, exponent: Interval, exact: Expr) -> Interval | None:
     if base.low < 0 or (base.low == 0 and not base.low_open and exponent.low < 0):
         return None
     ends = [(_real_power(b, e), b_open or e_open) for b, b_open in base._ends() for e, e_open in exponent._ends()]
-    if any(math.isnan(value) for value, _ in ends):
-        return None
+    if any(math.isnan(value) for value, _ in ends):  # a corner such as inf^0: any power of what is here is possible
+        return Interval(0.0, math.inf, base.positive, True)
     # x^y is monotone in each of x and y on x > 0, so the extremes are at corners; it is positive where x is.
     hull = _hull(ends)
     if base.positive and hull.low == 0:

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 
 import sympy
 
-from gbspec.ir import NN, Contract, Expr, Network, Unknown, written
+from gbspec.ir import NN, Contract, Expr, Network, Unknown, in_language
 from gbspec.passes.intervals import REAL, Interval
+from gbspec.passes.monotone import monotone
 from gbspec.passes.signs import Prover
 
 NONNEGATIVE = Interval(0.0, REAL.high, False, True)
@@ -21,7 +22,7 @@ NONNEGATIVE = Interval(0.0, REAL.high, False, True)
 
 def shown(expression: Expr) -> str:
     """An expression in a message: as a `.gb` file would write it."""
-    return written(expression).replace("**", "^")
+    return in_language(expression)
 
 
 class Refused(Exception):  # noqa: N818 - not an error: no guarantee is possible
@@ -125,6 +126,15 @@ def requirements(unknown: Unknown, network: Network, value: Wanted, prover: Prov
     return _Translation(unknown, network, value, prover).run()
 
 
+def _way(prover: Prover, expression: Expr, variable: sympy.Symbol) -> int | None:
+    """1 if it is proved to increase with the variable, -1 if to decrease, 0 if neither at all, None if not proved."""
+    slope = prover.slope(expression, variable)
+    sign = None if slope is None else prover.sign(slope)
+    if sign is not None:
+        return sign
+    return next((way for way in (1, -1) if monotone(prover, expression, variable, way)), None)
+
+
 class _Translation:
     def __init__(self, unknown: Unknown, network: Network, value: Wanted, prover: Prover) -> None:
         self.unknown, self.network, self.value, self.prover = unknown, network, value, prover
@@ -161,8 +171,7 @@ class _Translation:
         """The directions that `nn` must have; those of the rest of the postulate are proved."""
         if not self.value.directions:
             return {}
-        slope = prover.slope(self.postulate, NN)
-        sign = None if slope is None else prover.sign(slope)
+        sign = _way(prover, self.postulate, NN)
         out = {}
         for i, direction in self.value.directions.items():
             contract = self._contract_of(i)
@@ -179,10 +188,10 @@ class _Translation:
         return out
 
     def _own_direction(self, expression: Expr, i: int, direction: int, contract: Contract, prover: Prover) -> None:
-        derivative = prover.slope(expression, self.symbols[i])
-        if derivative is None or not prover.nonnegative(direction * derivative):
+        if not monotone(prover, expression, self.symbols[i], direction):
             name = self.symbols[i].name
-            how = "is not proved to be" if derivative is not None else "jumps (`if` or `sign`), so it is not"
+            jumps = prover.slope(expression, self.symbols[i]) is None
+            how = "jumps (`if` or `sign`), so it is not" if jumps else "is not proved to be"
             raise Refused(
                 "GB605",
                 f"`{contract.kind} in {name}` cannot be kept: the postulate `{shown(self.postulate)}` {how}"

@@ -116,12 +116,16 @@ class Prover:
             return self._product(expression.args, strict)
         if isinstance(expression, sympy.Pow) and expression.exp.is_Integer:
             return self._power(expression.base, int(expression.exp), strict)
+        if isinstance(expression, sympy.Pow) and not expression.exp.has(sympy.Symbol):
+            return self._holds(expression.base, strict or expression.exp < 0)
         if isinstance(expression, sympy.Piecewise):
             return all(self._holds(value, strict) for value, _ in expression.args)
         if isinstance(expression, sympy.Max | sympy.Min):
             some = any if isinstance(expression, sympy.Max) else all
             return found is not None and some(self._holds(part, strict) for part in expression.args)
         if isinstance(expression, sympy.Add) and sympy.count_ops(expression) <= LARGEST:
+            if all(self._holds(part, False) for part in expression.args) and not strict:
+                return True
             return self._sum(expression, strict) or self._halves(expression, strict)
         return self._halves(expression, strict)
 

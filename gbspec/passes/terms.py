@@ -15,6 +15,15 @@ MOST_TERMS = 2000
 """A product of sums that would have more terms than this is not expanded."""
 
 
+BRANCHES = (sympy.Piecewise, sympy.Abs, sympy.Min, sympy.Max, sympy.sign)
+"""Functions that have another formula on each side of a boundary."""
+
+
+def branching(expression: Expr) -> list[Expr]:
+    """The parts of an expression that have branches, in a fixed order."""
+    return sorted(expression.atoms(*BRANCHES), key=sympy.default_sort_key)
+
+
 def exact(expression: Expr) -> Expr:
     """The expression with every float as its exact decimal fraction, so that sums cancel exactly."""
     floats = expression.atoms(sympy.Float)

@@ -14,6 +14,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as dump_tensors
 
 from gbspec.arrays import Array
+from gbspec.files import read_bytes
 from gbspec.json_values import JsonObject
 
 FIT, MODEL, MODULE, HISTORY, MEMBERS = "fit.json", "model.gb", "model.py", "history.csv", "members"
@@ -69,7 +70,7 @@ def write_tensors(path: Path, arrays: Mapping[str, Array], remarks: Mapping[str,
 
 def read_tensors(path: Path) -> tuple[dict[str, Array], JsonObject]:
     """Arrays and remarks of a file written by `write_tensors`. Raises ValueError if it is damaged."""
-    content = path.read_bytes()
+    content = read_bytes(path)
     try:
         arrays = load_tensors(content)
         length = int.from_bytes(content[:8], "little")

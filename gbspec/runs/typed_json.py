@@ -16,6 +16,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from gbspec.files import read_bytes
+
 T = TypeVar("T")
 # A type annotation is `Any` here: a class, a union and `tuple[int, ...]` have no common type.
 
@@ -41,7 +43,7 @@ class JsonError(ValueError):
 def read_object(path: Path) -> dict[str, object]:
     """The JSON object in a file. Raises JsonError if the file holds anything else, OSError if it cannot be read."""
     try:
-        content = json.loads(path.read_bytes().decode("utf-8"), parse_constant=_refuse)
+        content = json.loads(read_bytes(path).decode("utf-8"), parse_constant=_refuse)
         json.dumps(content, ensure_ascii=False).encode("utf-8")  # an unpaired surrogate is valid JSON but not text
     except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, huge numbers, nested too deeply
         raise JsonError([str(error)]) from None

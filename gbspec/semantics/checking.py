@@ -99,9 +99,15 @@ def _units(
     findings: Findings,
 ) -> None:
     """Checks the units of all expressions without other errors; a model that names no unit does not import pint."""
-    if not names_a_unit(items):
+    alone = not names_a_unit(items)
+    clocks = [item.statement.unit for item in items if isinstance(item.statement, ast.TimeStatement)]
+    if alone and not any(clocks):
         return
     from gbspec.semantics import unit_rules
+
+    if alone:
+        unit_rules.check_alone([unit for unit in clocks if unit is not None], findings)
+        return
 
     def usable(expression: ast.Expression) -> bool:
         return places_of.complete(expression) and rests.broken.isdisjoint(places_of[expression].references.names)

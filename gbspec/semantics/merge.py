@@ -55,7 +55,8 @@ class Merged:
 
 
 def names_a_unit(items: Iterable[Item]) -> bool:
-    """Whether a model names any unit."""
+    """Whether a model names any unit, but for that of the time: alone it says how to read times, and no more."""
+    items = [item for item in items if not isinstance(item.statement, ast.TimeStatement)]
     return any(
         isinstance(item.statement, ast.UnitStatement)
         or any(isinstance(part, _UNITS) for part in children(item.statement))

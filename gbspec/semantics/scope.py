@@ -12,6 +12,14 @@ from gbspec.semantics.table import Declaration, Table
 from gbspec.semantics.vocabulary import CONSTANTS, arity, suggestion
 from gbspec.syntax import FUNCTIONS, Kind, ast
 
+_WHOLE = "no function rounds, since none has a useful derivative; `if(cond, a, b)` chooses between values"
+_NOT_OFFERED = {
+    **dict.fromkeys(("delay", "lag"), "there are no delays; a chain of states approximates one: `a' = (x - a)*n/tau`"),
+    **dict.fromkeys(("floor", "ceil", "ceiling", "round", "trunc", "int", "mod", "fmod"), _WHOLE),
+    **dict.fromkeys(("integral", "integrate"), "an integral is a state: `state y`, `y' = …`, `initial y = 0`"),
+}
+"""Functions that other languages have, and what takes their place here."""
+
 _SUGGESTIONS = 20
 _PLACES = 4
 
@@ -73,7 +81,8 @@ class Resolver:
                 label="not declared",
                 labels=[Label(span, "also here") for span in spans[1:_PLACES]],
                 notes=[f"and in {len(spans) - _PLACES} more places"] if len(spans) > _PLACES else [],
-                help=(suggestion(name, missing.candidates) if number < _SUGGESTIONS else "")
+                help=(_NOT_OFFERED.get(name, "") if missing.called else "")
+                or (suggestion(name, missing.candidates) if number < _SUGGESTIONS else "")
                 or f"declare it, for example `{'function' if missing.called else 'const'} {name}"
                 f"{'(x)' if missing.called else ''} = …`",
                 subject=name,

@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import assert_never
 
-from gbspec.diagnostics import Defect, Findings, Span
+from gbspec.diagnostics import Defect, Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.dimensions import NEEDS_UNIT, Units
 from gbspec.semantics.merge import Item
 from gbspec.semantics.processes import Term
 from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Table
-from gbspec.semantics.unification import Solution
-from gbspec.semantics.units import ONE, Namespace, Unit
+from gbspec.semantics.unification import Solution, factor_between
+from gbspec.semantics.units import ONE, Namespace, Unit, read
 from gbspec.syntax import Kind, ast, target_name
 
 Terms = Mapping[str, Sequence[tuple[bool, Term]]]
@@ -34,8 +34,8 @@ def check(
     """Checks the units of a model that names any.
 
     Errors: a name that is not a unit (GB501), operands added or compared in different units (GB502), a unit where a
-    pure number is needed (GB503), an expression in another unit than its place (GB504). A warning (GB550): a name whose
-    unit is neither declared nor determined by its use.
+    pure number is needed (GB503), an expression in another unit than its place (GB504). Warnings: a name whose unit is
+    neither declared nor determined by its use (GB550), or is found to mix two units of one quantity (GB551).
     """
     own = frozenset(i.statement.name.text for i in items if isinstance(i.statement, ast.UnitStatement))
     units = Units(table, findings, evaluate, Solution(Namespace(own)))
@@ -53,6 +53,7 @@ def check(
             units.solution.equal(network, ONE, place)
     if not units.broken:
         _undetermined(units, sites, findings)
+        _mixed(units, findings)
 
 
 def _declared_again(statement: ast.Statement, by_name: Mapping[str, ast.Statement | None]) -> bool:
@@ -244,6 +245,12 @@ class _Rules:
                 self._units.carries(end, unit, f"`{name.text}`", name.span)
 
 
+def check_alone(expressions: Iterable[ast.UnitExpression], findings: Findings) -> None:
+    """Checks the unit of the time where no other is named: it must exist (GB501)."""
+    for expression in expressions:
+        read(expression, Namespace(frozenset()), findings)
+
+
 def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> None:
     used = {name for site in sites for name in site.references.names}
     used.update(d.name for d in units.table.values() if d.kind is Kind.STATE)
@@ -263,6 +270,35 @@ def _undetermined(units: Units, sites: Iterable[Site], findings: Findings) -> No
             f"`{name}` has no unit, and the rest of the model does not determine it",
             declaration.span if declaration.span is not None else _first_place(units),
             help=_how(name, declaration.kind),
+            subject=name,
+        )
+
+
+def _mixed(units: Units, findings: Findings) -> None:
+    """Warns of names whose unit, found from use, has two units of one quantity, such as `s/h`: a factor is missing.
+
+    One warning for each pair of units: other names usually have it from the same place.
+    """
+    told: set[frozenset[str]] = set()
+    for declaration in units.table.values():
+        name = declaration.name
+        if declaration.kind not in NEEDS_UNIT or units.of(name) != units.solution.of(name):
+            continue
+        unit = units.solution.known(units.of(name))
+        pair = None if unit is None else units.solution.namespace.mixed(unit)
+        if pair is None or frozenset(pair) in told:
+            continue
+        told.add(frozenset(pair))
+        one, other = pair
+        found = factor_between(Unit(((one, Fraction(1)),)), Unit(((other, Fraction(1)),)), units.solution.namespace)
+        origin = units.solution.origins.get(name)
+        findings.warning(
+            "GB551",
+            f"`{name}` declares no unit, and here it comes out in `{unit}`, which mixes `{one}` and `{other}`",
+            declaration.span if declaration.span is not None else _first_place(units),
+            labels=[] if origin is None else [Label(origin, "its unit follows from this")],
+            notes=[f"1 {one} = {found:g} {other}"],
+            help=f"declare the unit of `{name}`, and use one of `{one}` and `{other}` throughout",
             subject=name,
         )
 

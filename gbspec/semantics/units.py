@@ -100,6 +100,8 @@ class Namespace:
 
     own: frozenset[str]
     _measures: dict[str, Measure | None] = field(default_factory=dict)
+    told: set[str] = field(default_factory=set)
+    """Names that were reported: one mistake is one diagnostic, however often the name is used."""
 
     def atom(self, name: str) -> Measure | None:
         """The measure of one named unit; None if there is no such unit."""
@@ -136,6 +138,18 @@ class Namespace:
                     dimensions[dimension] = dimensions.get(dimension, Fraction(0)) + exponent * power
         return Measure(factor, powers(dimensions))
 
+    def mixed(self, unit: Unit) -> tuple[str, str] | None:
+        """Two units of one quantity in a unit, one above and one below the line, which differ by a factor."""
+        known = [(name, exponent, self.atom(name)) for name, exponent in unit.names if not name[0].isdigit()]
+        for name, exponent, atom in known:
+            for other, power, second in known:
+                if atom is None or second is None or exponent < 0 or power > 0 or not atom.dimensions:
+                    continue
+                same = atom.dimensions == second.dimensions
+                if same and not math.isclose(atom.factor, second.factor, rel_tol=EQUAL):
+                    return name, other
+        return None
+
     def is_one(self, unit: Unit) -> bool:
         """Whether a known unit equals 1, prefixes included."""
         if not unit.names:
@@ -166,7 +180,9 @@ def read(unit: ast.UnitExpression, namespace: Namespace, findings: Findings) -> 
             case ast.UnitName(text=text):
                 if namespace.atom(text) is None:
                     sound = False
-                    _unknown(node, namespace, findings)
+                    if text not in namespace.told:
+                        namespace.told.add(text)
+                        _unknown(node, namespace, findings)
                 else:
                     result = result.times(Unit(((text, Fraction(1)),)), exponent)
     return result if sound else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gbspec.diagnostics import Cell, Diagnostic, Source, Span, UserError
+from gbspec.files import read_bytes
 
 _TABLES = frozenset({".csv", ".tsv", ".parquet", ".pq", ".xlsx"})
 
@@ -17,7 +18,7 @@ def read_source(path: Path | str) -> Source:
         message = f"`{path}` is a table of data, not a model"
         raise UserError([Diagnostic("GB002", message, place, help="the `.gb` file comes first, then the table")])
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except FileNotFoundError:
         raise UserError([Diagnostic("GB001", f"there is no file `{path}`", place, help=_nearest(path))]) from None
     except IsADirectoryError:

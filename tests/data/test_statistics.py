@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from gbspec.data import far_outside
 from gbspec.data.statistics import channel_statistics, evenly_spaced, measured_scale
 from gbspec.data.trajectories import Trajectories, Trajectory
+from tests.texts import model_of
 
 
 def data(*columns: list[float]) -> Trajectories:
@@ -52,3 +54,11 @@ def test_evenly_spaced_positions_reach_from_the_first_to_the_last() -> None:
     assert evenly_spaced(2, 3) == [0, 1]
     assert evenly_spaced(9, 3) == [0, 4, 8]
     assert evenly_spaced(9, 1) == [0]
+
+
+def test_values_far_outside_of_a_range_are_told() -> None:
+    """Not those by less than a tenth of the range, as noise makes them."""
+    model = model_of("model m\nstate x in [0, 1]\nstate y\nx' = -x\ny' = -y\nobserve x\nobserve y\n")
+    assert far_outside(model, np.array([[0.5, 9.0], [1.05, 0.0], [np.nan, 1.0]])) == []
+    (told,) = far_outside(model, np.array([[0.5, 9.0], [-1936.0, 0.0], [np.nan, 1.0]]))
+    assert told == "`x`: 1 of 2 values lie far outside of its range [0, 1]: -1936"

@@ -133,7 +133,7 @@ def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
 
 @pytest.mark.parametrize(
     ("cell", "hint"),
-    [('"2,5"', "2.5"), ("<0.1", "limit"), ("5 mg", "`5`"), ("10:30", "`10`"), ('"1,234,567"', "thousands")],
+    [('"2,5"', "2.5"), ("<0.1", "limit"), ("5 mg", "`5`"), ("10:30", "time of day"), ('"1,234,567"', "thousands")],
 )
 def test_a_cell_that_is_not_a_number_gets_a_hint(reading: Reader, cell: str, hint: str) -> None:
     _, findings = reading(HEAD + FIRST + f"1,1,{cell},1,0.3\n")

@@ -11,6 +11,7 @@ from pathlib import Path
 from gbspec.diagnostics import Diagnostic, Findings, Span
 from gbspec.ir.model import Model
 from gbspec.passes.identifiability import identifiability
+from tests.passes.identifiability_cases import FURTHER, UNDECIDED
 from tests.passes.test_identifiability import CASES, PAPER, paper
 from tests.texts import model_of
 
@@ -20,7 +21,10 @@ HEAD = """# Structural identifiability: examples with known answers
 
 `gbspec check` reports constants and functions that no data can distinguish, however many and exact the values are. This
 table shows its answers for cases of the test suite (written by `python -m tests.passes.identifiability_table`).
-Functions declared `unknown` are arbitrary functions of their arguments. Line numbers count from `model m`, the first.
+Functions declared `unknown` are arbitrary functions of their arguments. States, conditions, inputs and the amounts of
+doses may have any value within their declared ranges, inputs and doses at any time; every branch of `max`, `min`,
+`abs`, `sign` and `if` that this allows counts. Where it is open whether data reach a branch, the answer is *undecided*,
+which is no warning. Line numbers count from `model m`, the first.
 
 | case | model | not distinguishable | transformation, or reason | lines | remedies |
 |---|---|---|---|---|---|
@@ -30,7 +34,10 @@ Functions declared `unknown` are arbitrary functions of their arguments. Line nu
 @cache
 def cases() -> dict[str, tuple[str, Model]]:
     """Every case: the text that describes its model, and the model."""
-    found = {name: (_shown(text), model_of("model m\n" + text)) for name, (text, *_) in CASES.items()}
+    found = {
+        name: (_shown(text), model_of("model m\n" + text))
+        for name, (text, *_) in {**CASES, **FURTHER, **UNDECIDED}.items()
+    }
     for name, unseen, *_ in PAPER:
         hidden = " and ".join(f"`{state}`" for state in unseen)
         title = f"`{name}`" + (f" without {hidden}" if unseen else "")

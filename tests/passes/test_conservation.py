@@ -17,6 +17,8 @@ ENZYME = (
     "process binding: E + S -> C rate bind\nprocess release: C -> E + Y*P rate k*C\nobserve S\n"
 )
 
+IF_SEX = "model m\nstate x\nstate y\ncondition D\nlearn k = 1\nx' = -k*{}\ny' = k*x\nobserve x\n"
+
 
 def laws(text: str) -> list[str]:
     return [str(law) for law in linear_laws(model_of(text))]

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.diagnostics import Findings
+from gbspec.passes.identifiability import identifiability
 from gbspec.passes.identifiability.directions import absorbers, find
 from gbspec.passes.identifiability.question import pose
+from tests.passes.identifiability_cases import FURTHER, UNDECIDED
 from tests.texts import SHIPPED, model_at, model_of
 
 TWO = "state x\nstate y\ny' = -y\n"
@@ -124,6 +127,28 @@ def answer(text: str, *, all_states: bool = False) -> tuple[int, set[str], set[s
 def test_known_answer(name: str) -> None:
     text, count, constants, unknowns = CASES[name]
     assert answer(text) == (count, constants, unknowns)
+
+
+@pytest.mark.parametrize("name", FURTHER)
+def test_known_answer_with_branches_doses_and_inputs(name: str) -> None:
+    text, count, constants, unknowns, _ = FURTHER[name]
+    assert answer(text) == (count, constants, unknowns)
+    assert identifiability(model_of("model m\n" + text), Findings(), budget=30).decided
+
+
+@pytest.mark.parametrize("name", UNDECIDED)
+def test_what_the_ranges_do_not_decide_is_said_to_be_undecided(name: str) -> None:
+    text, _ = UNDECIDED[name]
+    findings = Findings()
+    found = identifiability(model_of("model m\n" + text), findings, budget=30)
+    assert (found.decided, found.sets, list(findings)) == (False, (), [])
+    assert found.doubtful
+
+
+def test_the_infusion_of_the_language_s_page_is_identifiable() -> None:
+    page = (SHIPPED[0].parents[2] / "docs" / "language.md").read_text("utf-8")
+    text = "model infusion" + page.split("model infusion", 1)[1].split("```", 1)[0]
+    assert identifiability(model_of(text), Findings()).sets == ()
 
 
 PAPER: list[tuple[str, list[str], int, set[str]]] = [

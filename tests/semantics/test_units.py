@@ -108,6 +108,7 @@ def test_what_does_not(expression: str, code: str) -> None:
         ("unknown other(a : gX/L) : 1/h = D_0*monod(a, K)*nn\nconst D_0 : 1/h = 1", ["GB502"]),
         ("truth mu(s) = s", []),
         ("const thing : foo/L = 3", ["GB501"]),
+        ("const thing : foo/L = 3\nconst other : foo = 2", ["GB501"]),
         ("process p: 1/Y*S -> X rate D*X", ["GB307", "GB307"]),
         ("process p: Y*S -> X rate D*X", ["GB504", "GB307", "GB307"]),
     ],

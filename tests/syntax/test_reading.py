@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -85,3 +86,16 @@ def test_a_table_in_place_of_the_model_is_one_diagnostic(tmp_path: Path, name: s
 def test_a_model_may_have_any_other_name(tmp_path: Path) -> None:
     (tmp_path / "model.txt").write_text("model m\n")
     assert read_source(tmp_path / "model.txt").text == "model m\n"
+
+
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    """A pipe without a writer would be waited for without end."""
+    os.mkfifo(tmp_path / "m.gb")
+    finding = refused(tmp_path / "m.gb")
+    assert finding.code == "GB002"
+    assert "pipe" in finding.message
+
+
+def test_a_link_to_itself_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "m.gb").symlink_to(tmp_path / "m.gb")
+    assert refused(tmp_path / "m.gb").code == "GB002"

@@ -14,7 +14,7 @@ from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
 from gbspec.arrays import Array
-from gbspec.data import channel_scales
+from gbspec.data import channel_scales, far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
 from gbspec.runs import encode
@@ -170,6 +170,8 @@ def validate(
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
         check = step_check(evaluators[0], run.max_step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
+        solved = [one.channels for one in predicted if not one.failure]
+        warnings += far_outside(run.model, np.concatenate(solved)) if solved else []
     if check.warning:
         warnings.append(check.warning)
     compared = None

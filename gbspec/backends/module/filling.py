@@ -44,7 +44,8 @@ def fill(text: str, places: Mapping[str, str]) -> str:
 
     def replacement(match: re.Match[str]) -> str:
         indent = match["indent"] or match["before"] or match["margin"] or ""
+        # Only line feeds end lines: `splitlines` also splits at characters that a description may have, such as U+2028.
         value = places[match["document"] or match["line"] or match["region"]]
-        return "".join(f"{indent}{line}".rstrip() + "\n" for line in value.splitlines())
+        return "".join(f"{indent}{line}".rstrip() + "\n" for line in value.split("\n"))
 
     return PLACE.sub(replacement, text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import json
 import keyword
 from collections.abc import Iterable
@@ -28,7 +29,7 @@ def generate(model: Model, method: Method = RK4) -> str:
 def class_name(model: Model) -> str:
     """The generated class: the model's name in CamelCase, with `_` appended if Python or the module uses that name."""
     name = identifier(model.class_name)
-    return f"{name}_" if keyword.iskeyword(name) or name in _MODULE_NAMES else name
+    return f"{name}_" if keyword.iskeyword(name) or hasattr(builtins, name) or name in _MODULE_NAMES else name
 
 
 _MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "Mapping", "Path", "SimpleNamespace"})

@@ -6,8 +6,9 @@ Nothing is simplified or expanded; the text evaluates to the value of the expres
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
 
 import sympy
@@ -53,6 +54,9 @@ _NO_NUMBERS = (sympy.Symbol, sympy.core.function.AppliedUndef, Where, Guard, Ope
 
 LARGEST_EXACT = 2**53
 """Larger integers are written as floats: they denote float64 numbers anyway, and torch rejects long integers."""
+
+_NESTED = 8
+"""Maxima and minima of more arguments are halved before they are nested."""
 
 Text = tuple[str, int]
 """A text and its precedence."""
@@ -207,11 +211,14 @@ class Printer(ABC):
     # -------------------------------------------------------------- choices
     def _extremum(self, node: sympy.Basic) -> str:
         word = "maximum" if isinstance(node, sympy.Max) else "minimum"
-        first, *rest = ordered(node)
-        text = self.print(first)
-        for argument in rest:
-            text = self.call(word, text, self.print(argument))
-        return text
+        return self._balanced(word, [self.print(argument) for argument in ordered(node)])
+
+    def _balanced(self, word: str, texts: Sequence[str]) -> str:
+        """Calls with two arguments, nested as little as possible: compilers limit the depth of parentheses."""
+        if len(texts) <= _NESTED:
+            return functools.reduce(lambda text, argument: self.call(word, text, argument), texts)
+        middle = len(texts) // 2
+        return self.call(word, self._balanced(word, texts[:middle]), self._balanced(word, texts[middle:]))
 
     def _piecewise(self, node: sympy.Piecewise) -> str:
         text = self.constant("nan", sympy.nan)

@@ -102,7 +102,9 @@ def examination_summary(examination: Examination) -> str:
     """Conservation laws, and whether identifiability could be decided."""
     lines = [f"conserved {law}\n" for law in examination.laws]
     if not examination.identifiability.decided:
-        lines.append("identifiability of the learned constants could not be decided\n")
+        doubtful = ", ".join(examination.identifiability.doubtful)
+        reason = f" for {doubtful}: it depends on which branches and values the data reach" if doubtful else ""
+        lines.append(f"identifiability of the learned constants could not be decided{reason}\n")
     return "".join(lines)
 
 

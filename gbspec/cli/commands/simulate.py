@@ -48,6 +48,9 @@ def run(
     rejected = int(data.meta.get("rejected", 0)) + int(data.meta.get("failed", 0))
     again = f" ({rejected} drawn again)" if rejected else ""
     output.say(f"wrote {to}: {len(data)} trajectories{again}, {data.measurements} measured values")
+    beyond = tables.far_outside(data, subject.model)
+    for line in beyond:
+        output.say(f"note: {line}")
     output.document(
         {
             "path": to,
@@ -56,6 +59,7 @@ def run(
             "rows": data.rows,
             "values": data.measurements,
             "redrawn": rejected,
+            "outside": beyond,
             "options": options,
         }
     )

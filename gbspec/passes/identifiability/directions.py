@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import comb
 
 import numpy as np
+import sympy
 
 from gbspec.arrays import Array
-from gbspec.ir import Expr
+from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.jets import Base, Jet, LinearSystem, OutOfTime, size
+from gbspec.passes.identifiability.points import bases_of
 from gbspec.passes.identifiability.question import Question
-from gbspec.passes.identifiability.series import Algebra, Evaluation
+from gbspec.passes.identifiability.series import Algebra
 
 SMALL = 1e-8
 """Singular values below this fraction of the largest count as zero."""
@@ -31,6 +33,8 @@ class Directions:
 
     `basis` has as columns the changes of the sought constants without an observable effect; `systems` the expansions
     they were found with; `functions` the names of unknowns that can change unobserved with all constants known.
+    `doubtful` has further directions: nothing that data surely reach excludes them, but something that they may reach
+    does, as a branch beyond what a known start shows.
     """
 
     basis: Array
@@ -38,6 +42,7 @@ class Directions:
     bases: tuple[Base, ...]
     functions: tuple[str, ...]
     order: int
+    doubtful: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def find(question: Question, deadline: float) -> Directions | None:
@@ -47,117 +52,91 @@ def find(question: Question, deadline: float) -> Directions | None:
     may need one more derivative before it affects an output.
     """
     needed = 3 if question.hidden else 2
-    ranks: list[tuple[int, tuple[str, ...]]] = []
+    ranks: list[tuple[int, int, tuple[str, ...]]] = []
+    branches = Branches(question)
     for order in ORDERS:
         if size(question, order) > MOST_COLUMNS or time.process_time() > deadline:
             break
-        found = at_order(question, order, deadline)
+        found = at_order(question, order, deadline, branches)
         if found is None:
             break
-        if not found.basis.shape[1] and not found.functions:
+        if not found.basis.shape[1] and not found.functions and not found.doubtful.shape[1]:
             return found
-        ranks.append((found.basis.shape[1], found.functions))
+        ranks.append((found.basis.shape[1], found.doubtful.shape[1], found.functions))
         if len(ranks) >= needed and len(set(ranks[-needed:])) == 1:
             return found
     return None
 
 
-def at_order(question: Question, order: int, deadline: float = math.inf) -> Directions | None:
+def at_order(
+    question: Question, order: int, deadline: float = math.inf, branches: Branches | None = None
+) -> Directions | None:
     """The directions that remain at one order; None if an expression has no value or time runs out."""
-    instantaneous = not question.hidden and all(start is None for start in question.starts)
-    algebra = Algebra(order, 0 if instantaneous else order)
+    still = not question.hidden and not question.own and all(start is None for start in question.starts)
+    algebra = Algebra(order, 0 if still else order)
     rng = np.random.default_rng(SEED + order)
-    bases = _bases(question, rng)
+    bases: list[Base] = []
     systems: list[LinearSystem] = []
-    columns = size(question, order)
-    space = len(question.model.states) + len(question.model.conditions) + len(question.model.inputs)
-    equations = max(1, len(question.known) + len(question.outputs)) * (order + 1)
-    lines = min(LINES, comb(order + space, order) + 4, 8 + 2 * columns // equations)
-    for base in bases:
+    equations: list[Array] = []
+    lines, count = _lines(question, order), len(question.sought)
+    for base in bases_of(question, branches or Branches(question), rng):
+        scales = np.array([abs(base.constants[k.symbol]) or 1.0 for k in question.sought])
         try:
             with np.errstate(all="ignore"):
-                system = Jet(question, base, algebra, lines, rng, deadline).system()
+                system = Jet(base, algebra, lines, rng, deadline).system()
         except OutOfTime:
             return None
-        if not np.all(np.isfinite(system.matrix)) or time.process_time() > deadline:
+        if time.process_time() > deadline:
             return None
-        systems.append(_scaled(system))
-    basis = _common_null([_reduced(system) for system in systems], len(question.sought))
+        if np.all(np.isfinite(system.matrix)):
+            bases.append(base)
+            systems.append(_scaled(system))
+            equations.append(_reduced(system, scales))
+            if not _common_null(equations, count).shape[1] and (question.hidden or not _free_functions(systems)):
+                break  # more points can only exclude more
+        elif base.certain:
+            return None
+    if not systems:
+        return None
+    certain = [each for each, system in zip(equations, systems, strict=True) if system.certain]
+    sure, basis = _common_null(certain, count), _common_null([*equations, _thresholds(question)], count)
     functions = _free_functions(systems) if not question.hidden else ()
-    return Directions(basis, tuple(systems), tuple(bases), functions, order)
+    doubtful = _unscaled(_common_null([np.asarray(basis.T), _equations_of(sure)], count), scales)
+    return Directions(_unscaled(basis, scales), tuple(systems), tuple(bases), functions, order, doubtful)
 
 
-# ----------------------------------------------------------------------------------------------------- base points
+def _equations_of(basis: Array) -> Array:
+    """Equations whose null space is spanned by orthonormal columns."""
+    return np.asarray(np.eye(len(basis)) - basis @ basis.T)
 
 
-def _bases(question: Question, rng: np.random.Generator) -> list[Base]:
-    """A generic point, points at zeros of unknowns, and points at which two applications have equal arguments."""
-    bases = [_generic(question, rng)]
-    for application in question.applications:
-        for r, place in application.zeros:
-            base = _agreeing(question, [application.arguments[r]], [place], rng)
-            if base is not None:
-                bases.append(base)
-    for i, first in enumerate(question.applications):
-        for second in question.applications[:i]:
-            if first.unknown == second.unknown and len(bases) < 6:
-                base = _agreeing(question, first.arguments, second.arguments, rng)
-                if base is not None:
-                    bases.append(base)
-    return bases
+def _thresholds(question: Question) -> Array:
+    """Doubt about constants in conditions: data may show where a branch changes, which its formulas do not."""
+    conditions = (
+        condition
+        for expression in (*question.rates, *question.outputs)
+        for atom in expression.atoms(sympy.Piecewise)
+        for _, condition in atom.args
+    )
+    names = {symbol for condition in conditions for symbol in condition.free_symbols}
+    return np.diag([1.0 if k.symbol in names else 0.0 for k in question.sought])
 
 
-def _generic(question: Question, rng: np.random.Generator) -> Base:
+def _lines(question: Question, order: int) -> int:
     model = question.model
-    symbols = [s.symbol for s, start in zip(model.states, question.starts, strict=True) if start is None]
-    symbols += [*(c.symbol for c in model.conditions), *(i.symbol for i in model.inputs)]
-    if model.time.start is None:
-        symbols.append(model.time.symbol)
-    variables = {s: float(v) for s, v in zip(symbols, rng.uniform(0.5, 1.5, size=len(symbols)), strict=True)}
-    constants = {c.symbol: c.value for c in model.constants}
-    for learnable in model.learnables:
-        low, high = learnable.range.low, learnable.range.high
-        value = float(rng.uniform(0.6, 1.4)) * (learnable.start or 0.7)
-        constants[learnable.symbol] = value if low < value < high else learnable.start
-    return Base(variables, constants)
-
-
-def _agreeing(
-    question: Question, first: Sequence[Expr], second: Sequence[Expr], rng: np.random.Generator
-) -> Base | None:
-    """A point where expressions have the same values, by Newton's method with minimum-norm steps."""
-    values = {a.value for a in question.applications}
-    expressions = [*first, *second]
-    if any(e.free_symbols & values for e in expressions):
-        return None
-    base = _generic(question, rng)
-    names = list(base.variables)
-    point = np.array([base.variables[n] for n in names])
-    algebra = Algebra(0, 0)
-
-    def gap(at: Array) -> Array:
-        table = {n: algebra.constant(np.array([v])) for n, v in (*zip(names, at, strict=True), *base.constants.items())}
-        for state, start in zip(question.model.states, question.starts, strict=True):
-            if start is not None and start.free_symbols <= set(table):
-                table[state.symbol] = Evaluation(algebra, table, 1)(start)
-        evaluation = Evaluation(algebra, table, 1)
-        found = [float(evaluation(e)[0, 0]) for e in expressions]
-        half = len(found) // 2
-        return np.asarray(np.array(found[:half]) - np.array(found[half:]))
-
-    try:
-        for _ in range(20):
-            here = gap(point)
-            if np.max(np.abs(here)) < 1e-13:
-                return Base(dict(zip(names, map(float, point), strict=True)), base.constants)
-            slope = np.stack([(gap(point + 1e-7 * e) - here) / 1e-7 for e in np.eye(len(names))], axis=1)
-            point = point - np.linalg.pinv(slope) @ here
-    except (KeyError, np.linalg.LinAlgError):
-        return None
-    return None
+    space = len(model.states) + len(model.conditions) + len(question.signals) + len(model.inputs)
+    equations = max(1, len(question.known) + len(question.outputs)) * (order + 1)
+    return min(LINES, comb(order + space, order) + 4, 8 + 2 * size(question, order) // equations)
 
 
 # ------------------------------------------------------------------------------------------------------ linear algebra
+
+
+def _unscaled(basis: Array, scales: Array) -> Array:
+    """The directions in the constants' own units, each of length 1."""
+    natural = basis * scales[:, None]
+    norms = np.linalg.norm(natural, axis=0)
+    return np.asarray(natural / np.where(norms > 0, norms, 1.0))
 
 
 def _scaled(system: LinearSystem) -> LinearSystem:
@@ -173,10 +152,10 @@ def _compressed(matrix: Array) -> Array:
     return np.asarray(np.linalg.qr(matrix, mode="r")) if matrix.shape[0] > matrix.shape[1] else matrix
 
 
-def _reduced(system: LinearSystem) -> Array:
-    """The equations in the constants only, with functions and initial values eliminated."""
+def _reduced(system: LinearSystem, scales: Array) -> Array:
+    """The equations in the constants only, in units of `scales`, with functions and initial values eliminated."""
     matrix = _compressed(system.matrix)
-    constants, others = matrix[:, : system.constants], matrix[:, system.constants :]
+    constants, others = matrix[:, : system.constants] * scales, matrix[:, system.constants :]
     if not others.shape[1] or not matrix.shape[0]:
         return constants
     norms = np.linalg.norm(others, axis=0)
@@ -190,8 +169,8 @@ def _reduced(system: LinearSystem) -> Array:
 
 def _common_null(equations: Sequence[Array], count: int) -> Array:
     """The common null space, as columns."""
-    if not count:
-        return np.zeros((0, 0))
+    if not count or not equations:
+        return np.eye(count)
     stacked = np.concatenate(equations)
     if not stacked.size or np.max(np.abs(stacked)) < SMALL:
         return np.eye(count)

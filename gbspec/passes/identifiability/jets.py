@@ -41,6 +41,8 @@ class Germ:
 
     unknown: str
     base: tuple[float, ...]
+    widths: tuple[float, ...]
+    """Its monomials are in the arguments minus their base values, divided by these."""
     exponents: list[tuple[int, ...]]
     coefficients: Array
     column: int
@@ -50,10 +52,19 @@ class Germ:
 
 @dataclass
 class Base:
-    """A base point: values of the variables at which everything is expanded, and of the constants."""
+    """A base point: values of the variables at which everything is expanded, and of the constants.
+
+    `widths` are the sizes of the changes of variables along lines. `question` has the formulas that hold there (the
+    branch of each `if`, `max` and others). `certain`: whether data can show this point; else it counts for doubt only.
+    """
 
     variables: dict[sympy.Symbol, float]
     constants: dict[sympy.Symbol, float]
+    widths: dict[sympy.Symbol, float]
+    question: Question
+    certain: bool = True
+    tempo: float = 1.0
+    """The unit of time of the series: about the time in which states change by their widths."""
 
 
 @dataclass
@@ -68,6 +79,8 @@ class LinearSystem:
     parameters: list[sympy.Symbol]
     own: dict[str, int]
     """The first column of each constant with a value per trajectory."""
+    certain: bool = True
+    """Whether data can show the base point."""
 
 
 @dataclass
@@ -92,13 +105,13 @@ class Jet:
 
     def __init__(
         self,
-        question: Question,
         base: Base,
         algebra: Algebra,
         lines: int,
         rng: np.random.Generator,
         deadline: float = math.inf,
     ) -> None:
+        question = base.question
         self._question, self._algebra, self._lines = question, algebra, lines
         self._deadline = deadline
         model = question.model
@@ -108,24 +121,29 @@ class Jet:
         self.germs: list[Germ] = []
         self._columns = Columns(len(question.sought))
         self._parameters = [s for s, start in zip(self._states, question.starts, strict=True) if start is None]
-        self._parameters += [c.symbol for c in model.conditions] + [i.symbol for i in model.inputs]
+        self._parameters += [c.symbol for c in model.conditions]
         if question.uses_time and model.time.start is None:
             self._parameters.append(model.time.symbol)
-        self._slopes = [i.symbol for i in model.inputs if i.interpolation == "linear"]
-        self._directions = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
+        self._lasting = len(self._parameters)
+        """The number of parameters that starts and constants of a trajectory may depend on: all but signals."""
+        self._parameters += [i.symbol for i in model.inputs] + [d.amount for d in question.doses]
+        # Steps that follow each other fast come as close to a slope as one likes, so that held inputs have one too.
+        self._slopes = [i.symbol for i in model.inputs]
+        self._unit = rng.normal(size=(lines, len(self._parameters) + len(self._slopes)))
+        self._widths = np.array([base.widths[symbol] for symbol in (*self._parameters, *self._slopes)])
+        self._directions = self._unit * self._widths
 
     # -------------------------------------------------------------------------------------------------------- values
 
     def system(self) -> LinearSystem:
         """All residuals at this base point. Raises `OutOfTime` when the deadline (of processor time) has passed."""
-        starts = self._start_values()
+        starts = self._after_doses(self._start_values())
         values = dict(starts)
         for _ in range(self._algebra.time_order + 1):
             evaluation = self._evaluation(values)
             rates = [evaluation(rate) for rate in self._question.rates]
             values.update(
-                (state, starts[state] + self._algebra.integral(rate))
-                for state, rate in zip(self._states, rates, strict=True)
+                (state, starts[state] + self._integral(rate)) for state, rate in zip(self._states, rates, strict=True)
             )
         evaluation = self._evaluation(values)
         rows = [row for row in self._residuals(evaluation) if row.size]
@@ -135,8 +153,9 @@ class Jet:
         first: dict[str, dict[str, int]] = {"start": {}, "own": {}}
         for (kind, name), column in self._columns.free.items():
             first[kind][name] = column
-        parameters = [*self._parameters, *(sympy.Dummy() for _ in self._slopes)]
-        return LinearSystem(matrix, self.germs, len(self._question.sought), first["start"], parameters, first["own"])
+        parameters = self._parameters[: self._lasting]
+        constants = len(self._question.sought)
+        return LinearSystem(matrix, self.germs, constants, first["start"], parameters, first["own"], self._base.certain)
 
     def _start_values(self) -> dict[sympy.Symbol, Array]:
         algebra, model = self._algebra, self._question.model
@@ -149,19 +168,49 @@ class Jet:
                 values[symbol][..., along] = self._directions[:, column]
         for column, symbol in enumerate(self._slopes, start=len(self._parameters)):
             if (1, 1) in algebra.index:
-                values[symbol][..., algebra.index[1, 0]] = 0.5
+                values[symbol][..., algebra.index[1, 0]] = 0.5 * self._widths[column]  # per unit of the series' time
                 values[symbol][..., algebra.index[1, 1]] = self._directions[:, column]
         if (1, 0) in algebra.index:
-            clock = values.setdefault(
-                model.time.symbol, algebra.constant(np.full(self._lines, model.time.start or 0.0))
-            )
-            clock[..., algebra.index[1, 0]] = 1.0
+            clock = values[model.time.symbol]
+            clock[..., algebra.index[1, 0]] = self._base.tempo
         waiting = {s: e for s, e in zip(self._states, self._question.starts, strict=True) if e is not None}
         while waiting:
             ready = [s for s, e in waiting.items() if not (e.free_symbols & set(waiting))]
             for state in ready:
                 values[state] = Evaluation(algebra, values, self._lines)(waiting.pop(state))
         return values
+
+    def _integral(self, rate: Array) -> Array:
+        return self._base.tempo * self._algebra.integral(rate)
+
+    def _jumps(self) -> dict[int, Expr]:
+        """What doses add to the states, in values before them: amounts, and the effect of a change of the lag.
+
+        A later dose lets the state before it go on for a while, and that after it for as much less.
+        """
+        found: dict[int, Expr] = {}
+        question = self._question
+        networks = {a.value for a in question.applications}
+        for dose in question.doses:
+            added = dose.fraction * dose.amount
+            found[dose.state] = found.get(dose.state, sympy.S.Zero) + added
+            late = dose.lag - dose.lag.xreplace({s: sympy.Float(v) for s, v in self._base.constants.items()})
+            if not late.free_symbols:
+                continue
+            state = self._states[dose.state]
+            for i, rate in enumerate(question.rates):
+                difference = rate - rate.xreplace({state: state + added})
+                if difference != 0 and not difference.free_symbols & networks:
+                    found[i] = found.get(i, sympy.S.Zero) + late * difference
+        return found
+
+    def _after_doses(self, before: dict[sympy.Symbol, Array]) -> dict[sympy.Symbol, Array]:
+        """The values at the start with what doses add."""
+        after = dict(before)
+        at_start = Evaluation(self._algebra, before, self._lines)
+        for i, jump in self._jumps().items():
+            after[self._states[i]] = before[self._states[i]] + at_start(jump)
+        return after
 
     def _evaluation(self, values: dict[sympy.Symbol, Array]) -> Evaluation:
         """Values of all symbols; those of networks are added one after the other."""
@@ -170,14 +219,14 @@ class Jet:
         self._powers: list[tuple[Germ, Array]] = []
         for application in self._question.applications:
             arguments = [evaluation(argument) for argument in application.arguments]
-            germ = self._germ(application, [float(a[0, 0]) for a in arguments])
+            germ = self._germ(application, arguments)
             powers = self._monomials(arguments, germ)
             self._powers.append((germ, powers))
             table[application.value] = np.tensordot(germ.coefficients, powers, axes=1)
         return evaluation
 
-    def _germ(self, application: Application, base: Sequence[float]) -> Germ:
-        unknown = application.unknown
+    def _germ(self, application: Application, arguments: Sequence[Array]) -> Germ:
+        unknown, base = application.unknown, [float(a[0, 0]) for a in arguments]
         for germ in self.germs:
             if germ.unknown == unknown and np.allclose(germ.base, base, rtol=1e-9, atol=1e-12):
                 return germ
@@ -190,14 +239,18 @@ class Jet:
             if abs(base[r] - float(place)) < 1e-9:  # monomials without this argument vanish
                 free &= np.array([exponent[r] > 0 for exponent in exponents])
         column = self._columns.take(len(exponents))
-        germ = Germ(unknown, tuple(base), exponents, coefficients * free, column, free)
+        along = self._algebra.index.get((0, 1))
+        spread = [0.0 if along is None else float(np.sqrt(np.mean(a[:, along] ** 2))) for a in arguments]
+        widths = tuple(value if 0 < value < math.inf else 1.0 for value in spread)
+        germ = Germ(unknown, tuple(base), widths, exponents, coefficients * free, column, free)
         self.germs.append(germ)
         return germ
 
     def _monomials(self, arguments: Sequence[Array], germ: Germ) -> Array:
-        """Powers of the arguments minus their base values, shape [monomials, lines, L]."""
+        """Powers of the arguments minus their base values, by their widths, shape [monomials, lines, L]."""
         shifted = [
-            a - self._algebra.constant(np.full(self._lines, b)) for a, b in zip(arguments, germ.base, strict=True)
+            (a - self._algebra.constant(np.full(self._lines, b))) / w
+            for a, b, w in zip(arguments, germ.base, germ.widths, strict=True)
         ]
         return self._powers_of(shifted, germ.exponents)
 
@@ -222,14 +275,16 @@ class Jet:
         networks = self._network_changes(evaluation, changes)
         for _ in range(algebra.time_order if question.hidden else 0):
             rates = {i: self._change(question.rates[i], evaluation, changes, networks) for i in question.hidden}
-            changes = {i: self._sum(starts[i], algebra.integral(rates[i])) for i in question.hidden}
+            changes = {i: self._sum(starts[i], self._integral(rates[i])) for i in question.hidden}
             networks = self._network_changes(evaluation, changes)
         for i in sorted(question.known):
-            yield self._flat(self._change(question.rates[i], evaluation, changes, networks))
-            if question.starts[i] is not None:
-                yield self._flat(starts[i])
+            change = self._change(question.rates[i], evaluation, changes, networks)
+            yield self._flat(change * (self._base.tempo / self._base.widths[self._states[i]]))
+            if question.starts[i] is not None or question.doses:
+                yield self._flat(starts[i] / self._base.widths[self._states[i]])
         for output in question.outputs:
-            yield self._flat(self._change(output, evaluation, changes, networks))
+            scale = float(np.max(np.abs(evaluation(output)))) or 1.0
+            yield self._flat(self._change(output, evaluation, changes, networks) / scale)
 
     @staticmethod
     def _flat(change: Array) -> Array:
@@ -247,14 +302,18 @@ class Jet:
         return result
 
     def _free(self, kind: str, name: str) -> Array:
-        """A change that is free for each trajectory: a polynomial in the quantities that distinguish trajectories."""
-        exponents = monomials(self._directions.shape[1], self._algebra.order)
+        """A change that is free for each trajectory: a polynomial in the quantities that distinguish trajectories.
+
+        Signals are not among them: after one past there may be any input, and any dose.
+        """
+        along = self._unit[:, : self._lasting] * (self._widths[: self._lasting] > 0)
+        exponents = monomials(self._lasting, self._algebra.order)
         column = self._columns.free.get((kind, name))
         if column is None:
             column = self._columns.free[kind, name] = self._columns.take(len(exponents))
         result = self._zero()
         for k, exponent in enumerate(exponents):
-            factor = np.prod(self._directions ** np.array(exponent), axis=1)
+            factor = np.prod(along ** np.array(exponent), axis=1)
             result[column + k, :, self._algebra.index[0, sum(exponent)]] = factor
         return result
 
@@ -272,7 +331,8 @@ class Jet:
             pending = {self._states[i] for i in waiting}
             for i in [i for i, e in waiting.items() if not (e.free_symbols & pending)]:
                 found[i] = self._change(waiting.pop(i), at_start, found, [])
-        return found
+        jumps = {i: self._change(jump, at_start, found, []) for i, jump in self._jumps().items()}
+        return {i: self._sum(change, jumps[i]) if i in jumps else change for i, change in found.items()}
 
     def _network_changes(self, evaluation: Evaluation, changes: dict[int, Array]) -> list[Array]:
         found: list[Array] = []
@@ -294,7 +354,7 @@ class Jet:
             if exponent[r]:
                 lower = (*exponent[:r], exponent[r] - 1, *exponent[r + 1 :])
                 result += exponent[r] * coefficient * powers[position[lower]]
-        return result
+        return result / germ.widths[r]
 
     def _change(self, e: Expr, evaluation: Evaluation, changes: dict[int, Array], networks: Sequence[Array]) -> Array:
         """The change of an expression: of its constants, unmeasured states and networks; shape [columns, lines, L]."""
@@ -318,7 +378,7 @@ class Jet:
 def size(question: Question, order: int) -> int:
     """The approximate number of columns of a jet of that order."""
     model = question.model
-    space = len(model.states) + len(model.conditions) + len(model.inputs)
+    space = len(model.states) + len(model.conditions)
     free = len(question.own) + sum(question.starts[i] is None for i in question.hidden)
     germs = sum(comb(order + len(a.arguments), order) for a in question.applications)
     return len(question.sought) + germs + free * comb(order + space, order)

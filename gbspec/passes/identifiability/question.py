@@ -24,6 +24,16 @@ class Application:
 
 
 @dataclass(frozen=True)
+class Arrival:
+    """A dose as a given signal: what it adds to a state, `amount*fraction`, `lag` later. The amount is known."""
+
+    state: int
+    amount: sympy.Dummy
+    fraction: Expr
+    lag: Expr
+
+
+@dataclass(frozen=True)
 class Question:
     """The variables, the sought parameters and the outputs.
 
@@ -38,6 +48,7 @@ class Question:
     outputs: tuple[Expr, ...]
     known: frozenset[int]
     starts: tuple[Expr | None, ...]
+    doses: tuple[Arrival, ...] = ()
 
     @cached_property
     def hidden(self) -> tuple[int, ...]:
@@ -54,6 +65,11 @@ class Question:
         """Learnables with a value for each trajectory."""
         return tuple(k for k in self.model.learnables if k.prior is None and k.per_trajectory)
 
+    @cached_property
+    def signals(self) -> frozenset[sympy.Symbol]:
+        """Inputs and amounts of doses, which may differ at one state: no start and no constant depends on them."""
+        return frozenset((*(i.symbol for i in self.model.inputs), *(d.amount for d in self.doses)))
+
     @property
     def uses_time(self) -> bool:
         """Whether the time occurs in any expression."""
@@ -67,14 +83,20 @@ class Question:
 def pose(model: Model, *, all_states: bool) -> Question:
     """The question with all states measured and all initial values free, or as declared by `observe` and `initial`."""
     channels = [c.value for c in model.channels if c.state is None]
-    expressions = model.inlined([*model.balances, *channels])
+    added = [e for dose in model.doses for e in (dose.fraction, dose.lag)]
+    expressions = model.inlined([*model.balances, *channels, *added])
     table, applications = _applications(model, expressions)
     opened = [e.xreplace(table) for e in expressions]
     n = len(model.states)
     measured = {c.state for c in model.channels if c.state is not None}
     known = frozenset(range(n)) if all_states else frozenset(measured)
     starts = tuple(None if all_states or s.initial.kind != "expression" else s.initial.value for s in model.states)
-    return Question(model, applications, tuple(opened[:n]), tuple(opened[n:]), known, starts)
+    m = n + len(channels)
+    doses = tuple(
+        Arrival(model.state_index[dose.state], sympy.Dummy(f"dose_{dose.state}", real=True), fraction, lag)
+        for dose, fraction, lag in zip(model.doses, opened[m::2], opened[m + 1 :: 2], strict=True)
+    )
+    return Question(model, applications, tuple(opened[:n]), tuple(opened[n:m]), known, starts, doses)
 
 
 def _applications(model: Model, expressions: Sequence[Expr]) -> tuple[dict[Expr, Expr], tuple[Application, ...]]:

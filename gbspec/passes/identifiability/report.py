@@ -11,6 +11,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir import Model
+from gbspec.passes.identifiability.branches import Branches
 from gbspec.passes.identifiability.directions import Directions, absorbers, find
 from gbspec.passes.identifiability.question import Question, pose
 from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries
@@ -45,10 +46,13 @@ class Inseparable:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """The answer; `decided` is False if time or size did not allow one."""
+    """The answer; `decided` is False if time or size did not allow one, or if branches that data may show could add to
+    what the others tell: `sets` is then only what holds in any case."""
 
     decided: bool
     sets: tuple[Inseparable, ...] = ()
+    doubtful: tuple[str, ...] = ()
+    """The constants for which such branches matter."""
 
 
 def identifiability(model: Model, findings: Findings, budget: float = BUDGET) -> Identifiability:
@@ -75,7 +79,9 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
             _warn(model, question, found, findings)
-    return Identifiability(True, tuple(sets))
+    touched = np.max(np.abs(declared.doubtful), axis=1, initial=0.0) > 1e-6
+    doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
+    return Identifiability(not doubtful, tuple(sets), doubtful)
 
 
 def _sets(question: Question, declared: Directions, everything: Directions | None) -> list[Inseparable]:
@@ -144,7 +150,7 @@ def _warn(model: Model, question: Question, found: Inseparable, findings: Findin
         place,
         label="learnable constant" if found.constants else "unknown function",
         labels=labels,
-        notes=[_note(found)],
+        notes=[_note(found), *_scope(question)],
         help=_help(model, question, found, code),
         subject=found.names[0],
     )
@@ -160,6 +166,15 @@ def _note(found: Inseparable) -> str:
     if len(found.constants) == 1:
         return "no observed quantity depends on it"
     return "they can change together without any effect on what is observed"
+
+
+def _scope(question: Question) -> list[str]:
+    """What the answer depends on where there are branches."""
+    model = question.model
+    ranges = (*(s.range for s in model.states), *(c.range for c in model.conditions), *(i.range for i in model.inputs))
+    if not Branches(question).atoms or ranges.count(None) == len(ranges):
+        return []
+    return ["this holds for values within the declared ranges: other branches of the equations were not considered"]
 
 
 def _help(model: Model, question: Question, found: Inseparable, code: str) -> str:

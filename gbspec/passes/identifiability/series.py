@@ -196,16 +196,17 @@ class Evaluation:
     def _piecewise(self, e: Expr) -> Array:
         result = np.full((self.lines, self.algebra.size), np.nan)
         for value, condition in reversed(e.args):
-            result = np.where(self._condition(condition)[..., None], self(value), result)
+            result = np.where(self.condition(condition)[..., None], self(value), result)
         return result
 
-    def _condition(self, condition: sympy.Basic) -> Mask:
+    def condition(self, condition: sympy.Basic) -> Mask:
+        """Whether a condition holds, for each line."""
         if condition in (sympy.true, sympy.false):
             return np.full(self.lines, condition == sympy.true)
         if isinstance(condition, sympy.Not):
-            return ~self._condition(condition.args[0])
+            return ~self.condition(condition.args[0])
         if isinstance(condition, sympy.And | sympy.Or):
-            parts = [self._condition(part) for part in condition.args]
+            parts = [self.condition(part) for part in condition.args]
             return np.asarray(np.all(parts, axis=0) if isinstance(condition, sympy.And) else np.any(parts, axis=0))
         left, right = self(condition.args[0])[..., 0], self(condition.args[1])[..., 0]
         comparisons = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}

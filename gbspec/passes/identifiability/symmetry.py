@@ -149,7 +149,7 @@ def _move_start(question: Question, system: LinearSystem, base: Base, name: str,
         column[first] = 1.0
         return
     column[first] = base.variables[symbol]
-    column[first + 1 + system.parameters.index(symbol)] = 1.0
+    column[first + 1 + system.parameters.index(symbol)] = base.widths[symbol]
 
 
 def _move_germ(germ: Germ, what: str, position: int, kind: Kind, part: Array) -> None:
@@ -161,23 +161,24 @@ def _move_germ(germ: Germ, what: str, position: int, kind: Kind, part: Array) ->
         return
     unit = tuple(int(r == position) for r in range(len(germ.base)))
     index = {exponent: k for k, exponent in enumerate(germ.exponents)}
+    width = germ.widths[position]
     if what == "shift":
         for exponent, coefficient in zip(germ.exponents, germ.coefficients, strict=True):  # minus df/du
             if exponent[position]:
                 lower = (*exponent[:position], exponent[position] - 1, *exponent[position + 1 :])
-                part[index[lower]] -= exponent[position] * coefficient
+                part[index[lower]] -= exponent[position] * coefficient / width
         return
     if kind == "translation":  # c times the argument is added
         part[0] += germ.base[position]
         if unit in index:
-            part[index[unit]] += 1.0
+            part[index[unit]] += width
         return
     for exponent, coefficient in zip(germ.exponents, germ.coefficients, strict=True):  # minus u df/du
         power = exponent[position]
         if power:
             part[index[exponent]] -= power * coefficient
             lower = (*exponent[:position], power - 1, *exponent[position + 1 :])
-            part[index[lower]] -= power * coefficient * germ.base[position]
+            part[index[lower]] -= power * coefficient * germ.base[position] / width
 
 
 def _rational_null(matrix: Array, keys: Sequence[Key]) -> list[dict[Key, Fraction]]:

@@ -1,0 +1,166 @@
+"""Branches of a question: what `max`, `min`, `abs`, `sign` and `if` choose at a point, and the formulas of that choice.
+
+Each atom with branches has a choice at each point: the number of the argument or of the branch. A choice for every atom
+makes the question smooth (`resolved`). Points are drawn within the declared ranges, so that the choices found are those
+that data can show; `unreached` are choices that no point has shown and that intervals do not exclude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import sympy
+
+from gbspec.arrays import Array
+from gbspec.ir import Condition, Expr, Input, State
+from gbspec.passes.identifiability.question import Question
+from gbspec.passes.identifiability.series import Algebra, Evaluation
+from gbspec.passes.intervals import REAL, Box, Interval, enclosure, of_range
+
+Choice = tuple[int, ...]
+"""For each atom the number of its argument (`max`, `min`), of its branch (`if`), or 0 below zero and 1 above."""
+
+Points = Mapping[sympy.Symbol, Array]
+
+_KINDS = (sympy.Piecewise, sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Heaviside)
+
+
+class Branches:
+    """The atoms with branches of a question, and their choices at points."""
+
+    def __init__(self, question: Question) -> None:
+        self.question = question
+        found: set[Expr] = set()
+        for expression in self._expressions:
+            found |= expression.atoms(*_KINDS)
+        self.atoms = tuple(sorted(found, key=sympy.default_sort_key))
+        self._numbers = {atom: k for k, atom in enumerate(self.atoms)}
+
+    @property
+    def _expressions(self) -> Iterator[Expr]:
+        question = self.question
+        yield from (*question.rates, *question.outputs, *(start for start in question.starts if start is not None))
+        for application in question.applications:
+            yield from application.arguments
+
+    # ---------------------------------------------------------------- points
+    def choices(self, points: Points, count: int) -> list[Choice | None]:
+        """The choice of every atom at every point; None where an expression has no finite value."""
+        at = evaluated(points, count)
+        with np.errstate(all="ignore"):
+            rows = [self._chosen(atom, at, count) for atom in self.atoms]
+            finite = np.ones(count, dtype=bool)
+            for rate in (*self.question.rates, *self.question.outputs):
+                finite &= np.isfinite(at(rate)[..., 0])
+        return [tuple(int(row[k]) for row in rows) if finite[k] else None for k in range(count)]
+
+    def _chosen(self, atom: Expr, at: Evaluation, count: int) -> Array:
+        if isinstance(atom, sympy.Piecewise):
+            chosen = np.full(count, len(atom.args) - 1)
+            for k in range(len(atom.args) - 1, -1, -1):
+                chosen = np.where(at.condition(atom.args[k][1]), k, chosen)
+            return chosen
+        values = np.stack([at(part)[..., 0] for part in atom.args])
+        if isinstance(atom, sympy.Max | sympy.Min):
+            return np.asarray(values.argmax(axis=0) if isinstance(atom, sympy.Max) else values.argmin(axis=0))
+        return np.asarray((values[0] > 0).astype(int))
+
+    # ---------------------------------------------------------------- formulas
+    def resolved(self, choice: Choice) -> Question:
+        """The question with the formulas of one choice; without branches."""
+        if not self.atoms:
+            return self.question
+        memo: dict[Expr, Expr] = {}
+
+        def smooth(e: Expr) -> Expr:
+            if e in memo or not e.args:
+                return memo.get(e, e)
+            if e in self._numbers:
+                memo[e] = smooth(_picked(e, choice[self._numbers[e]]))
+            elif e.has(*_KINDS):
+                memo[e] = e.func(*(smooth(part) for part in e.args))
+            else:
+                memo[e] = e
+            return memo[e]
+
+        question = self.question
+        return replace(
+            question,
+            rates=tuple(map(smooth, question.rates)),
+            outputs=tuple(map(smooth, question.outputs)),
+            starts=tuple(None if start is None else smooth(start) for start in question.starts),
+            applications=tuple(replace(a, arguments=tuple(map(smooth, a.arguments))) for a in question.applications),
+        )
+
+    def unreached(self, reached: Sequence[Choice], generic: Choice) -> Iterator[Choice]:
+        """For each argument or branch that no point has shown, and that the ranges do not exclude: such a choice."""
+        for k, atom in enumerate(self.atoms):
+            shown = {choice[k] for choice in reached}
+            count = len(atom.args) if isinstance(atom, sympy.Piecewise | sympy.Max | sympy.Min) else 2
+            for other in set(range(count)) - shown:
+                if not self._excluded(atom, other):
+                    yield (*generic[:k], other, *generic[k + 1 :])
+
+    def _excluded(self, atom: Expr, number: int) -> bool:
+        """Whether the declared ranges prove that a branch is never taken (or, for equal arguments, need not be)."""
+        if isinstance(atom, sympy.Piecewise):
+            earlier = [sympy.Not(condition) for _, condition in atom.args[:number]]
+            return any(_impossible(condition, self.box) for condition in (atom.args[number][1], *earlier))
+        if isinstance(atom, sympy.Max | sympy.Min):
+            side = 1 if isinstance(atom, sympy.Max) else -1
+            rest = [part for i, part in enumerate(atom.args) if i != number]
+            return any(_nonnegative(side * (part - atom.args[number]), self.box) for part in rest)
+        return _nonnegative(atom.args[0] if number == 0 else -atom.args[0], self.box)
+
+    @cached_property
+    def box(self) -> Box:
+        """The declared ranges of all symbols."""
+        model = self.question.model
+        box: dict[sympy.Symbol, Interval] = {k.symbol: of_range(k.range) for k in model.learnables}
+        variables: tuple[State | Condition | Input, ...] = (*model.states, *model.conditions, *model.inputs)
+        box.update({item.symbol: of_range(item.range) for item in variables})
+        box.update({c.symbol: Interval(c.value, c.value) for c in model.constants})
+        box.update({a.value: REAL for a in self.question.applications})
+        if model.time.start is not None:
+            box[model.time.symbol] = Interval(model.time.start, np.inf, False, True)
+        return box
+
+
+def evaluated(points: Points, count: int) -> Evaluation:
+    """The evaluation of expressions at points, without any series: only the first coefficients."""
+    algebra = Algebra(0, 0)
+    table = {name: algebra.constant(np.broadcast_to(np.asarray(value), count)) for name, value in points.items()}
+    return Evaluation(algebra, table, count)
+
+
+def _picked(atom: Expr, number: int) -> Expr:
+    if isinstance(atom, sympy.Piecewise):
+        return atom.args[number][0]
+    if isinstance(atom, sympy.Max | sympy.Min):
+        return atom.args[number]
+    if isinstance(atom, sympy.Abs):
+        return atom.args[0] if number else -atom.args[0]
+    if isinstance(atom, sympy.sign):
+        return sympy.Integer(1 if number else -1)
+    return sympy.Integer(number)
+
+
+def _nonnegative(expression: Expr, box: Box) -> bool:
+    found = enclosure(sympy.expand(expression), box)
+    return found is not None and found.nonnegative
+
+
+def _impossible(condition: sympy.Basic, box: Box) -> bool:
+    """Whether a condition is proved to be false everywhere in the box, but for single points."""
+    if isinstance(condition, sympy.And):
+        return any(_impossible(part, box) for part in condition.args)
+    if isinstance(condition, sympy.Or):
+        return all(_impossible(part, box) for part in condition.args)
+    if isinstance(condition, sympy.StrictLessThan | sympy.LessThan):
+        return _nonnegative(condition.lhs - condition.rhs, box)
+    if isinstance(condition, sympy.StrictGreaterThan | sympy.GreaterThan):
+        return _nonnegative(condition.rhs - condition.lhs, box)
+    return bool(condition == sympy.false)
