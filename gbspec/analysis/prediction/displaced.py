@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 DRAWS = 16
 """Displaced members; the standard deviation has a relative error of 1 / sqrt(2 DRAWS) = 18 %."""
-SMALL = 0.05
-"""The factor by which the draws are shortened."""
+SMALL = 1e-3
+"""The factor by which the draws are shortened: most of a network's weights are hardly determined, so that whole draws,
+and even twentieths of them, leave the linear range."""
 
 Solve = Callable[["Evaluator", Start], Array]
 """The variables [R, V] along a trajectory; NaN where it cannot be solved."""
