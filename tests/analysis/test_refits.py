@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.prediction import estimate
+from gbspec.analysis.prediction.displaced import Displaced
 from gbspec.analysis.prediction.estimate import Estimator, predictions
 from gbspec.analysis.prediction.forecast import forecast
+from gbspec.analysis.prediction.solutions import Start, predict
 from gbspec.analysis.prediction.start_comparison import initial_states
 from gbspec.analysis.systems.system import system_of
 from gbspec.arrays import Array
@@ -23,6 +25,7 @@ from gbspec.data.scales import scales_of
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.ir.model import Model
 from gbspec.report import collect
+from gbspec.runs import Covariance
 from gbspec.runs.store import Run, open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.problem.forcing import teacher_forcing
@@ -231,3 +234,23 @@ def test_a_new_table_is_weighed_with_the_scales_of_the_training(tmp_path: Path) 
     older = replace(again, scales=None)
     np.testing.assert_allclose(older.scales_for(model, table(0.1)).channel, scales_of(model, table(0.1)).channel)
     assert "scales" not in older.to_json()
+
+
+def test_the_uncertainty_of_the_model_is_that_of_its_linearisation() -> None:
+    model = model_of("model m\nstate x\nlearn k = 0.5\nlearn c = 1\nx' = -k*x + 0*c\nobserve x\n")
+    none = np.zeros((2, 0))
+    known = Covariance((), ("k", "c"), 0.0, np.zeros((0, 0)), np.zeros(0), none, np.diag([0.04**2, 1.0]))
+    evaluator = Evaluator(load_module(model)())
+    item = made("1", 0.0, TIMES, np.full((len(TIMES), 1), np.nan), [])
+    start = Start(np.array([2.0]), evaluator.constants, "known")
+
+    def solve(one: Evaluator, at: Start) -> Array:
+        return predict(one, model, item, at).channels
+
+    exact = 0.04 * TIMES * 2.0 * np.exp(-0.5 * TIMES)
+    found = np.sqrt(Displaced(evaluator.instance, known).variance(start, solve(evaluator, start), solve))[:, 0]
+    later = TIMES > 0
+    ratio = found[later] / exact[later]
+    assert np.ptp(ratio) < 0.05 and 0.6 < ratio.mean() < 1.4, "one number per draw, of 16"
+    fixed = Displaced(evaluator.instance, known, frozenset({"k"}))
+    np.testing.assert_allclose(fixed.variance(start, solve(evaluator, start), solve), 0.0, atol=1e-12)

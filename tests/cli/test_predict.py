@@ -105,9 +105,11 @@ def test_rows_without_measurements_are_predicted(place: Path, here: Path) -> Non
     assert math.isclose(last["B"], 0, abs_tol=1e-5)
 
 
-def test_a_single_member_gives_a_warning_about_its_intervals(place: Path, here: Path) -> None:
+def test_a_single_member_without_a_covariance_gives_a_warning_about_its_intervals(place: Path, here: Path) -> None:
     made = call("train", place / "hidden.gb", place / "old.csv", "-o", "one", "--effort", "low", "--quiet")
     assert made.exit_code == 0
+    assert "too narrow" not in call("predict", "one", place / "new.csv", "-o", "p.csv").stdout
+    Path("one/members/0/covariance.safetensors").unlink()
     assert "too narrow" in call("predict", "one", place / "new.csv", "-o", "p.csv").stdout
 
 

@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from gbspec.analysis import fences, function_bands
+from gbspec.analysis.prediction.displaced import Displaced
+from gbspec.analysis.prediction.solutions import Start
 from gbspec.backends import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.runs import Certainties, Covariance, Support, read_certainties
@@ -124,5 +126,10 @@ observe x
     width = high - low
     assert 0.005 < width[1] < 0.5
     assert width[3] > 5 * width[1], "it widens where there are no data"
+    start = Start(np.zeros(1), np.zeros(0), "known")
+    displaced = Displaced(run.member(), run.certainties().covariance)
+    variance = displaced.variance(start, value[:, None], lambda one, _: one.functions_many("f", points)[:, None])
+    ratio = 1.645 * np.sqrt(variance[1:3, 0]) / (high - value)[1:3]
+    assert np.all((ratio > 0.5) & (ratio < 1.6)), "draws stay in the linear range"
     fence = fences(run)["f"]
     assert fence.beyond(points).tolist() == [False, False, False, True]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from gbspec.analysis.prediction.displaced import Displaced
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.noise import interval, noise_at
 from gbspec.analysis.prediction.solutions import (
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from gbspec.backends import Evaluator
     from gbspec.data import Scales, Trajectories, Trajectory
     from gbspec.ir import Model
-    from gbspec.runs import Run
+    from gbspec.runs import Covariance, Run
 
 Use = Literal["training", "window", "predicted"]
 """The use of a row: in training, in the estimation of the initial state, or none."""
@@ -174,7 +175,8 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
     third of them, at least three). Initial values that the first row measures are then estimated too, unless the window
     is that row alone; without `window` they are taken from it. A trajectory of the training data, recognised by
     content, has its learned initial state. The interval is that of a new measurement: it includes the variance over the
-    members, the (linearised) uncertainty of the estimates, and the noise that the fit estimated.
+    members, the (linearised) uncertainties of the estimates and of the learned model (not for trajectories of the
+    training data, whose starts were learned with it), and the noise that the fit estimated.
 
     Raises ComputationError if no trajectory can be solved.
     """
@@ -182,7 +184,11 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
 
     scales = run.fit.scales_for(run.model, trajectories)
     released = window is not None and window > 1
-    each = [_MemberPredictions(Evaluator(member), run, trajectories, scales, released) for member in run.members]
+    known = [run.certainties(number).covariance for number in run.numbers]
+    each = [
+        _MemberPredictions(Evaluator(member), run, trajectories, scales, covariance, released)
+        for member, covariance in zip(run.members, known, strict=True)
+    ]
     trained = Trained(trained_ranges(run.model, run.members[0]), extrapolation_of(run))
     items = tuple(_joined(each, index, window, trained) for index in range(len(trajectories)))
     if items and all(item.failure for item in items):
@@ -198,7 +204,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         states=tuple(state.name for state in run.model.states),
         items=items,
         members=len(each),
-        warnings=(*_warnings(items, len(each)), *_without_effect(items, window)),
+        warnings=(*_warnings(items, len(each) == 1 and known[0] is None), *_without_effect(items, window)),
     )
 
 
@@ -208,12 +214,12 @@ def hidden_states(model: Model) -> tuple[int, ...]:
     return tuple(i for i, state in enumerate(model.states) if state.name not in named)
 
 
-def _warnings(items: Sequence[PredictedTrajectory], members: int) -> list[str]:
+def _warnings(items: Sequence[PredictedTrajectory], narrow: bool) -> list[str]:
     found = [f"trajectory `{item.label}` could not be predicted: {item.failure}" for item in items if item.failure]
-    if members == 1:
+    if narrow:
         found.append(
-            "the run has one member, so that the intervals contain the noise and the uncertainty of the initial state, "
-            "but not that of the learned model: they are too narrow (`gbspec train --members 5`)"
+            "the run has one member and no covariance, so that the intervals contain the noise and the uncertainty of "
+            "the initial state, but not that of the learned model: they are too narrow (`gbspec train --members 5`)"
         )
     beyond = [item.label for item in items if any(item.outside)]
     if beyond:
@@ -240,7 +246,8 @@ def _without_effect(items: Sequence[PredictedTrajectory], window: int | None) ->
 
 @dataclass(frozen=True)
 class _View:
-    """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start."""
+    """One member's prediction of one trajectory: mean [R, V], and variance [R, V] from the uncertainty of its start and
+    of the learned model."""
 
     prediction: Prediction
     variables: Array
@@ -251,12 +258,19 @@ class _MemberPredictions:
     """The predictions of one member for a table."""
 
     def __init__(
-        self, evaluator: Evaluator, run: Run, trajectories: Trajectories, scales: Scales, released: bool
+        self,
+        evaluator: Evaluator,
+        run: Run,
+        trajectories: Trajectories,
+        scales: Scales,
+        covariance: Covariance | None,
+        released: bool,
     ) -> None:
         self.evaluator, self.run, self.model, self.trajectories = evaluator, run, run.model, trajectories
         noise = noise_at(run, np.ones(len(run.model.channels)))
         self.estimator = Estimator(evaluator, run.model, scales, noise, released)
         self.positions = learned_positions(evaluator.instance, trajectories, run.fit.data)
+        self.displaced = Displaced(evaluator.instance, covariance, frozenset(run.values))
 
     def view(self, index: int, rows: int) -> _View:
         """The prediction of a trajectory from its first `rows` rows."""
@@ -267,10 +281,15 @@ class _MemberPredictions:
         variance = np.zeros_like(variables)
         if start.origin == "estimated" and not found.failure:
             variance = self._uncertainty(item, seen, start, variables)
+        # What training trajectories determine, their own start and the model together, has no further uncertainty.
+        if start.origin in ("known", "estimated") and not found.failure:
+            variance = variance + self.displaced.variance(
+                start, variables, lambda evaluator, moved: self._solve(item, moved, evaluator)[1]
+            )
         return _View(found, variables, variance)
 
-    def _solve(self, item: Trajectory, start: Start) -> tuple[Prediction, Array]:
-        found = predict(self.evaluator, self.model, item, start)
+    def _solve(self, item: Trajectory, start: Start, evaluator: Evaluator | None = None) -> tuple[Prediction, Array]:
+        found = predict(self.evaluator if evaluator is None else evaluator, self.model, item, start)
         return found, np.concatenate([found.channels, found.states[:, list(hidden_states(self.model))]], axis=1)
 
     def _uncertainty(self, item: Trajectory, seen: Trajectory, start: Start, variables: Array) -> Array:

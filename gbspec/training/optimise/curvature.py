@@ -21,8 +21,8 @@ from gbspec.training.optimise.normal_equations import huber_weights
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.problem import Integers, Parameters
 
-LARGEST = 2**28
-"""The most entries of the Jacobian's shared columns (2 GiB): beyond, the covariance is left out."""
+LARGEST = 2**27
+"""The most entries of the Jacobian's shared columns (1 GiB): beyond, the covariance is left out."""
 DENSE, RANK = 1200, 384
 """With more weights, this many leading eigenvectors are computed by Nystroem's approximation."""
 NEGLIGIBLE = 1e-3
@@ -81,7 +81,9 @@ class _Reduced:
             used += float(np.sum(values / (values + weak)))
             thin.append((here, local[here] @ (vectors / np.sqrt(values + weak))))
         squares = float(np.sum(weights * measured**2))
-        return cls(rows.shared.numpy() * root[:, None], tuple(thin), squares, len(measured), used, weak)
+        shared = rows.shared.numpy()
+        shared *= root[:, None]  # in place, as it may be large
+        return cls(shared, tuple(thin), squares, len(measured), used, weak)
 
     def times(self, columns: Array) -> Array:
         """The product [n, k] of the matrix with `columns` [n, k]."""
