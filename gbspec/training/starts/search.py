@@ -31,9 +31,10 @@ WORK = 2e7
 """Sub-steps times columns over which the improvements of all starts may extend, so that large data get fewer starts."""
 FEWEST = 6
 """Starts that are drawn and improved however large the data are."""
-FOLLOWING = 0.3
-"""Residuals follow one another if their correlation with the next ones is this, and twice its standard error, above 0:
-a minimum with such residuals is either wrong, or the model cannot follow the data."""
+FOLLOWING = 0.75
+"""Residuals follow one another if their correlation with the next ones is above this, by twice its standard error: a
+minimum with such residuals is wrong, or the model cannot follow the data. (Less is left by the noise of measured first
+values.)"""
 FOLLOWED = 1e-7
 """Mean loss up to which a minimum is good whatever its residuals: they are less than 0.05 % of the deviations."""
 LARGEST = 10**7
