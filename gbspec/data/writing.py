@@ -12,6 +12,7 @@ from gbspec.data.columns import TRAJECTORY, quantities
 from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Cell, Diagnostic, UserError
+from gbspec.files import aside
 from gbspec.ir import Model
 
 
@@ -30,10 +31,11 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
         )
     frame = table(trajectories, model)
     try:
-        if suffix in PARQUET:
-            frame.write_parquet(path)
-        else:
-            path.write_text(frame.write_csv(separator=SEPARATORS[suffix]), encoding="utf-8")
+        with aside(path) as temporary:
+            if suffix in PARQUET:
+                frame.write_parquet(temporary)
+            else:
+                temporary.write_text(frame.write_csv(separator=SEPARATORS[suffix]), encoding="utf-8")
     except OSError as error:
         reason = error.strerror or str(error)
         raise UserError([Diagnostic("GB701", f"cannot write `{path}`: {reason}", Cell(str(path)))]) from error

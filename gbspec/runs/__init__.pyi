@@ -1,4 +1,5 @@
 from . import files as files
+from .locks import locked as locked
 from .record import DAMAGED as DAMAGED
 from .record import ConstantRecord as ConstantRecord
 from .record import DataRecord as DataRecord
@@ -8,6 +9,9 @@ from .record import Option as Option
 from .record import StageRecord as StageRecord
 from .record import StepRecord as StepRecord
 from .record import read_record as read_record
+from .seals import Summary as Summary
+from .seals import sealed as sealed
+from .seals import sealed_record as sealed_record
 from .store import Run as Run
 from .store import member_numbers as member_numbers
 from .store import open_run as open_run

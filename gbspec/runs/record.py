@@ -14,14 +14,15 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import METHODS, RK4
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
-from gbspec.runs.typed_json import JsonError, decode, encode, read_object
+from gbspec.runs.typed_json import OMITTED, JsonError, decode, encode, read_object
 from gbspec.version import __version__
 
 Option = str | int | float | bool | None
 """The value of an option of training; integers stay integers."""
 OLDEST = 1
 """The oldest interface of the generated module whose runs can still be read; assumed if a run names none."""
-DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
+DAMAGED = "restore the file from a copy, or train again into another directory"
+UNBEGUN = "its training stopped before it began: the same `gbspec train` command begins it again"
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,18 @@ class StageRecord:
 
 @dataclass(frozen=True)
 class MemberRecord:
-    """A member's fit; `rmse` by channel, None if the solution was not finite."""
+    """A member's fit; `rmse` by channel, None if the solution was not finite.
+
+    `member` is its number and `files` the digests of its files by name; runs of version 0.1.0 have neither.
+    """
 
     seed: int
     loss: float | None
     rmse: Mapping[str, float | None]
     seconds: float
     stages: tuple[StageRecord, ...]
+    member: int | None = field(default=None, metadata=OMITTED)
+    files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -89,8 +95,9 @@ class FitRecord:
 
     `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
     deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
-    `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made. `others` are keys
-    that this version does not know; they are kept.
+    `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made. `finished` is false
+    while members are fitted and after an interruption: files of members may then be newer than this record. `files` are
+    the digests of the run's other files by name. `others` are keys that this version does not know; they are kept.
     """
 
     gbspec: str
@@ -106,6 +113,8 @@ class FitRecord:
     solver: str = RK4.name
     step_checks: tuple[StepRecord, ...] = ()
     interface: int = OLDEST
+    finished: bool = True
+    files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
     def to_json(self) -> JsonObject:
@@ -126,7 +135,8 @@ def read_record(directory: Path, findings: Findings) -> FitRecord | None:
     """
     path = directory / files.FIT
     if not path.is_file():
-        findings.error("GB852", f"`{path}` is missing", None, help=DAMAGED)
+        begun = (directory / files.MEMBERS).is_dir()
+        findings.error("GB852", f"`{path}` is missing", None, help=DAMAGED if begun else UNBEGUN)
         return None
     try:
         content = read_object(path)
