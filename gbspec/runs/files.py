@@ -130,11 +130,11 @@ def read_history(path: Path) -> list[dict[str, str]]:
     try:
         with path.open(encoding="utf-8", newline="") as file:
             table = csv.DictReader(file, restkey="")
-            rows = list(table)
+            rows, header = list(table), list(table.fieldnames or ())
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UserError([Diagnostic("GB852", f"`{path}` is damaged: {error}", None)]) from None
     wrong = next((row for row in rows if not _complete(row)), None)
-    if wrong is not None or list(table.fieldnames or ())[:5] != history_header(()):
+    if wrong is not None or header[:5] != history_header(()):
         at = f"row {rows.index(wrong) + 2}" if wrong is not None else "its header"
         message = f"`{path}` is damaged: {at} is incomplete"
         raise UserError([Diagnostic("GB852", message, None, help="`train --resume` writes it again")])
