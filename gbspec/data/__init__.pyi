@@ -6,6 +6,9 @@ from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
 from .columns import TRAJECTORY as TRAJECTORY
 from .fingerprints import fingerprint as fingerprint
+from .keeping import content_digest as content_digest
+from .keeping import from_arrays as from_arrays
+from .keeping import to_arrays as to_arrays
 from .names import similar as similar
 from .overlays import overlay as overlay
 from .sampling import Box as Box

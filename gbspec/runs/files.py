@@ -19,7 +19,7 @@ from gbspec.files import aside, is_aside
 from gbspec.json_values import JsonObject
 
 FIT, MODEL, MODULE, HISTORY, MEMBERS = "fit.json", "model.gb", "model.py", "history.csv", "members"
-LOCK = ".lock"
+LOCK, DATA = ".lock", "data.safetensors"
 WEIGHTS, CHECKPOINT, CHECKPOINT_BEST = "weights.safetensors", "checkpoint.safetensors", "checkpoint.best.safetensors"
 
 

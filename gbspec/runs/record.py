@@ -27,13 +27,19 @@ UNBEGUN = "its training stopped before it began: the same `gbspec train` command
 
 @dataclass(frozen=True)
 class DataRecord:
-    """The table that a run was trained on: its path, fingerprint, and numbers of trajectories, rows and values."""
+    """The data that a run was trained on: path and SHA-256 of the table, numbers of trajectories, rows and values.
+
+    `path` is as it was given; `absolute` and `relative` (to the run) are the table's place, by which it is found from
+    other folders. Data that were in no table are kept in the run, and `path` is empty; `sha256` is of their content.
+    """
 
     path: str
     sha256: str
     trajectories: int
     rows: int
     values: int
+    absolute: str | None = field(default=None, metadata=OMITTED)
+    relative: str | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

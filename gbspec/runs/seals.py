@@ -21,7 +21,7 @@ FIT, SEAL = "fit", "sha256"
 """Keys of `info` in a weights file: the summary of the fit that the weights are of, and the digest of the rest."""
 SEALED = (files.WEIGHTS, files.CHECKPOINT, files.CHECKPOINT_BEST)
 """The files of a member whose digests are in `fit.json`."""
-OF_RUN = (files.MODEL, files.MODULE, files.HISTORY)
+OF_RUN = (files.MODEL, files.MODULE, files.HISTORY, files.DATA)
 """The other files of a run whose digests are in `fit.json`."""
 RESTORE = "restore the file from a copy, or train again into another directory"
 

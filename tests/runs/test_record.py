@@ -62,7 +62,7 @@ def used(run: Run) -> None:
     collect.constants(run)
     tables.correlations(run)
     page._reproduce(run)
-    training_data(run, Findings())
+    training_data(run, Findings(), required=False)
     assert run.best in run.numbers
     assert FitRecord.to_json(run.fit)["gbspec"] == run.fit.gbspec
     with contextlib.suppress(UserError):

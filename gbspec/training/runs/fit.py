@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gbspec.backends import INTERFACE, generate, load_module
-from gbspec.data import Trajectories
+from gbspec.data import Trajectories, content_digest, to_arrays
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import clear, finite, is_aside
 from gbspec.ir import METHODS, Model
@@ -45,7 +46,8 @@ TOGETHER = 0.95
 NEGLIGIBLE = 0.3
 """Constants with smaller components are omitted from the description of a direction."""
 OWN = frozenset(
-    {files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html", "__pycache__", files.LOCK}
+    {files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.DATA, files.MEMBERS, files.LOCK}
+    | {"report.html", "__pycache__"}
 )
 """What a run directory contains; Python leaves `__pycache__` where somebody imported the module."""
 
@@ -111,13 +113,15 @@ class Fitting:
             plan(context, context.parameters({}))
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
-        self.record = _record(model, trajectories, options)
+        self.record = _record(model, trajectories, options, path)
         self.results: dict[int, MemberResult] = {}
         self.failures: dict[int, ComputationError] = {}
 
     def begin(self) -> None:
         """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
         _prepare(self.path, self.model, self.record, self.options)
+        if not _in_table(self.trajectories):
+            files.write_tensors(self.path / files.DATA, *to_arrays(self.trajectories))
 
     def jobs(self, first: int = 0) -> list[Job]:
         """One job per member, numbered from `first`."""
@@ -157,15 +161,13 @@ def _check_data(trajectories: Trajectories, findings: Findings) -> None:
         findings.error("GB856", message, None, help="add later rows, or state when trajectories start: `time t from 0`")
 
 
-def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> FitRecord:
+def _record(model: Model, trajectories: Trajectories, options: TrainOptions, path: Path) -> FitRecord:
     """The record before training."""
     packages = ("torch", "numpy", "scipy", "sympy", "casadi")
-    rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
-    counts = len(trajectories), rows, trajectories.measurements
     return FitRecord(
         gbspec=__version__,
         model=model.name,
-        data=DataRecord(trajectories.path, trajectories.sha256, *counts),
+        data=_data_record(trajectories, path),
         options=options.to_json(),
         versions={"python": platform.python_version(), **{name: version(name) for name in packages}},
         constants={},
@@ -176,6 +178,23 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         interface=INTERFACE,
         finished=False,
     )
+
+
+def _data_record(trajectories: Trajectories, run: Path) -> DataRecord:
+    rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
+    counts = len(trajectories), rows, trajectories.measurements
+    if not _in_table(trajectories):
+        return DataRecord("", trajectories.sha256 or content_digest(trajectories), *counts)
+    absolute = Path(trajectories.path).resolve()
+    try:
+        relative: str | None = os.path.relpath(absolute, run.resolve())
+    except ValueError:  # on another drive
+        relative = None
+    return DataRecord(trajectories.path, trajectories.sha256, *counts, str(absolute), relative)
+
+
+def _in_table(trajectories: Trajectories) -> bool:
+    return bool(trajectories.path and trajectories.sha256)
 
 
 # -------------------------------------------------------------------------------------------------- the directory
