@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import math
 import os
+import shlex
 import tempfile
 import time
 from collections.abc import Iterator
@@ -39,7 +40,9 @@ def writable(path: str | Path) -> Path:
     folder = target.parent
     if not folder.is_dir():
         message = f"`{path}` cannot be written: there is no folder `{folder}`"
-        raise UserError([Diagnostic("GB805", message, None, help=f"create it first: mkdir -p {folder}")])
+        raise UserError(
+            [Diagnostic("GB805", message, None, help=f"create it first: mkdir -p {shlex.quote(str(folder))}")]
+        )
     if not os.access(target if target.exists() else folder, os.W_OK):
         message = f"`{path}` cannot be written: permission denied"
         raise UserError([Diagnostic("GB805", message, None, help="choose another path")])

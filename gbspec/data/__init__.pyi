@@ -9,6 +9,7 @@ from .fingerprints import fingerprint as fingerprint
 from .keeping import content_digest as content_digest
 from .keeping import from_arrays as from_arrays
 from .keeping import to_arrays as to_arrays
+from .names import for_spreadsheets as for_spreadsheets
 from .names import similar as similar
 from .overlays import overlay as overlay
 from .sampling import Box as Box

@@ -9,6 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
+from gbspec.data.names import from_spreadsheets
 from gbspec.data.sheet import Sheet, shown
 from gbspec.diagnostics import Cell, Findings
 
@@ -107,6 +108,8 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
         frame = pl.DataFrame({"whole": whole, "whole_text": whole_text, "text": series.cast(pl.String)})
         series = frame.select(pl.when("whole").then("whole_text").otherwise("text")).to_series()
     texts = series.cast(pl.String).fill_null("").str.strip_chars()
+    if texts.str.starts_with("'").any():
+        texts = pl.Series([from_spreadsheets(text) for text in texts], dtype=pl.String)
     empty = np.flatnonzero((texts == "").to_numpy())
     for i, notes in shown(empty, "rows"):
         row = int(sheet.rows[i])

@@ -5,6 +5,7 @@ The keys are the names of the fields, in their order. Files of version 0.1.0 lac
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -179,9 +180,8 @@ def _of_another_interface(directory: Path, content: Mapping[str, object], findin
         f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; "
         f"this is gbspec {__version__}, which reads {OLDEST} to {INTERFACE}"
     )
-    help_text = (
-        f"use gbspec {wrote} for it, or train again with this one: `gbspec train {directory}/model.gb DATA -o RUN`"
-    )
+    path = shlex.quote(str(directory / files.MODEL))
+    help_text = f"use gbspec {wrote} for it, or train again with this one: `gbspec train {path} DATA -o RUN`"
     findings.error("GB857", message, None, help=help_text)
     return True
 

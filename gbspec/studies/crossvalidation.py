@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gbspec.data import Trajectories, fingerprint
+from gbspec.data import Trajectories, fingerprint, for_spreadsheets
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import clear, finite, write_text
 from gbspec.json_values import JsonObject
@@ -227,7 +227,7 @@ def _write(directory: Path, made: CrossValidation, found: Mapping[int, Sequence[
     for number, points in found.items():
         for p in points:
             numbers = ["" if finite(v) is None else v for v in (p.predicted, p.sd)]
-            writer.writerow([number, p.trajectory, p.time, p.channel, p.measured, *numbers])
+            writer.writerow([number, for_spreadsheets(p.trajectory), p.time, p.channel, p.measured, *numbers])
     write_text(directory / "predictions.csv", text.getvalue())
 
 
