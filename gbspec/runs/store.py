@@ -158,7 +158,7 @@ def unfinished(run: Run) -> str:
     listed = ", ".join(map(str, run.numbers))
     planned = run.fit.options.get("members")
     members = f"member{'s' if len(run.numbers) > 1 else ''} {listed} of {planned}"
-    return f"the training of `{run.path}` was interrupted: {members} can be used, as far as it came"
+    return f"the training of `{run.path}` was interrupted: {members} can be used, in the state that they had reached"
 
 
 def _model_of(directory: Path) -> Model:
