@@ -261,7 +261,7 @@ class FittedRun:
         """A figure of one of the kinds of `gbspec plot`, also written to `path` if given."""
         from gbspec.report import save
 
-        made = reporting.figure(kind, self.run, self._data(data), show)
+        made = reporting.figure(kind, self.run, self._data(data, required=False), show)
         if path is not None:
             save(made, path)
         return made
@@ -298,8 +298,10 @@ class FittedRun:
         reporting.report(self.run, self._data(data), target, diagram=diagram, cycles=cycles)
         return target
 
-    def _data(self, data: str | Path | Trajectories | None) -> Trajectories | None:
-        return tables.training_data(self.run, Findings()) if data is None else _table(data, self.run.model)
+    def _data(self, data: str | Path | Trajectories | None, *, required: bool = True) -> Trajectories | None:
+        if data is not None:
+            return _table(data, self.run.model)
+        return tables.training_data(self.run, Findings(), required=required)
 
 
 def load(path: str | Path) -> Specification:

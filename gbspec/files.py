@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import errno
+import glob
 import math
 import os
+import shlex
 import stat
 import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gbspec.diagnostics import Diagnostic, UserError
+
+ASIDE = ".gbspec-part"
+"""Part of the names of files that are being written."""
+ABANDONED = 3600.0
+"""Seconds after which a file that is being written is taken for one that was left behind."""
 
 
 def existing(path: str | Path, *, kind: str = "file") -> Path:
@@ -41,7 +51,9 @@ def writable(path: str | Path) -> Path:
     folder = target.parent
     if not folder.is_dir():
         message = f"`{path}` cannot be written: there is no folder `{folder}`"
-        raise UserError([Diagnostic("GB805", message, None, help=f"create it first: mkdir -p {folder}")])
+        raise UserError(
+            [Diagnostic("GB805", message, None, help=f"create it first: mkdir -p {shlex.quote(str(folder))}")]
+        )
     if not os.access(target if target.exists() else folder, os.W_OK):
         message = f"`{path}` cannot be written: permission denied"
         raise UserError([Diagnostic("GB805", message, None, help="choose another path")])
@@ -59,16 +71,69 @@ def write_bytes(path: str | Path, data: bytes) -> None:
     if target.exists() and not target.is_file():  # /dev/stdout and the like are written to, not replaced
         target.write_bytes(data)
         return
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    with aside(target) as temporary:
+        temporary.write_bytes(data)
+
+
+@contextmanager
+def aside(target: Path) -> Iterator[Path]:
+    """A path beside the target to write to, which then becomes the target: complete, or as it was before.
+
+    A process that is killed leaves the path beside behind; `clear` and a later write to the same target remove it.
+    """
+    if target.exists() and not target.is_file():
+        yield target
+        return
+    _clear_older(target)
+    resolved = target.resolve() if target.is_symlink() else target  # the link stays, what it points to is replaced
+    handle, name = tempfile.mkstemp(dir=resolved.parent, prefix=f".{target.name[:100]}.", suffix=ASIDE + target.suffix)
+    os.close(handle)
+    temporary = Path(name)
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-        os.chmod(name, mode)
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
+        yield temporary
+        mode = resolved.stat().st_mode & 0o777 if resolved.exists() else 0o666 & ~_umask()
+        os.chmod(temporary, mode)
+        _publish(temporary, resolved)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.errno is not None and error.filename in (None, name):
+            error.filename = str(target)  # the user knows this name
         raise
+
+
+def _publish(temporary: Path, target: Path) -> None:
+    """Renames after the content has reached the disk, so that a power failure cannot leave an empty file."""
+    with temporary.open("r+b") as file:
+        os.fsync(file.fileno())
+    os.replace(temporary, target)
+    if hasattr(os, "O_DIRECTORY"):  # where a folder can be opened, its new entry is written to the disk as well
+        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            with suppress(OSError):  # some file systems cannot do this
+                os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def is_aside(name: str) -> bool:
+    """Whether a file is named like one that was left behind by a process that was killed while it wrote."""
+    return name.startswith(".") and ASIDE in name
+
+
+def clear(folder: Path) -> None:
+    """Removes what killed processes left behind in a folder and its subfolders; nobody else may be writing there."""
+    for path in sorted(folder.rglob(f".*{ASIDE}*")):
+        if path.is_file() and is_aside(path.name):
+            path.unlink(missing_ok=True)
+
+
+def _clear_older(target: Path) -> None:
+    """Removes files beside the target that are too old to belong to a process that is still writing it."""
+    now = time.time()
+    for path in target.parent.glob(f".{glob.escape(target.name[:100])}.*{ASIDE}*"):
+        with suppress(OSError):
+            if now - path.stat().st_mtime > ABANDONED:
+                path.unlink()
 
 
 def _umask() -> int:

@@ -9,9 +9,13 @@ from .columns import TRAJECTORY as TRAJECTORY
 from .draws import sobol as sobol
 from .draws import spread_over_ranges as spread_over_ranges
 from .fingerprints import fingerprint as fingerprint
+from .keeping import content_digest as content_digest
+from .keeping import from_arrays as from_arrays
+from .keeping import to_arrays as to_arrays
 from .naive import Naive as Naive
 from .naive import naive_predictors as naive_predictors
 from .naive import variance_of as variance_of
+from .names import for_spreadsheets as for_spreadsheets
 from .names import similar as similar
 from .overlays import overlay as overlay
 from .sampling import Box as Box

@@ -9,17 +9,22 @@ import polars as pl
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
+from gbspec.data.names import from_spreadsheets
 from gbspec.data.sheet import Sheet, shown
 from gbspec.diagnostics import Cell, Findings
 
 MISSING = ("", "na", "n/a", "nan", "null", "none", "-", ".")
 """The texts for *not measured*, besides the empty cell; upper and lower case are equivalent."""
+LARGEST, SMALLEST = 1e100, 1e-100
+"""Magnitudes between which squares and quotients of numbers neither overflow nor vanish."""
+OTHER_UNIT = "choose a unit in which its values are of moderate size"
 
 
 def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
     """A column as float64 [n], NaN where the cell is empty or a word of `MISSING`.
 
-    Reports cells that are not numbers (GB712), infinite ones (GB713), and columns of another kind (GB730).
+    Reports cells that are not numbers (GB712), infinite ones (GB713), columns of another kind (GB730), and numbers that
+    are too large or too small to compute with (GB731).
     """
     series = sheet.columns[name]
     if series.dtype == pl.Null:
@@ -50,7 +55,24 @@ def numbers(sheet: Sheet, name: str, findings: Findings) -> Array:
             notes=notes,
         )
     values[infinite] = np.nan
+    _magnitudes(sheet, name, values, findings)
     return values
+
+
+def _magnitudes(sheet: Sheet, name: str, values: Array, findings: Findings) -> None:
+    """Reports numbers that are too large, or a column that is too small, to compute with (GB731)."""
+    size = np.abs(values)
+    huge = np.flatnonzero(size > LARGEST)
+    for i, notes in shown(huge, "cells"):
+        row = int(sheet.rows[i])
+        message = f"`{name}` is {values[i]:g} in row {row}: above {LARGEST:g} computations overflow"
+        findings.error("GB731", message, Cell(sheet.path, row, name), help=OTHER_UNIT, notes=notes)
+    values[huge] = np.nan
+    there = np.flatnonzero(size > 0)
+    if len(there) and size[there].max() < SMALLEST:
+        row = int(sheet.rows[there[0]])
+        message = f"`{name}` is {values[there[0]]:g} in row {row}, and nowhere larger than {SMALLEST:g}"
+        findings.error("GB731", message, Cell(sheet.path, row, name), help=OTHER_UNIT)
 
 
 def _from_text(series: pl.Series, decimal_comma: bool) -> tuple[Array, Mask, pl.Series]:
@@ -109,6 +131,8 @@ def labels(sheet: Sheet, name: str, findings: Findings) -> tuple[list[str], NDAr
         frame = pl.DataFrame({"whole": whole, "whole_text": whole_text, "text": series.cast(pl.String)})
         series = frame.select(pl.when("whole").then("whole_text").otherwise("text")).to_series()
     texts = series.cast(pl.String).fill_null("").str.strip_chars()
+    if texts.str.starts_with("'").any():
+        texts = pl.Series([from_spreadsheets(text) for text in texts], dtype=pl.String)
     empty = np.flatnonzero((texts == "").to_numpy())
     for i, notes in shown(empty, "rows"):
         row = int(sheet.rows[i])

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
+from gbspec.data.cells import OTHER_UNIT, SMALLEST
 from gbspec.data.columns import Quantity
 from gbspec.data.records import Records, Series
 from gbspec.data.sheet import SHOWN, shown
@@ -15,6 +16,7 @@ from gbspec.ir import Model, Range
 
 def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: bool, findings: Findings) -> None:
     """Reports all errors in the records; `measured`: whether a measurement is required."""
+    _resolved(table, findings)
     if model.time.start is not None:
         _after_start(table, model.time.start, findings)
     for quantity, cells in table.series.items():
@@ -34,6 +36,18 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
             _known_at_start(table, quantity, start, findings)
     if measured:
         _measured(table, model.time.start is not None, findings)
+
+
+def _resolved(table: Records, findings: Findings) -> None:
+    """Reports successive times whose difference is too small to compute a slope with."""
+    if any(d.code == "GB731" for d in findings.errors):
+        return  # all times may be too small, which was said
+    step = np.diff(table.time)
+    close = np.flatnonzero((table.group[1:] == table.group[:-1]) & (step > 0) & (step < SMALLEST)) + 1
+    for i, notes in shown(close, "rows"):
+        row = int(table.row[i])
+        message = f"row {row} is only {table.time[i] - table.time[i - 1]:g} later than the row before"
+        findings.error("GB731", message, Cell(table.path, row, table.time_column), help=OTHER_UNIT, notes=notes)
 
 
 def first_times(table: Records) -> Array:
@@ -95,6 +109,11 @@ def _positive(table: Records, quantity: Quantity, cells: Series, findings: Findi
 
 
 def _deviations(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    tiny = np.flatnonzero((cells.sd > 0) & (cells.sd < SMALLEST))
+    for i, notes in shown(tiny, "cells"):
+        row = int(cells.row[i])
+        message = f"the standard deviation of `{quantity.name}` is {cells.sd[i]:g} in row {row}"
+        findings.error("GB731", message, Cell(table.path, row, f"sd_{quantity.column}"), help=OTHER_UNIT, notes=notes)
     bad = np.flatnonzero(cells.sd <= 0)
     for i, notes in shown(bad, "cells"):
         row = int(cells.row[i])

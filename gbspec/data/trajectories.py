@@ -73,7 +73,8 @@ class Trajectories:
         return int(sum(np.sum(item.counts) for item in self.items))
 
     def subset(self, indices: Sequence[int]) -> Trajectories:
-        """The data set reduced to some of its trajectories."""
-        return Trajectories(
-            tuple(self.items[i] for i in indices), self.channels, self.path, self.sha256, self.rows, dict(self.meta)
-        )
+        """The data set reduced to some of its trajectories; unless it is the whole one, it is in no file."""
+        items = tuple(self.items[i] for i in indices)
+        if len(items) == len(self.items) and list(indices) == list(range(len(items))):
+            return self
+        return Trajectories(items, self.channels, meta=dict(self.meta))

@@ -9,9 +9,11 @@ import polars as pl
 
 from gbspec.arrays import Array
 from gbspec.data.columns import TRAJECTORY, quantities
+from gbspec.data.names import for_spreadsheets
 from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
 from gbspec.data.trajectories import Trajectories, Trajectory
 from gbspec.diagnostics import Cell, Diagnostic, UserError
+from gbspec.files import aside
 from gbspec.ir import Model
 
 
@@ -29,11 +31,13 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
             [Diagnostic("GB702", f"cannot write a table to `{path}`", Cell(str(path)), help=f"name it as {FORMATS}")]
         )
     frame = table(trajectories, model)
+    safe = frame.with_columns(pl.Series(TRAJECTORY, map(for_spreadsheets, frame[TRAJECTORY]), dtype=pl.String))
     try:
-        if suffix in PARQUET:
-            frame.write_parquet(path)
-        else:
-            path.write_text(frame.write_csv(separator=SEPARATORS[suffix]), encoding="utf-8")
+        with aside(path) as temporary:
+            if suffix in PARQUET:
+                safe.write_parquet(temporary)
+            else:
+                temporary.write_text(safe.write_csv(separator=SEPARATORS[suffix]), encoding="utf-8")
     except OSError as error:
         reason = error.strerror or str(error)
         raise UserError([Diagnostic("GB701", f"cannot write `{path}`: {reason}", Cell(str(path)))]) from error

@@ -6,6 +6,7 @@ the user wrote. Chains of sums and products are built in one step.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from typing import assert_never
 
@@ -17,6 +18,8 @@ from gbspec.syntax import FUNCTIONS, ast
 
 LARGEST_EXACT = 2**53
 """Larger whole numbers are not all representable as doubles, so they become floats."""
+
+LARGEST_DOUBLE = sympy.Float(sys.float_info.max)
 
 _EXACT_BITS = 64
 """Powers of rational numbers stay exact up to this size."""
@@ -144,5 +147,10 @@ def _presentable(expression: Expr) -> Expr:
 
 
 def is_finite(expression: Expr) -> bool:
-    """Whether an expression contains no infinity and no undefined or imaginary part."""
-    return not expression.has(sympy.zoo, sympy.nan, sympy.oo, -sympy.oo, sympy.I)
+    """Whether an expression contains no infinity, no undefined or imaginary part, and no number beyond a double's.
+
+    Products of numbers are computed exactly: `1e308*1e308` is finite for sympy.
+    """
+    if expression.has(sympy.zoo, sympy.nan, sympy.oo, -sympy.oo, sympy.I):
+        return False
+    return all(abs(n) <= LARGEST_DOUBLE for n in expression.atoms(sympy.Float))

@@ -18,7 +18,10 @@ def train(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
     """Fits the learnables and unknowns of a model to data into a run directory, then checks every fit's step."""
-    return with_step_checks(fit(model, data, directory, options, progress), data, options)
+    from gbspec.training import writing
+
+    with writing(directory):
+        return with_step_checks(fit(model, data, directory, options, progress), data, options)
 
 
 def fit(

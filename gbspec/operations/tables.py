@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,10 +45,66 @@ def read_data(path: str | Path, model: Model, findings: Findings, *, require_cha
     return read(path, model, findings, require_channels)
 
 
-def training_data(run: Run, findings: Findings) -> Trajectories | None:
-    """The table that a run was trained on; None if it is no longer at its path."""
-    path = run.fit.data.path
-    return read_data(path, run.model, findings) if path and Path(path).is_file() else None
+def training_data(run: Run, findings: Findings, *, required: bool = True) -> Trajectories | None:
+    """The data that a run was trained on, unchanged, from wherever they are found.
+
+    If the table is gone or was changed, raises `UserError` (GB859), or, if it is not `required`, gives a warning and
+    None. None also for runs of version 0.1.0 that were trained on data in no table, which they do not keep.
+    """
+    kept = _kept(run)
+    if kept is not None:
+        return kept
+    if not run.fit.data.path:
+        return None
+    seen: list[Path] = []
+    for path in _places(run):
+        if path.is_file() and path not in seen:
+            if not run.fit.data.sha256 or digest(path) == run.fit.data.sha256:
+                return read_data(path, run.model, findings)
+            seen.append(path)
+    message, help = _trouble(run, seen)
+    if required:
+        raise UserError([Diagnostic("GB859", message, None, help=help)])
+    findings.warning("GB859", message, None, help=help)
+    return None
+
+
+def _places(run: Run) -> list[Path]:
+    """Where the table may be: at its path from this folder, at its place on this machine, beside the run as it was."""
+    data = run.fit.data
+    around = [run.path / data.relative] if data.relative else []
+    if not data.absolute:  # a run of version 0.1.0, often beside its table
+        around = [run.path.parent / data.path]
+    named = [Path(text) for text in (data.path, data.absolute) if text]
+    return [path.resolve() for path in (*named, *around) if "\0" not in str(path)]
+
+
+def _trouble(run: Run, changed: list[Path]) -> tuple[str, str]:
+    """The message and the advice for a table that is gone or was changed."""
+    if changed:
+        message = f"the table that the run was trained on, `{changed[0]}`, was changed after the training"
+        return message, "restore it, or name the table that is meant, changed or not, in the command"
+    message = f"the table that the run was trained on, `{run.fit.data.path}`, is no longer at that path"
+    return message, "name its new path in the command (`--data TABLE` where it is an option)"
+
+
+def _kept(run: Run) -> Trajectories | None:
+    """The data that the run itself keeps; None if there are none. Raises `UserError` (GB852) if they are damaged."""
+    from gbspec.data import from_arrays
+    from gbspec.runs import DAMAGED, files
+
+    path = run.path / files.DATA
+    if run.fit.data.path or not path.is_file():
+        return None
+    try:
+        arrays, remarks = files.read_tensors(path)
+        labels, channels = remarks["labels"], remarks["channels"]
+        found = from_arrays(arrays, labels, channels, len(run.model.inputs), len(run.model.doses))
+        if found.channels != tuple(channel.name for channel in run.model.channels):
+            raise ValueError(f"`{path}` is damaged: it has other channels than the model")
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise UserError([Diagnostic("GB852", f"`{path}` cannot be read: {error}", None, help=DAMAGED)]) from None
+    return replace(found, sha256=run.fit.data.sha256)
 
 
 def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Trajectories:
@@ -57,10 +114,17 @@ def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Traject
     """
     data = training_data(run, findings) if path is None else read_data(path, run.model, findings)
     if data is None:
-        message = f"the table that the run was trained on, `{run.fit.data.path}`, is no longer at that path"
-        raise UserError([Diagnostic("GB859", message, None, help="give its path: `--data TABLE`")])
+        message = "the run was trained on data in no table, and does not keep them"
+        raise UserError([Diagnostic("GB859", message, None, help="give a table with the same data: `--data TABLE`")])
     if data.sha256 != run.fit.data.sha256:
         message = f"`{data.path}` is not the table that the run was trained on"
         help = "continuing the fit needs the same table, unchanged"
         raise UserError([Diagnostic("GB859", message, None, help=help)])
     return data
+
+
+def digest(path: Path) -> str:
+    """The SHA-256 (hexadecimal) of a file's content."""
+    from gbspec.runs import files
+
+    return files.digest(path)

@@ -8,9 +8,9 @@ import numpy as np
 import polars as pl
 
 from gbspec.analysis import Forecast
-from gbspec.data import FORMATS, PARQUET, SEPARATORS, TRAJECTORY
+from gbspec.data import FORMATS, PARQUET, SEPARATORS, TRAJECTORY, for_spreadsheets
 from gbspec.diagnostics import Cell, Diagnostic, UserError
-from gbspec.files import writable, write_text
+from gbspec.files import aside, writable, write_text
 
 
 def target(path: str | Path) -> Path:
@@ -47,6 +47,8 @@ def write(path: str | Path, forecast: Forecast, time: str) -> None:
     to = target(path)
     made = frame(forecast, time)
     if to.suffix.lower() in PARQUET:
-        made.write_parquet(to)
+        with aside(to) as temporary:
+            made.write_parquet(temporary)
     else:
-        write_text(to, made.write_csv(separator=SEPARATORS[to.suffix.lower()]))
+        safe = made.with_columns(pl.Series(TRAJECTORY, map(for_spreadsheets, made[TRAJECTORY]), dtype=pl.String))
+        write_text(to, safe.write_csv(separator=SEPARATORS[to.suffix.lower()]))

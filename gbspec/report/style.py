@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.files import writable
+from gbspec.files import aside, writable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,5 +88,5 @@ def save(made: Figure, path: str | Path) -> None:
     target = form_of(path)
     clocks: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     metadata = clocks.get(target.suffix.lower(), {})
-    with styled():
-        made.savefig(target, metadata=metadata)
+    with styled(), aside(target) as temporary:
+        made.savefig(temporary, format=target.suffix.lower()[1:], metadata=metadata)

@@ -4,6 +4,7 @@ from .covariance import Certainties as Certainties
 from .covariance import Covariance as Covariance
 from .covariance import Support as Support
 from .covariance import read_certainties as read_certainties
+from .locks import locked as locked
 from .record import DAMAGED as DAMAGED
 from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord
@@ -16,6 +17,9 @@ from .record import ScalesRecord as ScalesRecord
 from .record import StageRecord as StageRecord
 from .record import StepRecord as StepRecord
 from .record import read_record as read_record
+from .seals import Summary as Summary
+from .seals import sealed as sealed
+from .seals import sealed_record as sealed_record
 from .store import Run as Run
 from .store import member_numbers as member_numbers
 from .store import open_run as open_run

@@ -5,6 +5,7 @@ The keys are the names of the fields, in their order. Files of version 0.1.0 lac
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,18 +26,25 @@ Option = str | int | float | bool | None
 """The value of an option of training; integers stay integers."""
 OLDEST = 1
 """The oldest interface of the generated module whose runs can still be read; assumed if a run names none."""
-DAMAGED = "the directory is damaged or not finished: train again (`--resume` continues where it stopped)"
+DAMAGED = "restore the file from a copy, or train again into another directory"
+UNBEGUN = "its training stopped before it began: the same `gbspec train` command begins it again"
 
 
 @dataclass(frozen=True)
 class DataRecord:
-    """The table that a run was trained on: its path, fingerprint, and numbers of trajectories, rows and values."""
+    """The data that a run was trained on: path and SHA-256 of the table, numbers of trajectories, rows and values.
+
+    `path` is as it was given; `absolute` and `relative` (to the run) are the table's place, by which it is found from
+    other folders. Data that were in no table are kept in the run, and `path` is empty; `sha256` is of their content.
+    """
 
     path: str
     sha256: str
     trajectories: int
     rows: int
     values: int
+    absolute: str | None = field(default=None, metadata=OMITTED)
+    relative: str | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -104,6 +112,8 @@ class MemberRecord:
     `loss` is the mean of half squared residuals of whole solutions from their initial states, `interval_loss` that of
     predictions from each row to the next; `rmse` and `channels` by channel are of whole solutions; None where the
     solution was not finite, and `channels` in runs of older versions.
+
+    `member` is its number and `files` the digests of its files by name; runs of version 0.1.0 have neither.
     """
 
     seed: int
@@ -111,6 +121,8 @@ class MemberRecord:
     rmse: Mapping[str, float | None]
     seconds: float
     stages: tuple[StageRecord, ...]
+    member: int | None = field(default=None, metadata=OMITTED)
+    files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     interval_loss: float | None = field(default=None, metadata=OMITTED)
     channels: Mapping[str, ChannelRecord] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
@@ -157,7 +169,9 @@ class FitRecord:
     `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
     deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
     `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made; `scales` are missing
-    in older runs. `others` are keys that this version does not know; they are kept.
+    in older runs. `finished` is false
+    while members are fitted and after an interruption: files of members may then be newer than this record. `files` are
+    the digests of the run's other files by name. `others` are keys that this version does not know; they are kept.
     """
 
     gbspec: str
@@ -174,6 +188,8 @@ class FitRecord:
     step_checks: tuple[StepRecord, ...] = ()
     interface: int = OLDEST
     scales: ScalesRecord | None = field(default=None, metadata=OMITTED)
+    finished: bool = True
+    files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
     def scales_for(self, model: Model, trajectories: Trajectories) -> Scales:
@@ -199,7 +215,8 @@ def read_record(directory: Path, findings: Findings) -> FitRecord | None:
     """
     path = directory / files.FIT
     if not path.is_file():
-        findings.error("GB852", f"`{path}` is missing", None, help=DAMAGED)
+        begun = (directory / files.MEMBERS).is_dir()
+        findings.error("GB852", f"`{path}` is missing", None, help=DAMAGED if begun else UNBEGUN)
         return None
     try:
         content = read_object(path)
@@ -236,9 +253,8 @@ def _of_another_interface(directory: Path, content: Mapping[str, object], findin
         f"the run `{directory}` was written by gbspec {wrote} for the module interface {interface}; "
         f"this is gbspec {__version__}, which reads {OLDEST} to {INTERFACE}"
     )
-    help_text = (
-        f"use gbspec {wrote} for it, or train again with this one: `gbspec train {directory}/model.gb DATA -o RUN`"
-    )
+    path = shlex.quote(str(directory / files.MODEL))
+    help_text = f"use gbspec {wrote} for it, or train again with this one: `gbspec train {path} DATA -o RUN`"
     findings.error("GB857", message, None, help=help_text)
     return True
 

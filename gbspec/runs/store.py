@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,9 +14,9 @@ from gbspec.backends import GeneratedModule, load_module
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Method, Model
-from gbspec.runs import files
+from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, read_certainties
-from gbspec.runs.record import DAMAGED, FitRecord, read_record
+from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, MemberRecord, read_record
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,12 @@ class Run:
             raise UserError([Diagnostic("GB854", message, None, help=f"its members are {there}")])
         if number not in self._loaded:
             try:
-                self._loaded[number] = self._set(self.module.load(self.path, number))
-            except (ValueError, OSError, KeyError) as error:
+                found = self.module.load(self.path, number)
+                seals.opened(found)
+                self._loaded[number] = self._set(found)
+            except (ValueError, OSError, KeyError, TypeError, RecursionError) as error:
                 message = f"the weights of member {number} of `{self.path}` cannot be read: {error}"
-                help_text = "train again, or restore the file from a copy"
-                raise UserError([Diagnostic("GB853", message, None, help=help_text)]) from None
+                raise UserError([Diagnostic("GB853", message, None, help=seals.RESTORE)]) from None
         return self._loaded[number]
 
     def _set(self, member: GeneratedModule) -> GeneratedModule:
@@ -103,7 +104,8 @@ class Run:
     @property
     def best(self) -> int:
         """The number of the member with the smallest loss."""
-        losses = {n: m.loss for n, m in zip(self.numbers, self.fit.members, strict=False) if m.loss is not None}
+        entries = zip(self.numbers, self.fit.members, strict=False)
+        losses = {n: m.loss for n, m in entries if m.loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
 
     def mean(self, predict: Callable[[GeneratedModule], Array]) -> Array:
@@ -118,24 +120,19 @@ class Run:
     def max_step(self) -> float | None:
         """The largest step of the solver in training."""
         value = self.member(self.numbers[0]).info.get("max_step")
-        return float(value) if value is not None else None
+        return float(value) if isinstance(value, int | float) else None
 
     def history(self) -> list[dict[str, str]]:
-        """The rows of `history.csv`; empty if there is no such file."""
-        import csv
-
-        path = self.path / files.HISTORY
-        if not path.is_file():
-            return []
-        with path.open(encoding="utf-8", newline="") as file:
-            return list(csv.DictReader(file))
+        """The rows of `history.csv`; empty if there is no such file. Raises `UserError` (GB852) if it is damaged."""
+        return files.read_history(self.path / files.HISTORY)
 
 
 def open_run(path: str | Path, warnings: Findings | None = None) -> Run:
-    """Reads a run directory; that it is of an older version is added to `warnings` (GB857).
+    """Reads a run directory; that it is of an older version (GB857) or not finished (GB865) is added to `warnings`.
 
     Raises `UserError`: GB851 if it is not a run, GB852 if one of its files is missing or damaged, GB857 if it has
-    another version of the generated module, GB853 if no member has weights; also with the errors of its `model.gb`.
+    another version of the generated module, GB853 if no member has weights or these were changed; also with the errors
+    of its `model.gb`.
     """
     directory = Path(path)
     if not (directory / files.FIT).is_file() and not (directory / files.MODEL).is_file():
@@ -146,21 +143,112 @@ def open_run(path: str | Path, warnings: Findings | None = None) -> Run:
     fit = read_record(directory, findings)
     if not (directory / files.MODEL).is_file():
         findings.error("GB852", f"`{directory / files.MODEL}` is missing", None, help=DAMAGED)
+    if fit is not None and fit.finished:
+        seals.check(directory, fit, findings)
     if fit is None or findings.failed:
         raise UserError(findings)
-    if warnings is not None:
-        warnings.extend(findings)
-    model = load_model(directory / files.MODEL, Findings())
-    numbers = member_numbers(directory)
-    if not numbers:
+    model = _model_of(directory)
+    run = Run(directory, model, fit, _numbers(directory, fit))
+    if not run.numbers:
         message = f"no member of the run `{directory}` has weights"
         help_text = "its training stopped before the first iteration; train again (`--resume` continues)"
         raise UserError([Diagnostic("GB853", message, None, help=help_text)])
-    return Run(directory, model, fit, numbers)
+    if not fit.finished:
+        run = _unfinished(run)
+        findings.warning("GB865", unfinished(run), None, help=CONTINUE)
+    if warnings is not None:
+        warnings.extend(findings)
+    return run
+
+
+CONTINUE = "the command of the training with `--resume` continues it"
+
+
+def unfinished(run: Run) -> str:
+    """What can be used of a run that is not finished, in a sentence."""
+    listed = ", ".join(map(str, run.numbers))
+    planned = run.fit.options.get("members")
+    members = f"member{'s' if len(run.numbers) > 1 else ''} {listed} of {planned}"
+    return f"the training of `{run.path}` was interrupted: {members} can be used, in the state that they had reached"
+
+
+def _model_of(directory: Path) -> Model:
+    """The model of a run; that it cannot be read as text is a damaged file (GB852)."""
+    path = directory / files.MODEL
+    try:
+        path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError([Diagnostic("GB852", f"`{path}` cannot be read: {error}", None, help=DAMAGED)]) from None
+    return load_model(path, Findings())
+
+
+def _numbers(directory: Path, fit: FitRecord) -> tuple[int, ...]:
+    """The members that can be used: of a finished run those that `fit.json` lists, else all that have weights."""
+    there = member_numbers(directory)
+    listed = {entry.member for entry in fit.members}
+    return there if not fit.finished or None in listed or not listed else tuple(n for n in there if n in listed)
+
+
+def _unfinished(run: Run) -> Run:
+    """The run with what is known of members whose files are newer than `fit.json`, from their weights files.
+
+    Their constants have no intervals, which are known at the end only.
+    """
+    known = {entry.member: entry for entry in run.fit.members}
+    summaries: dict[int, seals.Summary] = {}
+    entries: list[MemberRecord] = []
+    for number in run.numbers:
+        summary = seals.opened(run.member(number))
+        old = known.get(number)
+        digest = files.digest(files.member_directory(run.path, number) / files.WEIGHTS)
+        if old is not None and (summary is None or (old.files or {}).get(files.WEIGHTS) == digest):
+            entries.append(old)
+        elif summary is not None:
+            entries.append(summary.record(number))
+        if summary is not None:
+            summaries[number] = summary
+    if entries == list(run.fit.members) or len(summaries) < len(run.numbers):
+        return run
+    starts = {learnable.name: learnable.start for learnable in run.model.learnables}
+    constants = {name: _constant(name, start, list(summaries.values())) for name, start in starts.items()}
+    noise = {
+        name: _mean([s.noise.get(name) for s in summaries.values()])
+        for name in (channel.name for channel in run.model.channels)
+    }
+    going_on = [
+        f"member {n}: training was interrupted; `--resume` continues it" for n in summaries if not summaries[n].finished
+    ]
+    fit = replace(
+        run.fit,
+        members=tuple(entries),
+        constants={name: record for name, record in constants.items() if record is not None},
+        noise=noise,
+        warnings=tuple(going_on),
+        correlations={},
+        step_checks=(),
+    )
+    return replace(run, fit=fit)
+
+
+def _constant(name: str, start: float, summaries: Sequence[seals.Summary]) -> ConstantRecord | None:
+    values = [s.constants[name] for s in summaries if name in s.constants]
+    if len(values) < len(summaries):
+        return None
+    return ConstantRecord(float(np.mean(values)), None, None, start, tuple(values))
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def member_numbers(directory: Path) -> tuple[int, ...]:
     """The members of a run that have weights, in order."""
     folder = directory / files.MEMBERS
     found = folder.iterdir() if folder.is_dir() else ()
-    return tuple(sorted(int(d.name) for d in found if d.name.isdigit() and (d / files.WEIGHTS).is_file()))
+    return tuple(sorted(int(d.name) for d in found if _is_number(d.name) and (d / files.WEIGHTS).is_file()))
+
+
+def _is_number(name: str) -> bool:
+    """Whether a folder is named like one of a member: `²` and `007` are not."""
+    return name.isascii() and name.isdigit() and str(int(name)) == name

@@ -16,11 +16,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gbspec.data import Trajectories, fingerprint
+from gbspec.data import Trajectories, fingerprint, for_spreadsheets
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
-from gbspec.files import finite, write_text
+from gbspec.files import clear, finite, write_text
 from gbspec.json_values import JsonObject
-from gbspec.runs import OMITTED, JsonError, decode, encode, files, read_object
+from gbspec.runs import OMITTED, JsonError, decode, encode, files, locked, read_object
 from gbspec.studies.folds import Fold, Over, folds, way
 from gbspec.studies.heldout import Errors, Point, errors, held_out
 
@@ -126,7 +126,22 @@ def crossvalidate(
     options.check()
     over = way(data, options.over)
     parts = folds(data, over, options.folds, training.seed)
-    _begin(directory, model, data, training, options)
+    with locked(directory):
+        clear(directory)
+        _begin(directory, model, data, training, options)
+        return _crossvalidated(model, data, directory, training, options, progress, parts, over)
+
+
+def _crossvalidated(
+    model: Model,
+    data: Trajectories,
+    directory: Path,
+    training: TrainOptions,
+    options: CrossOptions,
+    progress: Callable[[Fold], Progress],
+    parts: Sequence[Fold],
+    over: Over,
+) -> CrossValidation:
     sds = _sds(data)
     found: dict[int, list[Point]] = {}
     failures: dict[int, str] = {}
@@ -212,7 +227,7 @@ def _write(directory: Path, made: CrossValidation, found: Mapping[int, Sequence[
     for number, points in found.items():
         for p in points:
             numbers = ["" if finite(v) is None else v for v in (p.predicted, p.sd)]
-            writer.writerow([number, p.trajectory, p.time, p.channel, p.measured, *numbers])
+            writer.writerow([number, for_spreadsheets(p.trajectory), p.time, p.channel, p.measured, *numbers])
     write_text(directory / "predictions.csv", text.getvalue())
 
 

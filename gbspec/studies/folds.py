@@ -69,7 +69,7 @@ def _by_time(data: Trajectories, count: int | None) -> Iterator[Fold]:
     for number in range(count):
         held = tuple(_stretch(len(item.times), number, count) for item in data.items)
         kept = tuple(_without(item, rows) for item, rows in zip(data.items, held, strict=True))
-        yield Fold(number, "time", replace(data, items=kept), data, held)
+        yield Fold(number, "time", replace(data, items=kept, path="", sha256="", rows=0), data, held)
 
 
 def _stretch(rows: int, number: int, count: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

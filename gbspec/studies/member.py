@@ -59,6 +59,8 @@ def fit_member(task: Task, place: Place, threads: int = 1, keep: bool = False) -
     except ComputationError as error:
         record = replace(record, failure=" - ".join(part for part in (error.what, error.where) if part))
     except UserError as error:
+        if any(diagnostic.code == "GB864" for diagnostic in error.diagnostics):
+            raise  # another process fits the member: no result of this one
         record = replace(record, failure="; ".join(diagnostic.message for diagnostic in error.diagnostics))
     finished = datetime.now(UTC).isoformat(timespec="seconds")
     record = replace(record, finished=finished, machine=f"{platform.machine()} {platform.system()}")
@@ -122,9 +124,7 @@ def measured(task: Task, model: Model, place: Place) -> Trajectories:
     if not path.is_file():
         made = tables.simulate(models.reference(model), replace(task.case.sampling, seed=task.seed))
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_suffix(".part.csv")
-        write(temporary, made, model)
-        temporary.replace(path)
+        write(path, made, model)
     return tables.read_data(path, model, Findings())
 
 

@@ -18,6 +18,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
+from gbspec.files import clear
+from gbspec.runs import locked
 from gbspec.studies.member import Place, fit_member
 from gbspec.studies.options import StudyOptions
 from gbspec.studies.record import Record, Summary, read_record
@@ -45,6 +47,21 @@ def run_study(study: Study, root: Path, options: StudyOptions, command: str, tol
     if not waiting:
         return write_tables(study, place, command)
     check_models(study)
+    with locked(root):
+        clear(root)
+        return _run(study, tasks, waiting, place, options, command, told)
+
+
+def _run(
+    study: Study,
+    tasks: list[Task],
+    waiting: list[Task],
+    place: Place,
+    options: StudyOptions,
+    command: str,
+    told: Told,
+) -> Summary:
+    """Fits the waiting tasks and writes the tables."""
     # With `--keep-runs` every member has its own run.
     equal = {} if options.keep_runs else equal_tasks(tasks)
     share_records(equal, place)
@@ -176,17 +193,20 @@ def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        os.kill(os.getpid(), signal.SIGTERM)
+        os._exit(1)
 
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """A context in which SIGTERM, which ends background jobs, has the effect of Ctrl-C."""
-    before = signal.signal(signal.SIGTERM, _raise_interrupt)
+    """A context in which SIGTERM and SIGHUP, which end jobs of a batch system, have the effect of Ctrl-C."""
+    numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    asking = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, _raise_interrupt) for number in asking}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _raise_interrupt(number: int, frame: object) -> None:

@@ -8,6 +8,8 @@ from .progress import Silent as Silent
 from .progress import Update as Update
 from .recipe.context import split as split
 from .runs.fit import train as train
+from .runs.fit import unbegun as unbegun
+from .runs.fit import writing as writing
 from .runs.sweep import Row as Row
 from .runs.sweep import sweep as sweep
 from .runs.variations import Point as Point

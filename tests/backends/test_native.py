@@ -368,3 +368,41 @@ def test_no_instruction_set_is_assumed(
     expected, found = (half_squares(k, problem, parameters, theta) for k in (kernel, Kernel(problem.model)))
     assert found[0] == pytest.approx(expected[0], rel=1e-13)
     assert np.allclose(found[1], expected[1], rtol=1e-12, atol=1e-14 * np.abs(expected[1]).max())
+
+
+def test_a_library_that_others_could_have_written_is_not_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from gbspec.backends.native import compiler
+
+    monkeypatch.setattr(compiler, "_flag_sets", lambda: [["-shared", "-fPIC"]])
+    monkeypatch.setattr(compiler, "_own", [])
+    source = "int answer(void) { return 42; }"
+
+    def answer(folder: Path) -> tuple[int, str]:
+        monkeypatch.setenv("GBSPEC_CACHE", str(folder))
+        monkeypatch.setattr(compiler, "_loaded", {})
+        library = compiler.compiled(source)
+        return library.answer(), library._name
+
+    own = tmp_path / "own"
+    assert answer(own) == (42, str(next(own.glob("*.so"))))
+    assert own.stat().st_mode & 0o077 == 0
+    path = next(own.glob("*.so"))
+    planted = tmp_path / "planted.so"
+    planted.write_bytes(path.read_bytes())
+    for mode in (0o777, 0o702):  # anybody's file
+        path.chmod(mode)
+        assert not compiler.trusted(path)
+        assert answer(own)[0] == 42 and compiler.trusted(path), "it is compiled again"
+    path.unlink()
+    path.symlink_to(planted)
+    assert answer(own)[0] == 42 and not path.is_symlink()
+    own.chmod(0o777)  # anybody's folder: one of this process is used
+    found, name = answer(own)
+    assert found == 42 and not name.startswith(str(tmp_path)), name
+    own.chmod(0o700)
+    tmp_path.chmod(0o777)  # in which anybody could rename it
+    assert not compiler.trusted(own)
+    tmp_path.chmod(0o1777)
+    assert compiler.trusted(own)

@@ -62,7 +62,7 @@ def used(run: Run) -> None:
     collect.constants(run)
     tables.correlations(run)
     page._reproduce(run)
-    training_data(run, Findings())
+    training_data(run, Findings(), required=False)
     assert run.best in run.numbers
     assert FitRecord.to_json(run.fit)["gbspec"] == run.fit.gbspec
     with contextlib.suppress(UserError):
@@ -151,8 +151,8 @@ def test_a_file_of_version_0_1_0_reads_with_defaults_and_is_written_as_it_was(ru
     fit = open_run(run).fit
     assert fit.interface == 1
     assert fit.data.path == "data.csv" and fit.constants["k"].interval is not None
-    assert list(fit.to_json()) == [*CONTRACT, "correlations", "solver", "step_checks", "interface"]
-    assert fit.to_json() == DOCUMENT | {"solver": "rk4", "interface": 1}
+    assert list(fit.to_json()) == [*CONTRACT, "correlations", "solver", "step_checks", "interface", "finished"]
+    assert fit.to_json() == DOCUMENT | {"solver": "rk4", "interface": 1, "finished": True}
 
 
 def test_unknown_keys_are_kept_at_every_level(run: Path) -> None:

@@ -104,8 +104,39 @@ def test_weights_cut_short_or_of_another_model(run: Path) -> None:
     assert codes(caught) == ["GB853"]
     (run / "model.gb").write_text(URP.replace("mlp(12, 12)", "mlp(9)"))
     with pytest.raises(UserError) as caught:
+        open_run(run)
+    assert codes(caught) == ["GB852", "GB853"]
+    undigested(run)
+    with pytest.raises(UserError) as caught:
         open_run(run).member(1)
     assert codes(caught) == ["GB853"]
+
+
+def undigested(run: Path) -> None:
+    """Takes the digests out of `fit.json`, which is then like those of version 0.1.0."""
+    fit = json.loads((run / "fit.json").read_text())
+    del fit["files"]
+    for entry in fit["members"]:
+        del entry["files"]
+    (run / "fit.json").write_text(json.dumps(fit))
+
+
+@pytest.mark.parametrize("name", ["weights", "checkpoint", "checkpoint.best"])
+def test_a_flipped_bit_in_a_file_of_a_member_is_noticed(run: Path, name: str) -> None:
+    path = run / "members" / "1" / f"{name}.safetensors"
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 16
+    path.write_bytes(content)
+    with pytest.raises(UserError, match="members/1") as caught:
+        open_run(run)
+    assert codes(caught) == ["GB853" if name == "weights" else "GB852"]
+    undigested(run)
+    if name == "weights":  # the file has a digest of its own too
+        with pytest.raises(UserError, match="not what was written"):
+            open_run(run).member(1)
+    else:
+        with pytest.raises(ValueError, match="not what was written"):
+            files.read_tensors(path)
 
 
 def test_members_that_are_not_there(run: Path) -> None:
@@ -115,7 +146,7 @@ def test_members_that_are_not_there(run: Path) -> None:
     shutil.rmtree(run / "members")
     with pytest.raises(UserError) as caught:
         open_run(run)
-    assert codes(caught) == ["GB853"]
+    assert codes(caught) == ["GB853", "GB853"]
 
 
 def test_files_are_replaced_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,10 +52,12 @@ def test_learns_the_reactor(fitted: Path) -> None:
 def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     fit = json.loads((fitted / "fit.json").read_text())
     expected = ["gbspec", "model", "data", "options", "versions", "constants", "noise", "members", "warnings"]
-    assert list(fit) == [*expected, "correlations", "solver", "step_checks", "interface"]
-    assert list(fit["data"]) == ["path", "sha256", "trajectories", "rows", "values"]
+    assert list(fit) == [*expected, "correlations", "solver", "step_checks", "interface", "finished", "files"]
+    assert list(fit["data"]) == ["path", "sha256", "trajectories", "rows", "values", "absolute", "relative"]
     assert list(fit["constants"]["B"]) == ["value", "sd", "interval", "start", "per_member"]
-    assert list(fit["members"][0]) == ["seed", "loss", "rmse", "seconds", "stages", "interval_loss", "channels"]
+    assert list(fit["members"][0]) == [
+        *["seed", "loss", "rmse", "seconds", "stages", "member", "files", "interval_loss", "channels"]
+    ]
     assert list(fit["members"][0]["channels"]["x1"]) == ["r2", "naive", "predictor", "held"]
     header, first, *_ = (fitted / "history.csv").read_text().splitlines()
     assert header == "member,stage,iteration,seconds,loss,B,beta"

@@ -7,6 +7,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -35,8 +36,9 @@ _loaded: dict[str, ctypes.CDLL] = {}
 
 def _load(source: str, compiler: str, key: str) -> ctypes.CDLL:
     if key not in _loaded:
-        path = cache_directory() / f"{key[:40]}.so"
-        if not path.is_file():
+        folder = _trusted_directory()
+        path = folder / f"{key}.so"
+        if not trusted(path):
             _compile(source, compiler, path)
         try:
             _loaded[key] = ctypes.CDLL(str(path))
@@ -63,6 +65,73 @@ def cache_directory() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches" / "gbspec"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gbspec"
+
+
+_own: list[tempfile.TemporaryDirectory[str]] = []
+"""The folder of this process, where the one of the user cannot be trusted."""
+
+
+def _trusted_directory() -> Path:
+    """The cache directory, if nobody else can write there; otherwise a folder of this process alone.
+
+    A library from a folder that others can write to would run their code.
+    """
+    folder = cache_directory()
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if trusted(folder) and os.access(folder, os.W_OK):
+            return folder.resolve()
+    except OSError:
+        pass
+    if not _own:
+        _own.append(tempfile.TemporaryDirectory(prefix="gbspec-kernels-"))
+    return Path(_own[0].name)
+
+
+def trusted(path: Path) -> bool:
+    """Whether a file or folder exists and only this user, or the administrator, can have written it.
+
+    Nobody else can rename anything in the folders above it either; a library is no link.
+    """
+    if not hasattr(os, "geteuid"):  # Windows: the user's own cache directory is protected by its access list
+        return path.exists()
+    allowed = (os.geteuid(), 0)
+    try:
+        status = path.lstat()
+        if stat.S_ISLNK(status.st_mode) and path.suffix == ".so":
+            return False
+        status = path.stat()
+        if status.st_uid not in allowed or _open_to_others(status):
+            return False
+        return all(_passable(above.stat(), allowed) for above in path.resolve().parents)
+    except OSError:
+        return False
+
+
+def _passable(status: os.stat_result, allowed: tuple[int, ...]) -> bool:
+    """Whether others cannot replace what lies in a folder: they cannot write, or it is sticky like `/tmp`."""
+    return status.st_uid in allowed and (not _open_to_others(status) or bool(status.st_mode & stat.S_ISVTX))
+
+
+def _open_to_others(status: os.stat_result) -> bool:
+    """Whether others can write; the group that only this user is in, which many systems make, is no other."""
+    if status.st_mode & stat.S_IWOTH:
+        return True
+    return bool(status.st_mode & stat.S_IWGRP) and status.st_gid != _own_group()
+
+
+@cache
+def _own_group() -> int | None:
+    """The group with the name of the user and no other member; None if there is none."""
+    import grp
+    import pwd
+
+    try:
+        name = pwd.getpwuid(os.geteuid()).pw_name
+        group = grp.getgrnam(name)
+    except KeyError:
+        return None
+    return group.gr_gid if set(group.gr_mem) <= {name} else None
 
 
 @cache
@@ -100,6 +169,7 @@ def _compile(source: str, compiler: str, path: Path) -> None:
                 command = [compiler, *flags, str(text), "-o", str(out), "-lm"]
                 done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
                 if done.returncode == 0:
+                    os.chmod(out, 0o700)
                     os.replace(out, path)
                     return
                 message = done.stderr.strip().splitlines()[0] if done.stderr.strip() else f"status {done.returncode}"

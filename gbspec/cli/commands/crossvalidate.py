@@ -12,6 +12,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.runs import files
 from gbspec.studies import SUMMARY, CrossOptions
 from gbspec.training import TrainOptions
 
@@ -70,7 +71,7 @@ def target(to: str) -> Path:
         message = f"`{to}` is a file; a cross-validation needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
     begun = (directory / "folds" / "settings.json").is_file() or (directory / SUMMARY).is_file()
-    if directory.is_dir() and any(directory.iterdir()) and not begun:
+    if directory.is_dir() and not files.is_blank(directory) and not begun:
         message = f"`{to}` already exists and is not a cross-validation"
         raise UserError([Diagnostic("GB806", message, None, help="choose another name")])
     return directory

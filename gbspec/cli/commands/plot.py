@@ -46,7 +46,11 @@ def run(
     form_of(to)
     findings = Findings()
     made = models.open_run(directory, settings(set_values), findings)
-    measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
+    measured = (
+        tables.training_data(made, findings, required=False)
+        if data is None
+        else tables.read_data(data, made.model, findings)
+    )
     output.findings(findings)
     save(reporting.figure(kind, made, measured, show or ()), to)
     output.say(f"wrote {to}")

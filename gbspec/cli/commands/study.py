@@ -12,6 +12,7 @@ from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.report import number
+from gbspec.runs import files
 from gbspec.studies import StudyOptions
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def directory(to: str) -> Path:
     if root.exists() and not root.is_dir():
         message = f"`{to}` is a file; a study needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
-    if root.is_dir() and any(root.iterdir()) and not (root / "study.json").is_file():
+    if root.is_dir() and not files.is_blank(root) and not (root / "study.json").is_file():
         message = f"`{to}` already exists and is not a study"
         raise UserError([Diagnostic("GB806", message, None, help="choose another name")])
     return root

@@ -9,6 +9,7 @@ import typer
 
 from gbspec.cli.commands.train import target
 from gbspec.cli.frame import command
+from gbspec.cli.interruption import continued
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Findings
@@ -56,7 +57,7 @@ def run(
     specified = models.specified(frontend.load_model(model, findings), settings(set_values))
     measured = tables.read_data(data, specified, findings)
     output.findings(findings)
-    with shown(output) as progress:
+    with continued(directory), shown(output) as progress:
         rows = fitting.sweep(specified, measured, chosen, directory, options, progress)
     output.say(f"wrote {Path(to) / 'sweep.csv'}")
     header = [name for name in max((row.numbers for row in rows), key=len) if name not in chosen[0].varied]

@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from gbspec.cli.frame import command
+from gbspec.cli.interruption import continued
 from gbspec.cli.output import Output
 from gbspec.cli.settings import Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.report import run_summary
-from gbspec.training import TrainOptions
+from gbspec.training import TrainOptions, unbegun
 
 
 @command(
@@ -41,7 +42,7 @@ def run(
     specified = models.specified(frontend.load_model(model, findings), settings(set_values))
     measured = tables.read_data(data, specified, findings)
     output.findings(findings)
-    with shown(output) as progress:
+    with continued(directory), shown(output) as progress:
         made = fitting.train(specified, measured, directory, options, progress)
     output.say(f"wrote {to}")
     output.summary(run_summary(made))
@@ -54,7 +55,7 @@ def target(to: str, *, resume: bool) -> Path:
     if directory.exists() and not directory.is_dir():
         message = f"`{to}` is a file; a run needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
-    if directory.is_dir() and any(directory.iterdir()) and not resume:
+    if directory.is_dir() and not resume and not unbegun(directory):
         message = f"`{to}` already exists and is not empty"
         help = "choose another name, remove it, or continue an interrupted run with `--resume`"
         raise UserError([Diagnostic("GB806", message, None, help=help)])

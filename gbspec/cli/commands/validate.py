@@ -30,7 +30,7 @@ def run(
     measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
     output.findings(findings)
     if data is None and measured is not None:
-        output.say(f"on the training data, {measured.path}")
+        output.say(f"on the training data, {measured.path or 'which the run keeps'}")
     found = analysing.validate(made, measured, chosen)
     output.document(found.to_json())
     output.result(str(found))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -210,8 +211,8 @@ def _reproduce(run: Run) -> dict[str, object]:
     for name, value in run.fit.options.items():
         if name in standard and value != standard[name]:
             flag = name.replace("_", "-")
-            flags.append(f"--{'' if value else 'no-'}{flag}" if isinstance(value, bool) else f"--{flag} {value}")
-    command = " ".join(["gbspec train model.gb", data.path or "DATA", "-o RUN", *flags])
+            flags += [f"--{'' if value else 'no-'}{flag}"] if isinstance(value, bool) else [f"--{flag}", str(value)]
+    command = shlex.join(["gbspec", "train", "model.gb", data.path or "DATA", "-o", "RUN", *flags])
     versions = {"gbspec": run.fit.gbspec, **run.fit.versions}
     return {
         "command": command,

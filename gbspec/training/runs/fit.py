@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -10,18 +13,22 @@ from pathlib import Path
 import numpy as np
 
 from gbspec.backends import INTERFACE, generate, load_module
-from gbspec.data import Trajectories, scales_of
+from gbspec.data import Trajectories, content_digest, scales_of, to_arrays
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
-from gbspec.files import finite
+from gbspec.files import clear, finite, is_aside
 from gbspec.ir import METHODS, Model
 from gbspec.runs import (
+    DAMAGED,
     DataRecord,
     FitRecord,
     MemberRecord,
     Run,
     ScalesRecord,
     files,
+    locked,
+    member_numbers,
     read_record,
+    sealed_record,
 )
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
@@ -41,7 +48,10 @@ from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import verdicts
 from gbspec.version import __version__
 
-OWN = frozenset({files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.MEMBERS, "report.html", "__pycache__"})
+OWN = frozenset(
+    {files.FIT, files.MODEL, files.MODULE, files.HISTORY, files.DATA, files.MEMBERS, files.LOCK}
+    | {"report.html", "__pycache__"}
+)
 """What a run directory contains; Python leaves `__pycache__` where somebody imported the module."""
 
 
@@ -55,18 +65,31 @@ def train(
     """Fits all members and writes the run directory.
 
     Raises UserError (GB850 options, GB855 the directory in use, GB856 nothing to learn from, GB860 no cluster, GB861 no
-    GPU, GB863 no native kernel), ComputationError if no member could be fitted (earlier results stay in the directory;
-    if only some members fail, messages say so), and KeyboardInterrupt on SIGINT after writing a run that can be used
-    and resumed.
+    GPU, GB863 no native kernel, GB864 another process writes to the directory), ComputationError if no member could be
+    fitted (earlier results stay in the directory; if only some members fail, messages say so), and KeyboardInterrupt
+    when the process is asked to end (SIGINT, SIGTERM, SIGHUP), after writing a run that can be used and resumed.
     """
     shown = progress or Silent()
     fitting = Fitting(model, trajectories, options, Path(directory), shown)
-    fitting.begin()
-    try:
-        fit_jobs(fitting.jobs(), options, shown, fitting.take)
-    finally:
-        fitting.write()
+    with writing(fitting.path):
+        fitting.begin()
+        try:
+            fit_jobs(fitting.jobs(), options, shown, fitting.take)
+        finally:
+            fitting.write()
     return fitting.run()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Holds a run directory against other processes, and removes what a killed one has left behind in it.
+
+    Raises UserError: GB855 if the directory holds other things than a run, GB864 if another process writes to it.
+    """
+    _check_place(path)
+    with locked(path):
+        clear(path)
+        yield
 
 
 class Fitting:
@@ -93,13 +116,15 @@ class Fitting:
             plan(context, context.parameters({}))
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
         self.progress = progress
-        self.record = _record(model, trajectories, options)
+        self.record = _record(model, trajectories, options, path)
         self.results: dict[int, MemberResult] = {}
         self.failures: dict[int, ComputationError] = {}
 
     def begin(self) -> None:
         """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
         _prepare(self.path, self.model, self.record, self.options)
+        if not _in_table(self.trajectories):
+            files.write_tensors(self.path / files.DATA, *to_arrays(self.trajectories))
 
     def jobs(self, first: int = 0) -> list[Job]:
         """One job per member, numbered from `first`."""
@@ -120,7 +145,9 @@ class Fitting:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
             self.record = completed(self.record, self.model, self.results, self.options)
-            _write_results(self.path, self.model, self.record, self.results)
+            ended = len(self.results) + len(self.failures) == self.options.members
+            finished = ended and all(result.finished for result in self.results.values())
+            self.record = _write_results(self.path, self.model, replace(self.record, finished=finished), self.results)
 
     def run(self) -> Run:
         """The run; raises the first member's ComputationError if none could be fitted."""
@@ -137,15 +164,13 @@ def _check_data(trajectories: Trajectories, findings: Findings) -> None:
         findings.error("GB856", message, None, help="add later rows, or state when trajectories start: `time t from 0`")
 
 
-def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> FitRecord:
+def _record(model: Model, trajectories: Trajectories, options: TrainOptions, path: Path) -> FitRecord:
     """The record before training."""
     packages = ("torch", "numpy", "scipy", "sympy", "casadi")
-    rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
-    counts = len(trajectories), rows, trajectories.measurements
     return FitRecord(
         gbspec=__version__,
         model=model.name,
-        data=DataRecord(trajectories.path, trajectories.sha256, *counts),
+        data=_data_record(trajectories, path),
         options=options.to_json(),
         versions={"python": platform.python_version(), **{name: version(name) for name in packages}},
         constants={},
@@ -155,38 +180,73 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions) -> 
         solver=options.solver,
         interface=INTERFACE,
         scales=ScalesRecord.of(scales_of(model, trajectories)),
+        finished=False,
     )
+
+
+def _data_record(trajectories: Trajectories, run: Path) -> DataRecord:
+    rows = trajectories.rows or sum(len(item.times) for item in trajectories.items)
+    counts = len(trajectories), rows, trajectories.measurements
+    if not _in_table(trajectories):
+        return DataRecord("", trajectories.sha256 or content_digest(trajectories), *counts)
+    absolute = Path(trajectories.path).resolve()
+    try:
+        relative: str | None = os.path.relpath(absolute, run.resolve())
+    except ValueError:  # on another drive
+        relative = None
+    return DataRecord(trajectories.path, trajectories.sha256, *counts, str(absolute), relative)
+
+
+def _in_table(trajectories: Trajectories) -> bool:
+    return bool(trajectories.path and trajectories.sha256)
 
 
 # -------------------------------------------------------------------------------------------------- the directory
 def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions) -> None:
-    """Creates the directory, or finds the run to resume in it."""
-    if path.exists() and not path.is_dir():
-        raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
-    existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
-    foreign = [name for name in existing if name not in OWN]
-    if foreign:
-        message = f"`{path}` contains files that do not belong to a run, such as `{foreign[0]}`"
-        raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
-    if options.resume and (path / files.FIT).is_file():
-        _check_resumable(path, model, record)
-    elif options.resume:
+    """Creates the directory, or finds the run to resume in it; one whose training was killed at once is begun again."""
+    _check_place(path)
+    begun = (path / files.FIT).is_file()
+    if options.resume and begun:
+        before = _check_resumable(path, model, record)
+        replace(before, options=record.options, finished=False).write(path)  # files of members are newer from now on
+    elif options.resume and not path.is_dir():
         message = f"there is no run to resume in `{path}`"
         advice = "check the path, or train without `--resume`"
         raise UserError([Diagnostic("GB855", message, None, help=advice)])
-    elif files.FIT in existing:
+    elif begun:
         message = f"`{path}` already contains a run"
         help_text = "name another directory with `-o`, delete this one, or continue it with `--resume`"
         raise UserError([Diagnostic("GB855", message, None, help=help_text)])
+    elif member_numbers(path):
+        message = f"`{path / files.FIT}` is missing, without which the members there cannot be continued"
+        raise UserError([Diagnostic("GB852", message, None, help=DAMAGED)])
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / files.MODEL, model.text.encode("utf-8"))
     files.write_bytes(path / files.MODULE, generate(model, METHODS[options.solver]).encode("utf-8"))
-    if not (path / files.FIT).is_file():
+    if not begun:
         record.write(path)
 
 
-def _check_resumable(path: Path, model: Model, record: FitRecord) -> None:
-    """Raises UserError if model, data or options differ from those with which the run was begun."""
+def unbegun(path: Path) -> bool:
+    """Whether a directory is empty, or holds only what a training that was killed at once has left."""
+    before = {files.MODEL, files.MODULE}
+    left = [p for p in path.iterdir() if p.name not in before and p.name != files.LOCK and not is_aside(p.name)]
+    return all(p.is_dir() and files.is_blank(p) for p in left)
+
+
+def _check_place(path: Path) -> None:
+    """Raises UserError (GB855) if the path is a file, or a directory with other files than those of a run."""
+    if path.exists() and not path.is_dir():
+        raise UserError([Diagnostic("GB855", f"`{path}` is a file; the run needs a directory", None)])
+    existing = sorted(p.name for p in path.iterdir()) if path.is_dir() else []
+    foreign = [name for name in existing if name not in OWN and not is_aside(name)]
+    if foreign:
+        message = f"`{path}` contains files that do not belong to a run, such as `{foreign[0]}`"
+        raise UserError([Diagnostic("GB855", message, None, help="name another directory with `-o`")])
+
+
+def _check_resumable(path: Path, model: Model, record: FitRecord) -> FitRecord:
+    """The record of the run; raises UserError if model, data or options are not those with which it was begun."""
     findings = Findings()
     before = read_record(path, findings)
     if before is None:
@@ -209,6 +269,7 @@ def _check_resumable(path: Path, model: Model, record: FitRecord) -> None:
                 "GB855", f"the run `{path}` was started with `--{flag} {old}`, not {value}", None, help=_OTHER
             )
     findings.raise_if_failed()
+    return before
 
 
 _OTHER = "continue it with the original settings, or name another directory with `-o`"
@@ -236,28 +297,32 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         record,
         constants={k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables},
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
-        members=tuple(map(_member, ordered)),
+        members=tuple(_member(k, results[k]) for k in sorted(results)),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
         correlations=correlations,
     )
 
 
-def _write_results(path: Path, model: Model, record: FitRecord, results: dict[int, MemberResult]) -> None:
-    """Writes `fit.json` and `history.csv`."""
-    record.write(path)
+def _write_results(path: Path, model: Model, record: FitRecord, results: dict[int, MemberResult]) -> FitRecord:
+    """Writes `history.csv` and then `fit.json`, with the digests of all files; returns its content."""
     rows = [
         [member, stage, iteration, seconds, loss, *constants]
         for member in sorted(results)
         for stage, iteration, seconds, loss, constants in results[member].history
     ]
     files.write_history(path / files.HISTORY, [k.name for k in model.learnables], rows)
+    whole = sealed_record(path, record)
+    whole.write(path)
+    return whole
 
 
-def _member(result: MemberResult) -> MemberRecord:
+def _member(number: int, result: MemberResult) -> MemberRecord:
     stages = tuple(replace(stage, loss=finite(stage.loss)) for stage in result.stages)
     rmse = {name: finite(value) for name, value in result.rmse.items()}
     interval = finite(result.interval_loss)
-    return MemberRecord(result.seed, finite(result.loss), rmse, result.seconds, stages, interval, result.channels)
+    return MemberRecord(
+        result.seed, finite(result.loss), rmse, result.seconds, stages, number, None, interval, result.channels
+    )
 
 
 def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:

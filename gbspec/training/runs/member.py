@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,19 +15,23 @@ from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, fingerprint
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.files import aside, finite
 from gbspec.ir import Model
-from gbspec.runs import COVARIANCE, JsonError, StageRecord, decode, encode, files
+from gbspec.runs import COVARIANCE, JsonError, StageRecord, Summary, decode, encode, files, sealed
 from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
 from gbspec.training.runs.certainties import certainties
+from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.summary import MemberResult, summarise
 from gbspec.training.stages import StageName
 
 SAVE_EVERY = 5.0
-"""Seconds between checkpoints within a stage; one is also written at every stage's end and on interruption."""
+"""Seconds between saved states within a stage; one is also written at every stage's end and on interruption."""
+SAVING_SHARE = 0.05
+"""The share of the time that saving may take where it is slow: the whole solution is computed each time."""
 
 TIGHT = 1e-3
 """Stages whose tolerance is at most this are expected to converge; the size of the next step is the criterion."""
@@ -97,8 +102,8 @@ def fit_member(
 ) -> MemberResult:
     """Fits one member and writes its weights and checkpoints under `directory` (members/K).
 
-    Raises ComputationError if the estimation fails, and Interrupted, after writing the current weights, on SIGINT or
-    when `stop()`, which is called after every iteration, returns True.
+    Raises ComputationError if the estimation fails (the member then has no weights), and Interrupted, after writing the
+    current weights, when the process is asked to end or `stop()`, which is called after every iteration, returns True.
     """
     torch.manual_seed(options.seed + member)
     seed = options.seed + member
@@ -115,9 +120,14 @@ def fit_member(
             position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss)
             runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
             runner.record_preparation(time.monotonic() - began)
+            runner.save()
         if runner.context.choice.remark and member == 0:
             progress.message(runner.context.choice.remark)
-        return runner.run(lambda: interrupted() or stop())
+        try:
+            return runner.run(lambda: interrupted() or stop())
+        except ComputationError:
+            (directory / files.WEIGHTS).unlink(missing_ok=True)  # those saved on the way belong to no result
+            raise
 
 
 class Interrupted(KeyboardInterrupt):
@@ -145,7 +155,7 @@ class _Runner:
         # Stages that keep measured initial values leave their entries at zero, which represents the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
         self._began = time.monotonic() - self.position.seconds
-        self._saved = time.monotonic()
+        self._saved, self._saving = time.monotonic(), 0.0
 
     # ---------------------------------------------------------------- running
     def record_preparation(self, seconds: float) -> None:
@@ -174,13 +184,11 @@ class _Runner:
                     raise KeyboardInterrupt
                 self._run_stage(self.plan[position.stage], stop)
                 position.stage, position.iteration, position.state = position.stage + 1, 0, {}
-                self._save()
+                self.save()
         except KeyboardInterrupt:
-            self._save()
-            raise Interrupted(self._result()) from None
+            raise Interrupted(self.save()) from None
         position.finished = True
-        self._save()
-        return self._result()
+        return self.save()
 
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
@@ -217,8 +225,8 @@ class _Runner:
                 break
             if stop():
                 raise KeyboardInterrupt
-            if time.monotonic() - self._saved > SAVE_EVERY:
-                self._save()
+            if time.monotonic() - self._saved > max(SAVE_EVERY, self._saving / SAVING_SHARE):
+                self.save()
 
     def _take_certainty(self, stage: Stage) -> None:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
@@ -305,12 +313,11 @@ class _Runner:
             # Learned initial states are looked up by the content of a trajectory, in any table.
             "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
         }
-        instance = type(self.context.module)(weights, info)
         path = self.directory / files.WEIGHTS
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{files.WEIGHTS}.tmp")
-        instance.save(temporary)
-        temporary.replace(path)
+        with aside(path) as temporary:
+            instance = type(self.context.module)(weights, sealed(info, weights, self._summary(result)))
+            instance.save(temporary)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         if position.finished:
             names = [stage.name for stage in position.stages]
@@ -324,7 +331,30 @@ class _Runner:
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 
-    def _save(self) -> None:
+    def _summary(self, result: MemberResult) -> Summary:
+        """What the weights file says of the fit."""
+        known = {name: value for name, value in result.constants.items() if math.isfinite(value)}
+        return Summary(
+            result.seed,
+            finite(result.loss),
+            {name: finite(value) for name, value in result.rmse.items()},
+            result.seconds,
+            tuple(replace(stage, loss=finite(stage.loss)) for stage in result.stages),
+            {name: finite(value) for name, value in result.noise.items()},
+            known,
+            self.position.finished,
+        )
+
+    def save(self) -> MemberResult:
+        """Writes the checkpoints and the weights, so that whatever ends the process, this state can be used."""
+        began = time.monotonic()
+        self._save_position()
+        result = self._result()
+        self._saved = time.monotonic()
+        self._saving = self._saved - began
+        return result
+
+    def _save_position(self) -> None:
         """Writes the last and the best checkpoint."""
         position = self.position
         arrays = {f"state.{name}": np.asarray(value, dtype=np.float64) for name, value in position.state.items()}
@@ -350,7 +380,6 @@ class _Runner:
         files.write_tensors(self.directory / files.CHECKPOINT, arrays, encode(remarks))
         best = {"theta": position.best}
         files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})
-        self._saved = time.monotonic()
 
 
 def _checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
@@ -360,11 +389,18 @@ def _checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
         return None
     try:
         arrays, remarks = files.read_tensors(path)
-        return arrays, decode(Remarks, remarks)
+        found = decode(Remarks, remarks)
+        restored(arrays, found)
+        return arrays, found
+    except (KeyError, OverflowError) as error:
+        raise _damaged(directory, f"`{path}` is damaged: it has no {error}") from None
     except ValueError as error:
         damaged = f"`{path}` is damaged: {error}" if isinstance(error, JsonError) else str(error)
-        help_text = f"delete `{directory}` to fit the member again"
-        raise UserError([Diagnostic("GB852", damaged, None, help=help_text)]) from None
+        raise _damaged(directory, damaged) from None
+
+
+def _damaged(directory: Path, message: str) -> UserError:
+    return UserError([Diagnostic("GB852", message, None, help=f"delete `{directory}` to fit the member again")])
 
 
 def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
@@ -394,28 +430,3 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
         finished=remarks.finished,
     )
-
-
-class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
-    """A context that records SIGINT, so that an iteration is completed; a second SIGINT is raised at once."""
-
-    def __enter__(self) -> Callable[[], bool]:
-        import signal
-        import threading
-
-        self._seen = 0
-        self._main = threading.current_thread() is threading.main_thread()
-        if self._main:
-            self._before = signal.signal(signal.SIGINT, self._note)
-        return lambda: self._seen > 0
-
-    def _note(self, number: int, frame: object) -> None:
-        self._seen += 1
-        if self._seen > 1:
-            raise KeyboardInterrupt
-
-    def __exit__(self, *exception: object) -> None:
-        import signal
-
-        if self._main:
-            signal.signal(signal.SIGINT, self._before)

@@ -12,8 +12,9 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Update
 from gbspec.training.runs.cluster import cluster
 from gbspec.training.runs.jobs import Job, Pending, Take, Workers, fit
-from gbspec.training.runs.member import Interrupted, uninterrupted
+from gbspec.training.runs.member import Interrupted
 from gbspec.training.runs.processes import processes
+from gbspec.training.runs.signals import uninterrupted
 
 
 def cores() -> int:
@@ -26,7 +27,8 @@ def cores() -> int:
 def fit_jobs(jobs: Sequence[Job], options: TrainOptions, progress: Progress, take: Take) -> None:
     """Fits all jobs with the workers, threads and scheduler that `options` specifies.
 
-    Raises KeyboardInterrupt on SIGINT, after every running member has written its result and `take` has received it.
+    Raises KeyboardInterrupt when the process is asked to end (Ctrl-C, SIGTERM, SIGHUP), after every running member has
+    written its result and `take` has received it.
     """
     if options.scheduler is not None:
         with cluster(options.scheduler, options.threads or 1) as fitting:
@@ -40,24 +42,27 @@ def fit_jobs(jobs: Sequence[Job], options: TrainOptions, progress: Progress, tak
             _collect(fitting, jobs, progress, take)
         return
     use_threads(threads)
-    for job in jobs:
-        try:
-            take(job, fit(job, progress))
-        except ComputationError as error:
-            take(job, error)
-        except Interrupted as interruption:
-            take(job, interruption.result)
-            raise
+    with uninterrupted() as interrupted:  # between two members too
+        for job in jobs:
+            if interrupted():
+                raise KeyboardInterrupt
+            try:
+                take(job, fit(job, progress))
+            except ComputationError as error:
+                take(job, error)
+            except Interrupted as interruption:
+                take(job, interruption.result)
+                raise
 
 
 def _collect(workers: Workers, jobs: Sequence[Job], progress: Progress, take: Take) -> None:
-    """Waits for all jobs. On SIGINT, stops every worker after its current iteration and waits for it.
+    """Waits for all jobs. Asked to end, stops every worker after its current iteration and waits for it.
 
     The same is done if a job raises UserError, which is then raised here.
     """
-    waiting = [(workers.submit(job), job) for job in jobs]
     stopped, wrong = False, None
     with uninterrupted() as interrupted:
+        waiting = [(workers.submit(job), job) for job in jobs]
         while waiting:
             _drain(workers.messages, progress)
             if interrupted() and not stopped:

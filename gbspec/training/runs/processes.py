@@ -8,7 +8,9 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
+from multiprocessing.managers import SyncManager
 from queue import Queue
 from threading import Event
 from typing import Any
@@ -18,6 +20,7 @@ from gbspec.training.optimise import use_threads
 from gbspec.training.progress import Update
 from gbspec.training.runs.jobs import Job, Pending, Sender, Workers, fit
 from gbspec.training.runs.member import Interrupted
+from gbspec.training.runs.signals import end_unless, held_back, serve_parent, serve_parent_unasked
 from gbspec.training.runs.summary import MemberResult
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -30,11 +33,13 @@ def processes(workers: int, threads: int) -> Iterator[Workers]:
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     try:
-        with (
-            _without_main(),
-            spawn.Manager() as manager,
-            ProcessPoolExecutor(workers, mp_context=spawn) as pool,
-        ):
+        resource_tracker.ensure_running()  # which would let waiting signals through if it were started later
+        with _without_main(), ExitStack() as stack:
+            manager = SyncManager(ctx=spawn)
+            with held_back():
+                manager.start(serve_parent_unasked)
+            stack.callback(manager.shutdown)
+            pool = stack.enter_context(ProcessPoolExecutor(workers, mp_context=spawn, initializer=serve_parent))
             yield _Processes(pool, manager.Queue(), manager.Event(), threads)
     finally:
         for name, value in before.items():
@@ -59,19 +64,24 @@ def _without_main() -> Iterator[None]:
 class _Processes:
     def __init__(self, pool: ProcessPoolExecutor, messages: Queue[Update | str], stopped: Event, threads: int) -> None:
         self.pool, self.messages, self.stopped, self.threads = pool, messages, stopped, threads
+        self.stopping = False
 
     def submit(self, job: Job) -> Pending:
-        return self.pool.submit(_work, job, self.threads, self.messages, self.stopped)
+        with held_back():
+            return self.pool.submit(_work, job, self.threads, self.messages, self.stopped)
 
     def outcome(self, pending: Any, job: Job) -> MemberResult | None:
         try:
             result: MemberResult | None = pending.result()
         except BrokenProcessPool:
+            if self.stopping:  # whoever asked this process to end asked its workers too
+                return None
             what = f"the process that fitted {job.name} was killed (possibly because memory was exhausted)"
             raise ComputationError(what, remedy="use fewer `--workers`; `--resume` continues the run") from None
         return result
 
     def stop(self) -> None:
+        self.stopping = True
         self.stopped.set()
 
 
@@ -83,4 +93,5 @@ def _work(job: Job, threads: int, messages: Queue[Update | str], stopped: Event)
     try:
         return fit(job, Sender(messages.put), stopped.is_set)
     except Interrupted as interruption:
+        end_unless(stopped.is_set)
         return interruption.result

@@ -7,16 +7,17 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbspec.data import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
-from gbspec.runs import Option, files
+from gbspec.runs import Option, files, locked
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.runs.fit import Fitting
+from gbspec.training.runs.fit import Fitting, writing
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
@@ -55,8 +56,18 @@ def sweep(
     """
     shown = progress or Silent()
     runs = [_fitting(model, trajectories, point, directory, shown) for point in points]
-    for run in runs:
-        run.begin()
+    with ExitStack() as held:
+        held.enter_context(locked(directory))
+        for run in runs:
+            held.enter_context(writing(run.path))
+            run.begin()
+        return _fitted(runs, points, options, directory, shown)
+
+
+def _fitted(
+    runs: Sequence[Fitting], points: Sequence[Point], options: TrainOptions, directory: Path, shown: Progress
+) -> list[Row]:
+    """Fits the members of all runs and writes the table."""
     jobs: list[Job] = []
     of_job: dict[int, Fitting] = {}
     for run in runs:

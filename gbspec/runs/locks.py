@@ -1,0 +1,35 @@
+"""One process at a time writes to a run directory: a lock that the system releases when the process ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.runs.files import LOCK
+
+PATIENCE = 3.0
+"""Seconds to wait for a lock: a process that has lost its parent needs a moment to end."""
+
+
+@contextmanager
+def locked(directory: Path) -> Iterator[None]:
+    """Holds the lock of a directory, which is created. The same thread may enter again.
+
+    Raises UserError (GB864) if another process, or another thread, holds it.
+    """
+    from filelock import FileLock, Timeout
+
+    directory.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(str(directory.resolve() / LOCK), timeout=PATIENCE, is_singleton=True)
+    try:
+        lock.acquire()
+    except Timeout:
+        message = f"another process is writing to `{directory}`"
+        help_text = "wait until it has ended, or end it; name another directory with `-o` for a second run"
+        raise UserError([Diagnostic("GB864", message, None, help=help_text)]) from None
+    try:
+        yield
+    finally:
+        lock.release()

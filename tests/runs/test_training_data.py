@@ -1,0 +1,79 @@
+"""Where a run finds the data that it was trained on, and what is said if they are gone or were changed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.data import Trajectories, content_digest, from_arrays, to_arrays
+from gbspec.diagnostics import Findings, UserError
+from gbspec.operations.tables import trained_on, training_data
+from gbspec.runs import open_run
+from gbspec.training import TrainOptions, train
+from tests import tampering
+from tests.training.conftest import EVERYTHING, everything_data, model_of, trajectory
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("original")
+    tampering.make(place)
+    return place
+
+
+@pytest.fixture
+def place(original: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(original, tmp_path / "place"))
+
+
+def test_the_table_is_found_from_another_folder(place: Path, tmp_path: Path, original: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    status, out, said = tampering.called(("validate", str(original / "run")), tmp_path / "elsewhere")
+    assert status == 0 and str(original / "data.csv") in said and "nrmse" in out.lower()
+    found = training_data(open_run(place / "run"), Findings())  # moved together: beside the run as before
+    assert found is not None and found.measurements == 14
+    fit = open_run(place / "run").fit
+    assert fit.data.relative == os.path.join("..", "data.csv") and fit.data.absolute == str(original / "data.csv")
+
+
+@pytest.mark.parametrize("command", [("validate", "run"), ("report", "run", "-o", "r.html")])
+def test_a_table_that_is_gone_or_was_changed_is_told(place: Path, original: Path, command: tuple[str, ...]) -> None:
+    # as on another machine, where the absolute path leads nowhere
+    text = (place / "run" / "fit.json").read_text().replace(str(original), "/nowhere")
+    (place / "run" / "fit.json").write_text(text)
+    table = place / "data.csv"
+    table.write_text(table.read_text().replace("0.125", "0.126"))
+    status, _, said = tampering.called(command, place)
+    assert status == 1 and "GB859" in said and "was changed after the training" in said
+    table.unlink()
+    status, _, said = tampering.called(command, place)
+    assert status == 1 and "GB859" in said and "no longer at that path" in said
+    assert not (place / "r.html").exists()
+    status, _, said = tampering.called(("plot", "run", "history", "-o", "f.svg"), place)
+    assert status == 0 and "warning[GB859]" in said, "a figure that needs no data is drawn"
+
+
+def test_data_in_no_table_are_kept_with_the_run(tmp_path: Path) -> None:
+    times = np.linspace(0, 1, 4)
+    item = trajectory("a", 0.0, times, np.exp(-times)[:, None], [])
+    data = Trajectories((item,), ("x",))
+    options = TrainOptions(method="lm", epochs=1, warm_start=False, workers=1, threads=1)
+    model = model_of("model decay\nstate x\nlearn k = 1 in [0, 5]\nx' = -k*x\nobserve x\n")
+    run = train(model, data, options, tmp_path / "run")
+    found = trained_on(open_run(run.path), None, Findings())
+    assert found.items[0].label == "a" and np.array_equal(found.items[0].values, item.values)
+    other = Trajectories((trajectory("a", 0.0, times, np.exp(-2 * times)[:, None], []),), ("x",))
+    with pytest.raises(UserError, match="other data"):
+        train(model, other, TrainOptions(**{**vars(options), "resume": True}), tmp_path / "run")
+
+
+def test_everything_that_data_can_have_is_kept_exactly() -> None:
+    data, model = everything_data(), model_of(EVERYTHING)
+    arrays, remarks = to_arrays(data)
+    found = from_arrays(arrays, remarks["labels"], remarks["channels"], len(model.inputs), 0)  # type: ignore[arg-type]
+    assert content_digest(found) == content_digest(data) == found.sha256
+    assert content_digest(data.subset([0])) != content_digest(data)
