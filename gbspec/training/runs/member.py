@@ -391,6 +391,9 @@ def _checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
         arrays, remarks = files.read_tensors(path)
         found = decode(Remarks, remarks)
         restored(arrays, found)
+        wrong = [name for name, value in arrays.items() if name.startswith("fixed.") and not np.isfinite(value).all()]
+        if wrong:
+            raise ValueError(f"`{path}` is damaged: `{wrong[0]}` has entries that are not finite")
         return arrays, found
     except (KeyError, OverflowError) as error:
         raise _damaged(directory, f"`{path}` is damaged: it has no {error}") from None

@@ -39,12 +39,14 @@ FOLLOWED = 1e-7
 """Mean loss up to which a minimum is good whatever its residuals: they are less than 0.05 % of the deviations."""
 LARGEST = 10**7
 """Largest number of entries of all draws."""
+OFTEN = 4
+"""How much more often a minimum has to be found whose residuals do not look like noise: a better one may exist."""
 
 
 @dataclass(frozen=True)
 class Patience:
     """The effort of a search: `draws`, of which at most `improved` are improved; at least `least` are, and the search
-    ends when the best minimum has been found `times` times, unless its residuals follow one another."""
+    ends when the best minimum has been found `times` times (`OFTEN` as many, if its residuals follow one another)."""
 
     draws: int
     improved: int
@@ -120,7 +122,8 @@ class Search:
             theta, best = vector, reached
         found = np.append(state["found"], reached)
         count = int(np.sum(found <= best * (1 + SAME) + CLOSE))
-        enough = len(found) >= self.patience.least and count >= self.patience.times and self._plausible(theta, best)
+        times = self.patience.times * (1 if self._plausible(theta, best) else OFTEN)
+        enough = len(found) >= self.patience.least and count >= times
         done = enough or iteration + 1 >= len(starts)
         if done:
             theta, best = self._best_of_own(theta, best)
