@@ -31,6 +31,7 @@ class StageName(StrEnum):
     SEARCH = "search"
     LEAST_SQUARES = "least squares"
     LEAST_SQUARES_STARTS = "least squares, starts too"
+    FINER = "finer step"
     LBFGS = "lbfgs"
     BREEDING = "bred initial states"
     LEVENBERG_MARQUARDT = "lm"
@@ -49,6 +50,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.AS_ASKED: (8, 14, 60),
     StageName.LEAST_SQUARES: (100, 200, 500),
     StageName.LEAST_SQUARES_STARTS: (100, 200, 500),
+    StageName.FINER: (20, 50, 100),
     StageName.LBFGS: (100, 300, 1500),
     StageName.LEVENBERG_MARQUARDT: (6, 60, 200),
 }

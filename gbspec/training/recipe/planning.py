@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -41,16 +41,23 @@ WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
 FIRST_RIDGE = 1e-3
 """The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
 
+HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
+"""How often the step may be halved where its error shows in the constants."""
+SHOWS, LEAST_ERROR = 0.1, 1e-5
+"""A step's error shows where it could move a constant by more than this many of its standard deviations, and is larger
+than this fraction of a channel's scale."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
 
 @dataclass(frozen=True)
 class Reached:
-    """The progress of a fit: the vector, and the vectors at the ends of the previous stages, by their names."""
+    """The progress of a fit: the vector, the vectors at the ends of the previous stages, by their names, and the names
+    of all stages that have begun."""
 
     theta: Array
     marks: Mapping[str, Array] = field(default_factory=dict)
+    begun: Sequence[str] = ()
 
 
 Decision = Callable[[Reached], bool]
@@ -96,8 +103,11 @@ def plan(context: Context, parameters: Parameters) -> list[Planned]:
     return [replace(stage, wanted=always) for stage in stages if stage.name in named] if named else stages
 
 
-def step_fraction(begun: Collection[str]) -> float:
+def step_fraction(begun: Sequence[str]) -> float:
     """The fraction of the largest step that the last of the begun stages uses."""
+    finer = list(begun).count(StageName.FINER)
+    if finer:
+        return float(0.5**finer)
     return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
 
 
@@ -165,7 +175,43 @@ class _Planner:
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
+            *(self._finer(number, blend, plain) for number in range(1, HALVINGS[self.options.effort] + 1)),
         ]
+
+    def _finer(self, number: int, blend: float, options: LevenbergOptions) -> Planned:
+        """Continues at half the present step, where its error shows and the step is not one that the user gave."""
+        present, most = 0.5 ** (number - 1), self._most(StageName.FINER)
+
+        def layout(reached: Reached) -> Parameters:
+            return self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
+
+        def make(reached: Reached) -> Stage:
+            engine = self._at(blend, present / 2, layout(reached))
+            return LevenbergMarquardt(StageName.FINER.value, most, engine, replace(options, damping=STEADY))
+
+        def shows(reached: Reached) -> bool:
+            if self.options.max_step is not None or step_fraction(reached.begun) != present:
+                return False
+            return self._step_shows(layout(reached), reached.theta, blend, present)
+
+        return Planned(StageName.FINER, most, make, possible=shows)
+
+    def _step_shows(self, layout: Parameters, theta: Array, blend: float, fraction: float) -> bool:
+        """Whether halving the step changes a channel's residuals so much that a constant could move.
+
+        A change d of the residuals moves a constant by at most |d| / sigma of its standard deviations (the length of
+        the projection of d on one direction, in units of the noise).
+        """
+        now, half = (self.context.engine(layout, blend, part) for part in (fraction, fraction / 2))
+        before, after, seen = residual_table(now, theta), residual_table(half, theta), now.problem.seen
+        for i in range(before.shape[1]):
+            rows = seen[:, i]
+            if not (rows.any() and np.isfinite(after[rows, i]).all()):
+                continue
+            change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
+            if change > max(SHOWS * noise / np.sqrt(rows.sum()), LEAST_ERROR):
+                return True
+        return False
 
     def _automatic(self) -> list[Planned]:
         """The stages of the recipe for unknown functions: see docs/training.md."""

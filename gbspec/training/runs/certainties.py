@@ -15,7 +15,7 @@ from gbspec.runs import Certainties, Support
 from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import covariance
 from gbspec.training.problem import Parameters
-from gbspec.training.recipe import Context
+from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.summary import whole_solutions
 
 POINTS = 2000
@@ -28,7 +28,7 @@ def certainties(
     """The certainty of a finished fit at `theta`, from residuals as its last stages saw them; `member` has its
     weights."""
     blend = 0.0 if whole_solutions(context, parameters, stages) else context.options.blend
-    engine = context.engine(parameters, blend)
+    engine = context.engine(parameters, blend, step_fraction(stages))
     return Certainties(covariance(engine, theta), support(engine, theta, member))
 
 

@@ -193,9 +193,11 @@ class _Runner:
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
         if position.iteration == 0:
-            if not planned.due(Reached(position.theta, position.marks)):
-                if self.context.options.named_stages:
-                    position.notes.append(f"the stage `{planned.name}` was requested, but had nothing to do")
+            begun = [stage.name for stage in position.stages]
+            if not planned.due(Reached(position.theta, position.marks, begun)):
+                note = f"the stage `{planned.name}` was requested, but had nothing to do"
+                if self.context.options.named_stages and planned.name not in begun and note not in position.notes:
+                    position.notes.append(note)
                 return
             position.entry = position.theta
         stage = planned.make(Reached(position.entry, position.marks))

@@ -74,7 +74,8 @@ def summarise(
     noise_of = _Noise.of(context, parameters, theta, freedom, [stage.name for stage in stages])
     for i, channel in enumerate(model.channels):
         column = difference[seen[:, i], i]
-        rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
+        with np.errstate(over="ignore", invalid="ignore"):
+            rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
         noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i])
     known = len(model.constants)
     values = constants.numpy()[:, known:].mean(axis=0)
@@ -151,7 +152,8 @@ class _Noise:
     ) -> _Noise:
         """The noise from the residuals at `theta`, with the forcing of the training."""
         whole = whole_solutions(context, parameters, stages)
-        residuals = residual_table(context.engine(parameters, 0.0 if whole else context.options.blend), theta)
+        engine = context.engine(parameters, 0.0 if whole else context.options.blend, step_fraction(stages))
+        residuals = residual_table(engine, theta)
         count = int((context.packed().weights > 0).sum())
         if not whole or not count:
             return cls(residuals, None, float("inf"))
@@ -166,7 +168,8 @@ class _Noise:
         if self.share is None or not len(column):
             return _robust_deviation(column)
         inside = np.minimum(np.abs(column), self.threshold)
-        return float(np.sqrt(np.mean(inside**2) / self.share))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(np.sqrt(np.mean(inside**2) / self.share))
 
 
 def whole_solutions(context: Context, parameters: Parameters, stages: Sequence[str]) -> bool:
