@@ -18,7 +18,7 @@ from gbspec.ir.model import Channel, Condition, Dose, Input, Model, State, Time,
 from tests.data.hand_models import patient, reactor, tank
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-positive = st.floats(min_value=1e-300, allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=1e-99, max_value=1e99)
 label = st.text(st.characters(codec="utf-8", exclude_characters="\0\r"), min_size=1, max_size=8).map(str.strip)
 
 

@@ -71,6 +71,8 @@ def train(
     """
     shown = progress or Silent()
     fitting = Fitting(model, trajectories, options, Path(directory), shown)
+    if options.resume and not fitting.path.exists():
+        raise _nothing_to_resume(fitting.path)
     with writing(fitting.path):
         fitting.begin()
         try:
@@ -210,9 +212,7 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
         before = _check_resumable(path, model, record)
         replace(before, options=record.options, finished=False).write(path)  # files of members are newer from now on
     elif options.resume and not path.is_dir():
-        message = f"there is no run to resume in `{path}`"
-        advice = "check the path, or train without `--resume`"
-        raise UserError([Diagnostic("GB855", message, None, help=advice)])
+        raise _nothing_to_resume(path)
     elif begun:
         message = f"`{path}` already contains a run"
         help_text = "name another directory with `-o`, delete this one, or continue it with `--resume`"
@@ -225,6 +225,11 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
     files.write_bytes(path / files.MODULE, generate(model, METHODS[options.solver]).encode("utf-8"))
     if not begun:
         record.write(path)
+
+
+def _nothing_to_resume(path: Path) -> UserError:
+    advice = "check the path, or train without `--resume`"
+    return UserError([Diagnostic("GB855", f"there is no run to resume in `{path}`", None, help=advice)])
 
 
 def unbegun(path: Path) -> bool:
