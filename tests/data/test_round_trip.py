@@ -17,7 +17,13 @@ from gbspec.diagnostics import Findings, UserError
 from gbspec.ir.model import Channel, Condition, Dose, Input, Model, State, Time, symbol
 from tests.data.hand_models import patient, reactor, tank
 
-finite = st.floats(-1e99, 1e99).map(lambda x: x if abs(x) > 1e-90 else 0.0)
+
+def told(x: float) -> float:
+    """The number, or zero if it is so small that a table of such numbers is refused."""
+    return x if abs(x) > 1e-90 else 0.0
+
+
+finite = st.floats(-1e99, 1e99).map(told)
 positive = st.floats(min_value=1e-99, max_value=1e99)
 label = st.text(st.characters(codec="utf-8", exclude_characters="\0\r"), min_size=1, max_size=8).map(str.strip)
 
@@ -39,7 +45,7 @@ def rich(start: float | None) -> Model:
 @st.composite
 def trajectories(draw: st.DrawFn, start: float | None) -> Trajectory:
     """A trajectory that a table can hold: measured in each of its rows, inputs known from the start."""
-    moments = draw(st.lists(st.floats(0.0, 1e6), min_size=3, max_size=12, unique=True).map(sorted))
+    moments = draw(st.lists(st.floats(0.0, 1e6).map(told), min_size=3, max_size=12, unique=True).map(sorted))
     grid = np.array(moments)
     count = draw(st.integers(1, len(grid)))
     picked = sorted(draw(st.permutations(range(len(grid))))[:count])
