@@ -15,6 +15,7 @@ from gbspec.version import __version__
 
 COMMANDS = {
     "new": "gbspec.cli.commands.new",
+    "models": "gbspec.cli.commands.models",
     "check": "gbspec.cli.commands.check",
     "fmt": "gbspec.cli.commands.fmt",
     "compile": "gbspec.cli.commands.compile",

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from gbspec.backends.registry import backends
+from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
 from gbspec.frontend import STAGES, after
 
@@ -133,6 +134,64 @@ def test_new_rejects_names_that_no_module_can_have(gbspec: Run, here: Path, name
     assert result.exit_code == 1
     assert "GB807" in result.stderr
     assert not list(here.iterdir())
+
+
+def test_the_data_of_a_new_model_have_different_starts_and_stay_in_its_ranges(gbspec: Run, here: Path) -> None:
+    gbspec("new", "my_model")
+    text = (here / "my_model.gb").read_text()
+    assert all(f"\n{word} " in text for word in ("time", "condition", "const", "learn", "unknown", "process", "truth"))
+    told = gbspec("simulate", "my_model.gb", "-o", "data.csv", "--trajectories", "12", "--keep-start")
+    assert told.exit_code == 0, told.stderr
+    assert "outside" not in told.stderr
+    header, *rows = [line.split(",") for line in (here / "data.csv").read_text().splitlines()]
+    first = [dict(zip(header, row, strict=True)) for row in rows if row[1] == "0.0"]
+    assert all(len({row[name] for row in first}) == 12 for name in ("A", "B", "D"))
+
+
+@pytest.mark.parametrize("name", ["fed_batch", "urp_gb2", "alpha_pinene"])
+def test_a_copy_of_a_bundled_model_stands_alone_under_its_new_name(
+    gbspec: Run, document: Run, here: Path, name: str
+) -> None:
+    told = gbspec("new", "mine", "--from", name)
+    assert told.exit_code == 0, told.stderr
+    assert "gbspec simulate mine.gb" in told.stderr
+    assert gbspec("fmt", "--check", "mine.gb").exit_code == 0
+    (copy,) = document("check", "mine.gb")["files"]
+    (original,) = document("check", name)["files"]
+    assert (copy["model"], copy["states"], copy["learnables"]) == ("mine", original["states"], original["learnables"])
+
+
+def test_a_copy_keeps_comments_and_says_nothing_of_simulation_without_a_truth(gbspec: Run, here: Path) -> None:
+    told = gbspec("new", "mine", "--from", "theophylline")
+    assert "# Twelve subjects" in (here / "mine.gb").read_text()
+    assert "simulate" not in told.stderr
+    assert "train mine.gb" in told.stderr
+
+
+def test_models_lists_every_bundled_model_with_its_title(gbspec: Run, document: Run) -> None:
+    shown = gbspec("models").stdout.splitlines()
+    assert [line.split()[0] for line in shown] == list(shipped_models())
+    assert "fed_batch             Fed-batch fermenter, growth kinetics unknown" in shown
+    assert document("models")["models"][0]["title"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("urp_gb", "bundled model `urp_gb"),
+        ("fedbatch", "`fed_batch`"),
+        ("Fed_batch.gb", "`fed_batch`"),
+        ("something", "gbspec models"),
+    ],
+)
+@pytest.mark.parametrize("command", [("check",), ("simulate", "-o", "x.csv"), ("new", "mine", "--from")])
+def test_a_misspelt_bundled_model_gets_a_suggestion(
+    gbspec: Run, here: Path, command: tuple[str, ...], given: str, said: str
+) -> None:
+    result = gbspec(command[0], *command[1:], given) if command[0] == "new" else gbspec(command[0], given, *command[1:])
+    assert result.exit_code == 1
+    assert "GB001" in result.stderr
+    assert said in result.stderr
 
 
 # ------------------------------------------------------------------------------------------------------------ fmt
