@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from gbspec.backends.registry import backends
+from gbspec.cli.app import build
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
 from gbspec.frontend import STAGES, after
@@ -96,6 +98,18 @@ def test_strict_counts_warnings(gbspec: Run, decay: Path) -> None:
     assert gbspec("check", decay, "--strict").exit_code == 1
 
 
+def test_check_reads_standard_input(here: Path) -> None:
+    (here / "base.gb").write_text("model base\nstate x = 1\nx' = -x\nobserve x\n")
+    text = 'model long extends "base.gb"\nstate y = 1\ny\' = -k*y\n'
+    wrong = CliRunner().invoke(build(("check", "fmt")), ["check", "-", "--json"], input=text)
+    assert wrong.exit_code == 1
+    (file,) = json.loads(wrong.stdout)["files"]
+    assert (file["path"], file["diagnostics"][0]["file"], file["diagnostics"][0]["line"]) == ("-", "<stdin>", 3)
+    right = CliRunner().invoke(build(("check", "fmt")), ["check", "-"], input=text.replace("k*y", "y"))
+    assert right.exit_code == 0, right.stderr
+    assert "long" in right.stdout
+
+
 @pytest.mark.parametrize("command", [("check",), ("compile", "-o", "x.py"), ("fmt",)])
 def test_a_missing_model_is_wrong_input(gbspec: Run, here: Path, command: tuple[str, ...]) -> None:
     result = gbspec(command[0], "absent.gb", *command[1:])
@@ -131,7 +145,7 @@ def test_new_never_overwrites(gbspec: Run, decay: Path) -> None:
 @pytest.mark.parametrize("name", ["my-model", "2nd", "a b"])
 def test_new_rejects_names_that_no_module_can_have(gbspec: Run, here: Path, name: str) -> None:
     result = gbspec("new", name)
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "GB807" in result.stderr
     assert not list(here.iterdir())
 
@@ -300,7 +314,7 @@ def test_explain(gbspec: Run, document: Run) -> None:
 
 def test_explain_an_unknown_code(gbspec: Run) -> None:
     result = gbspec("explain", "GB000")
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "GB000" in result.stderr
 
 
