@@ -35,6 +35,7 @@ COMMANDS = {
     "crossvalidate": "gbspec.cli.commands.crossvalidate",
     "study": "gbspec.cli.commands.study",
     "demo": "gbspec.cli.commands.demo",
+    "completion": "gbspec.cli.commands.completion",
 }
 """Name of each command and the module whose `run` it is, in the order in which the help lists them."""
 
