@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gbspec.diagnostics import Defect, Findings, Source, UserError
+from gbspec.diagnostics import Defect, Diagnostic, Findings, Source, UserError
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
@@ -103,7 +103,23 @@ def read_source(path: str | Path) -> Source:
     """The text of a model file. Raises `UserError` (GB001 to GB003) if it cannot be read."""
     from gbspec.syntax import read_source as read
 
-    return read(resolve(path))
+    try:
+        return read(resolve(path))
+    except UserError as error:
+        raise UserError([_suggesting(path, found) for found in error.diagnostics]) from None
+
+
+def _suggesting(path: str | Path, found: Diagnostic) -> Diagnostic:
+    """The diagnostic with the bundled model of a similar name, where no file was found and none nearby is similar."""
+    from gbspec.data import shipped_models, similar
+
+    given = Path(path)
+    if found.code != "GB001" or found.help or given.parent != Path():
+        return found
+    meant = similar(given.stem, shipped_models())
+    if meant is not None:
+        return replace(found, help=f"did you mean the bundled model `{meant}`?")
+    return replace(found, help="name a `.gb` file, or a bundled model (`gbspec models` lists them)")
 
 
 # --------------------------------------------------------------------------------------------------------- the stages

@@ -7,14 +7,16 @@ import gc
 import importlib
 import sys
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from gbspec.version import __version__
 
 COMMANDS = {
     "new": "gbspec.cli.commands.new",
+    "models": "gbspec.cli.commands.models",
     "check": "gbspec.cli.commands.check",
     "fmt": "gbspec.cli.commands.fmt",
     "compile": "gbspec.cli.commands.compile",
@@ -33,6 +35,7 @@ COMMANDS = {
     "crossvalidate": "gbspec.cli.commands.crossvalidate",
     "study": "gbspec.cli.commands.study",
     "demo": "gbspec.cli.commands.demo",
+    "completion": "gbspec.cli.commands.completion",
 }
 """Name of each command and the module whose `run` it is, in the order in which the help lists them."""
 
@@ -45,10 +48,29 @@ Start with `gbspec demo`, or with `gbspec new my_model`.
 """
 
 
+def without_types(parameters: list[Any]) -> list[Any]:
+    """The parameters, of which the help shows no type of Python: `--help` and the arguments have no other word."""
+    for parameter in parameters:
+        if parameter.metavar is None or parameter.param_type_name == "argument":
+            parameter.display_type_rich = lambda ctx: None
+    return parameters
+
+
+class _Command(TyperCommand):
+    def get_params(self, ctx: Any) -> list[Any]:
+        return without_types(super().get_params(ctx))
+
+
+class _Group(TyperGroup):
+    def get_params(self, ctx: Any) -> list[Any]:
+        return without_types(super().get_params(ctx))
+
+
 def build(names: Sequence[str] = tuple(COMMANDS)) -> typer.Typer:
     """The typer application with the commands of those names."""
     app = typer.Typer(
         name="gbspec",
+        cls=_Group,
         help=HELP,
         no_args_is_help=True,
         add_completion=False,
@@ -68,7 +90,7 @@ def build(names: Sequence[str] = tuple(COMMANDS)) -> typer.Typer:
     options.__doc__ = HELP
     for name in names:
         command = importlib.import_module(COMMANDS[name]).run
-        app.command(command.name, help=command.help, epilog=command.epilog)(command.call)
+        app.command(command.name, cls=_Command, help=command.help, epilog=command.epilog)(command.call)
     return app
 
 

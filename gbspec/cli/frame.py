@@ -24,8 +24,8 @@ from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 
 OK, WRONG_INPUT, USAGE, FAILED, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but results and errors.")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but results and errors.", metavar="")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output.", metavar="")]
 
 
 class ExitWith(Exception):  # noqa: N818 - it is a way out, not an error
@@ -108,8 +108,12 @@ def guarded(work: Callable[[], None], output: Output) -> int:
     return OK
 
 
-USAGE_CODES = frozenset({"GB750", "GB754", "GB810", "GB814", "GB850"})
-"""Codes of diagnostics about the value of an option, which is wrong whatever the files contain."""
+USAGE_CODES = frozenset({"GB009", "GB750", "GB754", "GB807", "GB810", "GB812", "GB814", "GB850", "GB862", "GB875"})
+"""Codes of diagnostics about the command line, which is wrong whatever the files, tables and runs contain.
+
+This is the rule for wrong names: one that no file could make right (of an option, a choice, a code, a form, an output's
+format) is wrong usage; one that a file could have (of a model, a state, a constant, a trajectory) is wrong input.
+"""
 
 
 def _wrong_input(diagnostics: tuple[Diagnostic, ...], output: Output) -> int:
@@ -117,7 +121,7 @@ def _wrong_input(diagnostics: tuple[Diagnostic, ...], output: Output) -> int:
 
     output.findings(diagnostics)
     output.document({"diagnostics": [to_json(d) for d in diagnostics]})
-    return USAGE if diagnostics and all(d.code in USAGE_CODES for d in diagnostics) else WRONG_INPUT
+    return USAGE if any(d.code in USAGE_CODES for d in diagnostics) else WRONG_INPUT
 
 
 def _failed(error: ComputationError, output: Output) -> int:

@@ -18,9 +18,9 @@ Settings = Annotated[
 
 
 def settings(texts: Sequence[str] | None) -> dict[str, float]:
-    """`NAME=VALUE` texts as a mapping. Raises `UserError` (GB804) with everything that is malformed or repeated."""
+    """`NAME=VALUE` texts as a mapping. Raises `UserError` (GB810) with everything that is malformed or repeated."""
     findings = Findings()
-    values = assignments(texts or (), "--set", "GB804", findings, "write a name and a number: --set B=14")
+    values = assignments(texts or (), "--set", "GB810", findings, "write a name and a number: --set B=14")
     findings.raise_if_failed()
     return values
 

@@ -28,7 +28,7 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
     suffix = path.suffix.lower()
     if suffix not in SEPARATORS and suffix not in PARQUET:
         raise UserError(
-            [Diagnostic("GB702", f"cannot write a table to `{path}`", Cell(str(path)), help=f"name it as {FORMATS}")]
+            [Diagnostic("GB812", f"cannot write a table to `{path}`", Cell(str(path)), help=f"name it as {FORMATS}")]
         )
     frame = table(trajectories, model)
     safe = frame.with_columns(pl.Series(TRAJECTORY, map(for_spreadsheets, frame[TRAJECTORY]), dtype=pl.String))

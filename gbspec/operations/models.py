@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gbspec import frontend
-from gbspec.diagnostics import Findings, Source
+from gbspec.diagnostics import Defect, Findings, Source
 from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
     from gbspec.ir import Model
     from gbspec.runs import Run
+    from gbspec.syntax import ModelStatement
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,53 @@ def truth_of(source: Subject) -> Subject | None:
     if source.run is None or not has_reference(source.run.model):
         return None
     return reference(source.run.model, source.values)
+
+
+# ------------------------------------------------------------------------------------------------- models to begin from
+@dataclass(frozen=True)
+class Bundled:
+    """A bundled model: its name, the title that it gives itself, and its file."""
+
+    name: str
+    title: str
+    path: Path
+
+
+def bundled() -> tuple[Bundled, ...]:
+    """The bundled models in the order of names."""
+    from gbspec.data import shipped_models
+
+    found = []
+    for name, path in shipped_models().items():
+        opening = _opening(frontend.read_source(path))
+        found.append(Bundled(name, opening.title.value if opening.title else "", path))
+    return tuple(found)
+
+
+def copied(path: str | Path, name: str) -> tuple[str, bool]:
+    """The text of a model under another name, and whether its truth is complete, so that data can be simulated with it.
+
+    Comments are kept. What a model takes from a file that it extends is written into the copy, which stands alone; then
+    the comments of neither file are in it. Raises `UserError` if the model cannot be read or has errors.
+    """
+    source, model = frontend.read_source(path), frontend.load_model(path, Findings())
+    if _opening(source).extends is not None:
+        source = _source(model)
+    span = _opening(source).name.span
+    truths = {truth.name for truth in model.truth_functions}
+    text = source.text[: span.start] + name + source.text[span.end :]
+    return text, all(unknown.name in truths for unknown in model.unknowns)
+
+
+def _opening(source: Source) -> ModelStatement:
+    """The first statement of a model's text, which is known to have no errors."""
+    from gbspec.syntax import ModelStatement, parse
+
+    file = parse(source, Findings())
+    first = file.statements[0] if file else None
+    if not isinstance(first, ModelStatement):
+        raise Defect(f"`{source.path}` has no name")
+    return first
 
 
 # ------------------------------------------------------------------------------------------------------------ compiling

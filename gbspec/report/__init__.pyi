@@ -13,6 +13,7 @@ from .predictions import target as target
 from .predictions import write as write
 from .style import form_of as form_of
 from .style import save as save
+from .text import listing as listing
 from .text import model_summary as model_summary
 from .text import number as number
 from .text import run_summary as run_summary

@@ -14,11 +14,11 @@ from gbspec.files import aside, writable, write_text
 
 
 def target(path: str | Path) -> Path:
-    """The path, if a table can be written there. Raises `UserError` (GB702 for the suffix, GB802, GB805)."""
+    """The path, if a table can be written there. Raises `UserError` (GB812 for the suffix, GB802, GB805)."""
     found = Path(path)
     if found.suffix.lower() not in (*SEPARATORS, *PARQUET):
         message = f"cannot write a table to `{path}`"
-        raise UserError([Diagnostic("GB702", message, Cell(str(path)), help=f"name it as {FORMATS}")])
+        raise UserError([Diagnostic("GB812", message, Cell(str(path)), help=f"name it as {FORMATS}")])
     return writable(found)
 
 

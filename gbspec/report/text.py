@@ -34,6 +34,12 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join([shown[0], "  ".join("-" * width for width in widths), *shown[1:]])
 
 
+def listing(rows: Sequence[tuple[str, str]]) -> str:
+    """Names with what they stand for, one a line, in two columns aligned to the left."""
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join(f"{name.ljust(width)}  {meaning}".rstrip() for name, meaning in rows)
+
+
 def model_summary(model: Model) -> str:
     """A summary of a model: states and their initial values, learned and measured quantities."""
     from gbspec.ir import guarantee

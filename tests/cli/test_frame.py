@@ -129,6 +129,22 @@ def test_usage_errors_exit_2(bad: list[str]) -> None:
     assert invoke(sample, *(["a", *bad] if bad else [])).exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("codes", "status"),
+    [(("GB009",), 2), (("GB812",), 2), (("GB850", "GB201"), 2), (("GB001",), 1), (("GB804",), 1), (("GB854",), 1)],
+)
+def test_a_name_that_no_file_could_make_right_is_wrong_usage(codes: tuple[str, ...], status: int) -> None:
+    assert guarded(raising(UserError([Diagnostic(code, "wrong", None) for code in codes])), Output()) == status
+
+
+def test_a_wrong_choice_is_told_in_words_with_a_suggestion() -> None:
+    result = invoke(sample, "a", "--sampling", "gama")
+    assert result.exit_code == 2
+    said = " ".join(result.stderr.replace("│", " ").split())
+    assert "'gama' is not one of regular, gamma. Did you mean 'gamma'?" in said
+    assert "Value error" not in result.stderr
+
+
 def test_an_invalid_option_value_is_a_diagnostic() -> None:
     result = invoke(sample, "a", "--dt", "0")
     assert result.exit_code == 2

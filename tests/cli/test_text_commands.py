@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from gbspec.backends.registry import backends
+from gbspec.cli.app import build
+from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
 from gbspec.frontend import STAGES, after
 
@@ -95,6 +98,18 @@ def test_strict_counts_warnings(gbspec: Run, decay: Path) -> None:
     assert gbspec("check", decay, "--strict").exit_code == 1
 
 
+def test_check_reads_standard_input(here: Path) -> None:
+    (here / "base.gb").write_text("model base\nstate x = 1\nx' = -x\nobserve x\n")
+    text = 'model long extends "base.gb"\nstate y = 1\ny\' = -k*y\n'
+    wrong = CliRunner().invoke(build(("check", "fmt")), ["check", "-", "--json"], input=text)
+    assert wrong.exit_code == 1
+    (file,) = json.loads(wrong.stdout)["files"]
+    assert (file["path"], file["diagnostics"][0]["file"], file["diagnostics"][0]["line"]) == ("-", "<stdin>", 3)
+    right = CliRunner().invoke(build(("check", "fmt")), ["check", "-"], input=text.replace("k*y", "y"))
+    assert right.exit_code == 0, right.stderr
+    assert "long" in right.stdout
+
+
 @pytest.mark.parametrize("command", [("check",), ("compile", "-o", "x.py"), ("fmt",)])
 def test_a_missing_model_is_wrong_input(gbspec: Run, here: Path, command: tuple[str, ...]) -> None:
     result = gbspec(command[0], "absent.gb", *command[1:])
@@ -130,9 +145,67 @@ def test_new_never_overwrites(gbspec: Run, decay: Path) -> None:
 @pytest.mark.parametrize("name", ["my-model", "2nd", "a b"])
 def test_new_rejects_names_that_no_module_can_have(gbspec: Run, here: Path, name: str) -> None:
     result = gbspec("new", name)
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "GB807" in result.stderr
     assert not list(here.iterdir())
+
+
+def test_the_data_of_a_new_model_have_different_starts_and_stay_in_its_ranges(gbspec: Run, here: Path) -> None:
+    gbspec("new", "my_model")
+    text = (here / "my_model.gb").read_text()
+    assert all(f"\n{word} " in text for word in ("time", "condition", "const", "learn", "unknown", "process", "truth"))
+    told = gbspec("simulate", "my_model.gb", "-o", "data.csv", "--trajectories", "12", "--keep-start")
+    assert told.exit_code == 0, told.stderr
+    assert "outside" not in told.stderr
+    header, *rows = [line.split(",") for line in (here / "data.csv").read_text().splitlines()]
+    first = [dict(zip(header, row, strict=True)) for row in rows if row[1] == "0.0"]
+    assert all(len({row[name] for row in first}) == 12 for name in ("A", "B", "D"))
+
+
+@pytest.mark.parametrize("name", ["fed_batch", "urp_gb2", "alpha_pinene"])
+def test_a_copy_of_a_bundled_model_stands_alone_under_its_new_name(
+    gbspec: Run, document: Run, here: Path, name: str
+) -> None:
+    told = gbspec("new", "mine", "--from", name)
+    assert told.exit_code == 0, told.stderr
+    assert "gbspec simulate mine.gb" in told.stderr
+    assert gbspec("fmt", "--check", "mine.gb").exit_code == 0
+    (copy,) = document("check", "mine.gb")["files"]
+    (original,) = document("check", name)["files"]
+    assert (copy["model"], copy["states"], copy["learnables"]) == ("mine", original["states"], original["learnables"])
+
+
+def test_a_copy_keeps_comments_and_says_nothing_of_simulation_without_a_truth(gbspec: Run, here: Path) -> None:
+    told = gbspec("new", "mine", "--from", "theophylline")
+    assert "# Twelve subjects" in (here / "mine.gb").read_text()
+    assert "simulate" not in told.stderr
+    assert "train mine.gb" in told.stderr
+
+
+def test_models_lists_every_bundled_model_with_its_title(gbspec: Run, document: Run) -> None:
+    shown = gbspec("models").stdout.splitlines()
+    assert [line.split()[0] for line in shown] == list(shipped_models())
+    assert "fed_batch             Fed-batch fermenter, growth kinetics unknown" in shown
+    assert document("models")["models"][0]["title"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("urp_gb", "bundled model `urp_gb"),
+        ("fedbatch", "`fed_batch`"),
+        ("Fed_batch.gb", "`fed_batch`"),
+        ("something", "gbspec models"),
+    ],
+)
+@pytest.mark.parametrize("command", [("check",), ("simulate", "-o", "x.csv"), ("new", "mine", "--from")])
+def test_a_misspelt_bundled_model_gets_a_suggestion(
+    gbspec: Run, here: Path, command: tuple[str, ...], given: str, said: str
+) -> None:
+    result = gbspec(command[0], *command[1:], given) if command[0] == "new" else gbspec(command[0], given, *command[1:])
+    assert result.exit_code == 1
+    assert "GB001" in result.stderr
+    assert said in result.stderr
 
 
 # ------------------------------------------------------------------------------------------------------------ fmt
@@ -241,7 +314,7 @@ def test_explain(gbspec: Run, document: Run) -> None:
 
 def test_explain_an_unknown_code(gbspec: Run) -> None:
     result = gbspec("explain", "GB000")
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "GB000" in result.stderr
 
 

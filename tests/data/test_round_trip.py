@@ -125,7 +125,7 @@ def test_a_table_read_for_prediction_has_the_fingerprints_of_training(tmp_path: 
 
 def test_tables_are_not_written_as_anything(tmp_path: Path) -> None:
     empty = Trajectories((), ("V",))
-    for name, code in (("t.xlsx", "GB702"), ("no/such/folder/t.csv", "GB701"), ("no/such/t.parquet", "GB701")):
+    for name, code in (("t.xlsx", "GB812"), ("no/such/folder/t.csv", "GB701"), ("no/such/t.parquet", "GB701")):
         with pytest.raises(UserError) as caught:
             write(tmp_path / name, empty, tank())
         assert caught.value.diagnostics[0].code == code

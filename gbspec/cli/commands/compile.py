@@ -6,18 +6,12 @@ from typing import Annotated
 
 import typer
 
+from gbspec.cli.flags import choice
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
 from gbspec.operations import forms
 
 FORMS = forms()
-
-
-def form(text: str) -> str:
-    """One of the forms; another one is wrong usage."""
-    if text not in FORMS:
-        raise typer.BadParameter(f"{text!r} is not one of {', '.join(FORMS)}")
-    return text
 
 
 @command(
@@ -36,7 +30,7 @@ def run(
         str,
         typer.Option(
             "--emit",
-            parser=form,
+            parser=choice(tuple(FORMS)),
             metavar="FORM",
             help="; ".join(f"{name}: {said}" for name, said in FORMS.items()) + ".",
         ),

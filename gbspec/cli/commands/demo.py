@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 import shutil
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -52,7 +55,7 @@ def run(
     errors = _errors(found)
     output.result(f"\n{run_summary(made)}\n\n{_comparison(errors, published)}\n")
     output.result(f"picture: {picture}   run: {directory}   data: {data}   ({seconds:.0f} s)")
-    output.summary(_next(directory, data))
+    output.summary("next: " + "\n      ".join(next_commands(directory)))
     output.document(
         {
             "seconds": seconds,
@@ -142,9 +145,21 @@ def _comparison(errors: dict[str, float | None], published: dict[str, float]) ->
     return table(("error against the truth", "this run", "published", "smaller by a factor of"), rows)
 
 
-def _next(directory: Path, data: Path) -> str:
+def next_commands(directory: Path) -> tuple[str, ...]:
+    """Three commands to try next, as they can be typed here."""
+    program = typed(sys.argv[0])
     return (
-        f"next: gbspec plot {directory} fit -o fit.png\n"
-        f'      gbspec eigen {directory} --steady --at "Da=0.35"\n'
-        f"      gbspec new my_model      # and then: gbspec train my_model.gb my_data.csv -o my_run"
+        f"{program} report {directory}",
+        f"{program} bifurcate {directory} --over Da --range 0.2 0.5 --cycles -o diagram.png",
+        f"{program} new my_model",
     )
+
+
+def typed(called: str) -> str:
+    """How gbspec can be called from here: by its name if that is on the path, else by the path with which it was."""
+    if shutil.which("gbspec"):
+        return "gbspec"
+    path = Path(called)
+    if path.stem != "gbspec" or not path.is_file():
+        return "python -m gbspec"
+    return shlex.quote(min(os.path.relpath(path), str(path), key=len))

@@ -1,4 +1,4 @@
-"""`gbspec new NAME`: a commented model to start from."""
+"""`gbspec new NAME`: a commented model to start from, or a copy of another one."""
 
 from __future__ import annotations
 
@@ -13,41 +13,55 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.files import write_text
 
 STARTER = """\
-model {name} "A batch culture: growth rate unknown, yield learned"
+model {name} "Stirred tank: the rate of its reaction is to be learned"
 
-# States, each with a plausible range and a description.
-state X in [0, 20] "biomass, g/L"
-state S in [0, 50] "substrate, g/L"
+# A flows into a stirred tank of constant volume and reacts to B; the same flow takes both out. That much is known, and
+# stands in the balances. How fast A reacts, and how much B it gives, is not known, and is learned from measurements.
 
-# An unknown constant, with its starting value and its bounds.
-learn Y = 0.4 in [0.05, 1] "yield, g biomass per g substrate"
+# The column of times in the data, and its unit. Units are checked where they are given; to do without, delete `: ...`.
+time t : min
 
-# An unknown function of the substrate, learned as a small neural network.
-unknown mu(S) by mlp(16, 16) "specific growth rate, 1/h"
+# States change over time. A range is what is plausible; simulated trajectories start anywhere in these ranges.
+state A : mol/L in [0, 2] "concentration of A"
+state B : mol/L in [0, 2] "concentration of B"
 
-# What is known: a process that converts substrate to biomass, and the balances that follow from it.
-process growth: 1/Y*S -> X rate mu*X
-X' = net(X)
-S' = net(S)
+# A condition is set for each trajectory by whoever does the experiment, and is a column of the data.
+condition D : 1/min in [0.2, 1] "flow through the tank, divided by its volume"
 
-# The columns of the data.
-observe X
-observe S
+# A known constant, and one to be learned, with its starting value and its bounds.
+const A_feed : mol/L = 2 "concentration of A in the feed"
+learn y = 0.5 in [0.1, 1] "B formed from A, mol/mol"
 
-# A truth for experiments (`gbspec simulate` uses it to simulate data; training does not). Delete it for real data.
-truth Y = 0.5
-truth mu(S) = 0.6*S/(2 + S)
-initial X = 0.2
-initial S = 10
+# A function to be learned: a small neural network of A, which cannot be negative.
+unknown r(A) : mol/L/min >= 0 by mlp(16, 16) "rate of the reaction"
+
+# A process says what becomes what, and how fast; `net(A)` is the sum of all that processes do to A.
+process reaction: A -> y*B rate r
+A' = net(A) + D*(A_feed - A)
+B' = net(B) - D*B
+
+# What is measured: the other columns of the data. A cell is empty where nothing was measured.
+observe A
+observe B
+
+# A truth to experiment with: `gbspec simulate` makes data with it, and training never sees it. Delete it for real data.
+truth y = 0.8
+truth r(A) = 0.6*A/(0.5 + A)
 """
 
 
-@command("new", "gbspec new my_model")
+@command("new", "gbspec new my_model", "gbspec new my_tank --from fed_batch")
 def run(
     output: Output,
     name: Annotated[str, typer.Argument(help="The model's name; the file is NAME.gb.", metavar="NAME")],
+    origin: Annotated[
+        str | None,
+        typer.Option(
+            "--from", help="Copy this model: a bundled one, which `gbspec models` lists, or a file.", metavar="MODEL"
+        ),
+    ] = None,
 ) -> None:
-    """Write a small commented model to start from, `NAME.gb`, in the current folder (or at the path given)."""
+    """Write a commented model to start from, `NAME.gb`, in the current folder (or at the path given)."""
     path = Path(name) if name.endswith(".gb") else Path(f"{name}.gb")
     if not path.stem.isidentifier():
         help = f"use letters, digits and underscores, such as `{_suggested(path.stem)}`"
@@ -56,9 +70,21 @@ def run(
         raise UserError(
             [Diagnostic("GB806", f"`{path}` already exists", None, help="choose another name or remove it")]
         )
-    write_text(path, STARTER.format(name=path.stem))
-    output.document({"model": path.stem, "path": str(path)})
-    output.say(f"wrote {path}\nnext: gbspec check {path}\n      gbspec simulate {path} -o {path.stem}.csv --span 12")
+    text, simulates = (STARTER.format(name=path.stem), True) if origin is None else _copy(origin, path.stem)
+    write_text(path, text)
+    output.document({"model": path.stem, "path": str(path), "from": origin})
+    commands = [f"gbspec check {path}", f"gbspec train {path} my_data.csv -o {path.stem}_run"]
+    if simulates:
+        table = f"{path.stem}.csv"
+        commands[1:] = [f"gbspec simulate {path} -o {table}", f"gbspec train {path} {table} -o {path.stem}_run"]
+    output.say(f"wrote {path}\nnext: " + "\n      ".join(commands))
+
+
+def _copy(origin: str, name: str) -> tuple[str, bool]:
+    """The text of a model with another name, and whether data can be simulated with it."""
+    from gbspec.operations import models
+
+    return models.copied(origin, name)
 
 
 def _suggested(name: str) -> str:

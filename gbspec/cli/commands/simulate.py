@@ -34,11 +34,11 @@ def run(
     """Simulate a table of measurements with an adaptive integrator (relative tolerance 1e-10)."""
     from gbspec.data import write
     from gbspec.diagnostics import Findings
-    from gbspec.files import writable
     from gbspec.operations import models, tables
+    from gbspec.report import target
 
     findings = Findings()
-    writable(to)
+    target(to)
     subject = models.subject(source, settings(set_values), findings, member)
     table = None if like is None else tables.read_data(like, subject.model, findings, require_channels=False)
     output.findings(findings)

@@ -51,6 +51,8 @@ def run(
 
 def target(to: str, *, resume: bool) -> Path:
     """The directory if a run may be written there; otherwise raises `UserError` (GB802, GB806)."""
+    from gbspec.training import unbegun
+
     directory = Path(to)
     if directory.exists() and not directory.is_dir():
         message = f"`{to}` is a file; a run needs a directory"
