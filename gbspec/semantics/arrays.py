@@ -12,12 +12,12 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from typing import assert_never
 
-from gbspec.diagnostics import Findings, Label, Span
+from gbspec.diagnostics import Findings, Label, Span, UserError
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
-from gbspec.syntax import Kind, Place, ast, children
+from gbspec.syntax import MOST_BYTES, MOST_STATEMENTS, Kind, Place, ast, children, refused
 
 LARGEST = 2000
 """The most elements that an array may have."""
@@ -107,24 +107,42 @@ class _Expansion:
         for item in self._merged.items:
             if isinstance(item.statement, ast.ClosureStatement):
                 self._close(item.statement)
-        items = [new for item in self._merged.items for new in self._written_out(item)]
+        items = self._all_written_out()
         expanded = dataclasses.replace(
             self._merged, items=tuple(items), arrays=frozenset(self._unsure), in_indices=frozenset(self._named)
         )
         return expanded, self._arrays
+
+    def _all_written_out(self) -> list[Item]:
+        """Every statement for every element. Raises `UserError` (GB010) if these are too many, or too long."""
+        items: list[Item] = []
+        size = 0
+        for item in self._merged.items:
+            for new in self._written_out(item):
+                items.append(new)
+                size += item.statement.span.end - item.statement.span.start
+                if len(items) > MOST_STATEMENTS or size > MOST_BYTES:
+                    what = f"its arrays make this model more than {MOST_STATEMENTS:,} statements"
+                    if len(items) <= MOST_STATEMENTS:
+                        what = f"written out for every element, this model has more than {MOST_BYTES:,} characters"
+                    raise UserError([refused(item.statement.span.source.path, what)])
+        return items
 
     def _constants(self) -> dict[str, float]:
         """The values of the constants that can be evaluated; errors in the others are reported later."""
         waiting = [i.statement for i in self._merged.items if isinstance(i.statement, ast.ConstStatement)]
         values: dict[str, float] = {}
         evaluate = Evaluator(values, self._functions)
-        progress = True
-        while progress:
-            progress = False
-            for statement in waiting:
-                if statement.name.text not in values and (value := evaluate(statement.value)) is not None:
-                    values[statement.name.text] = value
-                    progress = True
+        users: dict[str, list[ast.ConstStatement]] = {}  # by a constant's name, so that a long chain takes linear time
+        for statement in waiting:
+            for name in {part.text for part in walk(statement.value) if isinstance(part, ast.Name)}:
+                users.setdefault(name, []).append(statement)
+        waiting.reverse()
+        while waiting:
+            statement = waiting.pop()
+            if statement.name.text not in values and (value := evaluate(statement.value)) is not None:
+                values[statement.name.text] = value
+                waiting.extend(users.get(statement.name.text, ()))
         return values
 
     # --------------------------------------------------------------------------------------------------- declarations
