@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
-from gbspec.syntax.limits import LONGEST_WORD, MOST_BYTES, MOST_ERRORS, MOST_SIGNS, MOST_STATEMENTS
+from gbspec.syntax.limits import LONGEST_WORD, MOST_BYTES, MOST_ERRORS, MOST_SIGNS, MOST_STATEMENTS, MOST_WRITTEN_OUT
 
 MOST_SECONDS, MOST_MEGABYTES, STOP = 5.0, 1000.0, 120
 HEAD = "model m\nstate x = 1\nx' = -x\nobserve x\n"
@@ -218,7 +218,8 @@ the import of gbspec included. The times are of one machine that other work shar
 LIMITS = {
     "bytes of a model file": MOST_BYTES,
     "words and signs of a model, with those that it extends": MOST_SIGNS,
-    "statements of a model, one for each element of an array": MOST_STATEMENTS,
+    "statements of a model, with those that it extends": MOST_STATEMENTS,
+    "statements of a model, one for each element of an array": MOST_WRITTEN_OUT,
     "elements of an array of states": 2_000,
     "characters of a word": LONGEST_WORD,
     "columns of a table": MOST_COLUMNS,

@@ -17,7 +17,7 @@ from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
-from gbspec.syntax import MOST_BYTES, MOST_STATEMENTS, Kind, Place, ast, children, refused
+from gbspec.syntax import MOST_BYTES, MOST_WRITTEN_OUT, Kind, Place, ast, children, refused
 
 LARGEST = 2000
 """The most elements that an array may have."""
@@ -121,9 +121,9 @@ class _Expansion:
             for new in self._written_out(item):
                 items.append(new)
                 size += item.statement.span.end - item.statement.span.start
-                if len(items) > MOST_STATEMENTS or size > MOST_BYTES:
-                    what = f"its arrays make this model more than {MOST_STATEMENTS:,} statements"
-                    if len(items) <= MOST_STATEMENTS:
+                if len(items) > MOST_WRITTEN_OUT or size > MOST_BYTES:
+                    what = f"its arrays make this model more than {MOST_WRITTEN_OUT:,} statements"
+                    if len(items) <= MOST_WRITTEN_OUT:
                         what = f"written out for every element, this model has more than {MOST_BYTES:,} characters"
                     raise UserError([refused(item.statement.span.source.path, what)])
         return items

@@ -10,6 +10,7 @@ from gbspec.semantics import (
     arrays,
     balances,
     columns,
+    doubts,
     graph,
     places,
     processes,
@@ -94,6 +95,9 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     usage.unused(places_of, merged.in_indices, names, findings)
     usage.only_compared(places_of, usage.observed_names(items), names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
+    subject = doubts.Subject(items, names, values, order, numbers, places_of)
+    doubts.check(subject, findings)
+    doubts.coefficients(terms, subject, findings)
     return Checked(items, names, order, values, numbers, terms, known, accepted)
 
 

@@ -13,6 +13,7 @@ from .kinds import Kind as Kind
 from .limits import MOST_BYTES as MOST_BYTES
 from .limits import MOST_SIGNS as MOST_SIGNS
 from .limits import MOST_STATEMENTS as MOST_STATEMENTS
+from .limits import MOST_WRITTEN_OUT as MOST_WRITTEN_OUT
 from .limits import refused as refused
 from .limits import signs as signs
 from .names import FUNCTIONS as FUNCTIONS

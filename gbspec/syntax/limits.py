@@ -16,7 +16,9 @@ MOST_SIGNS = 150_000
 LONGEST_WORD = 1_000
 """The characters of one word or number."""
 MOST_STATEMENTS = 10_000
-"""The statements of a model, with those that it extends, and with one for each element of an array."""
+"""The statements of a model, with those that it extends."""
+MOST_WRITTEN_OUT = 20_000
+"""The statements of a model with one for each element of an array."""
 MOST_ERRORS = 200
 """The wrong statements after which a file is not read on."""
 

@@ -11,7 +11,15 @@ from gbspec.diagnostics import Findings, Source, UserError
 from gbspec.frontend import load_model, read_source
 from gbspec.semantics.arrays import LARGEST
 from gbspec.syntax import format_text
-from gbspec.syntax.limits import LONGEST_WORD, MOST_BYTES, MOST_ERRORS, MOST_SIGNS, MOST_STATEMENTS, too_large
+from gbspec.syntax.limits import (
+    LONGEST_WORD,
+    MOST_BYTES,
+    MOST_ERRORS,
+    MOST_SIGNS,
+    MOST_STATEMENTS,
+    MOST_WRITTEN_OUT,
+    too_large,
+)
 from tests.effort import calls
 
 HEAD = "model m\nstate x = 1\nx' = -x\nobserve x\n"
@@ -62,7 +70,7 @@ def test_too_many_statements_get_one_error() -> None:
 
 
 def test_too_many_elements_of_arrays_get_one_error() -> None:
-    arrays = "".join(f"state x{n}[1..{LARGEST}] = 1\n" for n in range(MOST_STATEMENTS // LARGEST + 1))
+    arrays = "".join(f"state x{n}[1..{LARGEST}] = 1\n" for n in range(MOST_WRITTEN_OUT // LARGEST + 1))
     assert codes("model m\n" + arrays) == {"GB010": 1}
 
 
