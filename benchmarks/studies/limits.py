@@ -21,7 +21,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
-from gbspec.syntax.limits import LONGEST_WORD, MOST_BYTES, MOST_ERRORS, MOST_SIGNS, MOST_STATEMENTS, MOST_WRITTEN_OUT
+from gbspec.syntax.limits import (
+    LONGEST_WORD,
+    MOST_BYTES,
+    MOST_ERRORS,
+    MOST_PARTS,
+    MOST_SIGNS,
+    MOST_STATEMENTS,
+    MOST_WRITTEN_OUT,
+)
 
 MOST_SECONDS, MOST_MEGABYTES, STOP = 5.0, 1000.0, 120
 HEAD = "model m\nstate x = 1\nx' = -x\nobserve x\n"
@@ -116,6 +124,10 @@ INPUTS = (
     Input("most-array", "a model near the limits: four arrays of 2,000 states, an unknown name in each balance",
           model(lambda: "model m\n" + "".join(
               f"state {x}[1..2000] = 1\n{x}[i]' = -{x}[i]*nothing\n" for x in "abcd") + "observe a[1]\n")),
+    Input("most-parts", "a model near the limits: 2,000 elements, balances of 240 names and numbers, one unknown",
+          model(lambda: "model m\nstate x[1..2000] = 1\nx[i]' = " + "-x[i]" * 60 + "*nothing\nobserve x[1]\n")),
+    Input("coupled", "a model: 2,000 elements, each balance with the sum of all",
+          model(lambda: "model m\nstate x[1..2000] = 1\nx[i]' = -x[i]*sum(x)\nobserve x[1]\n")),
     Input("columns", "a table: 100,000 unknown columns",
           table(lambda: "t,x," + ",".join(f"c{i}" for i in range(100_000)) + ("\n1,1" + ",1" * 100_000) * 3 + "\n")),
     Input("nameless", "a table: 1,000,000 columns without a name",
@@ -220,6 +232,7 @@ LIMITS = {
     "words and signs of a model, with those that it extends": MOST_SIGNS,
     "statements of a model, with those that it extends": MOST_STATEMENTS,
     "statements of a model, one for each element of an array": MOST_WRITTEN_OUT,
+    "names, numbers and operations of a model, written out for each element": MOST_PARTS,
     "elements of an array of states": 2_000,
     "characters of a word": LONGEST_WORD,
     "columns of a table": MOST_COLUMNS,

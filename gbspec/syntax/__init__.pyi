@@ -11,6 +11,7 @@ from .grammar import grammar_file as grammar_file
 from .kinds import VALUES as VALUES
 from .kinds import Kind as Kind
 from .limits import MOST_BYTES as MOST_BYTES
+from .limits import MOST_PARTS as MOST_PARTS
 from .limits import MOST_SIGNS as MOST_SIGNS
 from .limits import MOST_STATEMENTS as MOST_STATEMENTS
 from .limits import MOST_WRITTEN_OUT as MOST_WRITTEN_OUT

@@ -19,6 +19,8 @@ MOST_STATEMENTS = 10_000
 """The statements of a model, with those that it extends."""
 MOST_WRITTEN_OUT = 20_000
 """The statements of a model with one for each element of an array."""
+MOST_PARTS = 500_000
+"""The names, numbers and operations of an array model with its statements written out for each element."""
 MOST_ERRORS = 200
 """The wrong statements after which a file is not read on."""
 

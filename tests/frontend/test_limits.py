@@ -79,6 +79,10 @@ def test_long_balances_of_arrays_get_one_error() -> None:
     assert codes(text) == {"GB010": 1}
 
 
+def test_sums_of_all_elements_in_every_balance_get_one_error() -> None:
+    assert codes(f"model m\nstate x[1..{LARGEST}] = 1\nx[i]' = -sum(x)\nobserve x[1]\n") == {"GB010": 1}
+
+
 def test_what_is_extended_counts() -> None:
     half = "let a = " + "1+" * (MOST_SIGNS // 4) + "1\n"
     texts = {"m.gb": 'model m extends "b.gb"\n' + half, "b.gb": HEAD + half}
@@ -123,3 +127,19 @@ def test_a_chain_of_constants_in_reverse_takes_linear_work() -> None:
 
     work(10)
     assert work(400) < 6 * work(100)
+
+
+def test_a_sum_of_many_constants_takes_linear_work() -> None:
+    def work(count: int) -> int:
+        terms = " + ".join(f"a{i}" for i in range(count))
+        constants = "".join(f"const a{i} = 1\n" for i in range(count))
+        text = f"model m\nconst n = {terms}\n{constants}state x[1..n] = 1\nx[1]' = 0\nobserve x[1]\n"
+        return calls(lambda: refusal(text))
+
+    work(10)
+    assert work(400) < 6 * work(100)
+
+
+def test_constants_of_an_if_with_a_wrong_branch_give_the_size_of_an_array() -> None:
+    text = "model m\nconst n = if(2 > k, 3, m)\nconst m = m\nconst k = 1\nstate x[1..n] = 1\nx[i]' = 0\nobserve x[1]\n"
+    assert codes(text) == {"GB208": 1}
