@@ -25,8 +25,10 @@ from gbspec.semantics.table import Table
 from gbspec.syntax import Kind, ast, ungrouped
 
 POINTS = 64
+MOST = 50
+"""The most warnings about logarithms, roots and powers."""
 WORK = 20_000
-"""The most named expressions that are evaluated for all points together; large models are tried at fewer points."""
+"""The most expressions that are evaluated for all points together; large models are tried at fewer points."""
 USUAL = (1e-3, 0.5, 1.0, 10.0)
 """Values at which powers are tried for a quantity without a range: most quantities are positive."""
 
@@ -195,7 +197,7 @@ def _negative(subject: Subject, uses: list[Use], findings: Findings) -> None:
     order = _needed(uses, named, subject.order)
     leaves = sorted({n.text for use in uses for n in _names(use.argument)} | _leaves(order, named))
     waiting, told = list(uses), set[int]()
-    for point in _points(leaves, subject, max(4, min(POINTS, WORK // (1 + len(order))))):
+    for point in _points(leaves, subject, max(4, min(POINTS, WORK // (len(order) + len(uses))))):
         ranged = dict(subject.values) | {n: v for n, v in point.items() if n in subject.ranges}
         known, guessed = _filled(ranged, order, named, subject), _filled({**ranged, **point}, order, named, subject)
         left = []
@@ -204,7 +206,7 @@ def _negative(subject: Subject, uses: list[Use], findings: Findings) -> None:
             value = Evaluator(values, subject.functions)(use.argument)
             if value is None or value >= -1e-12:
                 left.append(use)
-            elif use.node.span.start not in told:  # the elements of an array have one place
+            elif use.node.span.start not in told and len(told) < MOST:  # the elements of an array have one place
                 told.add(use.node.span.start)
                 _report(use, value, values, subject, findings)
         waiting = left
