@@ -33,12 +33,21 @@ def existing(path: str | Path, *, kind: str = "file") -> Path:
     return found
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """The bytes of a regular file. Raises OSError, for a pipe or a device too, which might never end or begin."""
+class TooLargeError(OSError):
+    """A file that is larger than its reader allows."""
+
+
+def read_bytes(path: str | Path, most: int | None = None) -> bytes:
+    """The bytes of a regular file. Raises OSError, for a pipe or a device too, which might never end or begin.
+
+    A file of more than `most` bytes is not read; raises `TooLargeError`.
+    """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(handle, "rb") as file:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(errno.EINVAL, "it is a pipe or a device, not a file; save its content first", str(path))
+        if most is not None and os.fstat(handle).st_size > most:
+            raise TooLargeError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
         return file.read()
 
 

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
+MOST_SHOWN = 250
+"""The diagnostics that are written as text."""
+
+
 def jsonable(value: object) -> Json:
     """The value in JSON types; arrays become lists, and non-finite numbers become null (JSON has no NaN)."""
     if value is None or isinstance(value, bool | str | int):
@@ -90,9 +94,12 @@ class Output:
         from gbspec.diagnostics import Severity, render_text
 
         shown = [d for d in diagnostics if d.severity is Severity.ERROR or not (self.quiet or errors_only)]
+        hidden = len(shown) - MOST_SHOWN
         if shown:
             color = sys.stderr.isatty() and not _no_color()
-            print(render_text(shown, color).rstrip("\n"), file=sys.stderr, flush=True)
+            print(render_text(shown[:MOST_SHOWN], color).rstrip("\n"), file=sys.stderr, flush=True)
+        if hidden > 0:
+            print(f"and {hidden:,} more, which `--json` lists", file=sys.stderr, flush=True)
 
 
 def _no_color() -> bool:

@@ -14,6 +14,8 @@ from gbspec.ir import Model, Range
 Role = Literal["channel", "condition", "input", "dose", "sd"]
 
 TRAJECTORY = "trajectory"
+MOST_SURPLUS = 50
+"""The columns that are not used and are reported one by one."""
 LONG = ("name", "value")
 """The columns by which the long layout is recognised."""
 
@@ -138,13 +140,16 @@ def _missing(
 
 def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findings: Findings) -> None:
     """Warns of columns that the model does not declare."""
-    for name in names:
-        meant = similar(name, optional)
+    given, known = list(names), list(optional)
+    for rank, name in enumerate(given[:MOST_SURPLUS], start=1):
+        meant = similar(name, known)
+        further = len(given) - MOST_SURPLUS if rank == MOST_SURPLUS else 0
         findings.warning(
             "GB711",
             f"column `{name}` is not used: the model declares nothing of that name",
             Cell(sheet.path, 1, name),
             help=f"is `{meant}` meant?" if meant else "",
+            notes=(f"and {further:,} more columns are not used",) if further > 0 else (),
             subject=name,
         )
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,11 @@ SEPARATORS = {".csv": ",", ".tsv": "\t"}
 PARQUET = frozenset({".parquet", ".pq"})
 FORMATS = "CSV (.csv), TSV (.tsv) or Parquet (.parquet)"
 SEPARATOR_NAMES = {",": "a comma", "\t": "a tab", ";": "a semicolon", "|": "a bar"}
+MOST_COLUMNS = 10_000
+LONGEST_LINE = 1_000_000
+"""The bytes of one line of a text."""
+MOST_ROWS = 20_000_000
+"""The rows of a Parquet file, of which a small file may have any number."""
 SHOWN = 5
 """The maximal number of diagnostics of one kind shown per column; the last one has the number of the others."""
 
@@ -85,13 +91,19 @@ def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Fi
         return None
     if separator == "," and _by_semicolons(clean):
         separator = ";"
+    if not _lines_ok(path, clean, findings):
+        return None
     records = _records(path, clean, separator, findings)
-    if records is None:
+    if records is None or not _width_ok(path, records, findings):
         return None
     if not len(records.rows):
         findings.error("GB704", "the table is empty", Cell(path), help="its first row names the columns")
         return None
-    header = next(csv.reader(io.StringIO(records.header.decode()), delimiter=separator))
+    try:
+        header = next(csv.reader(io.StringIO(records.header.decode()), delimiter=separator))
+    except csv.Error:
+        _too_large(path, 1, "a column's name has more than 131,072 characters", findings)
+        return None
     names = [cell_name(name) for name in header]
     if not _header_ok(path, names, separator, findings) or not _same_width(path, records, len(names), findings):
         return None
@@ -153,6 +165,32 @@ def _utf8(path: str, data: bytes, findings: Findings) -> bytes | None:
     return data
 
 
+def _lines_ok(path: str, data: bytes, findings: Findings) -> bool:
+    """Whether no line is too long, before anything is computed for every character."""
+    ends = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == ord("\n"))
+    lengths = np.diff(np.concatenate([[-1], ends, [len(data)]])) - 1
+    long = np.flatnonzero(lengths > LONGEST_LINE)
+    for i, notes in shown(long, "rows"):
+        _too_large(
+            path, i + 1, f"row {i + 1} has {lengths[i]:,} bytes; at most {LONGEST_LINE:,} are read", findings, notes
+        )
+    return not len(long)
+
+
+def _width_ok(path: str, records: _Records, findings: Findings) -> bool:
+    """Whether the header has no more columns than are read."""
+    width = int(records.widths[0]) if len(records.widths) else 0
+    if width > MOST_COLUMNS:
+        row = int(records.rows[0])
+        _too_large(path, row, f"the table has {width:,} columns; at most {MOST_COLUMNS:,} are read", findings)
+    return width <= MOST_COLUMNS
+
+
+def _too_large(path: str, row: int | None, message: str, findings: Findings, notes: tuple[str, ...] = ()) -> None:
+    help = "write the times below each other, one row for each, and a column only for what the model names"
+    findings.error("GB732", message, Cell(path, row), help=help, notes=notes)
+
+
 @dataclass(frozen=True)
 class _Records:
     """The records of a text: the header's bytes, the rows that are not blank, each record's row and width."""
@@ -169,20 +207,19 @@ def _records(path: str, data: bytes, separator: str, findings: Findings) -> _Rec
     characters = np.frombuffer(data, dtype=np.uint8)
     outside = np.ones(len(characters), dtype=bool)
     if b'"' in data:
-        outside = (np.cumsum(characters == ord('"')) % 2) == 0
+        # the parity of the number of quotes so far, which an overflow does not change
+        outside = (np.cumsum(characters == ord('"'), dtype=np.uint8) & 1) == 0
         if not outside[-1]:
             findings.error("GB709", "a quote is opened and never closed", Cell(path), help='quotes come in pairs: "…"')
             return None
     ends = np.flatnonzero((characters == ord("\n")) & outside)
     starts = np.concatenate([[0], ends[:-1] + 1])
-    blanks = np.concatenate([[0], np.cumsum((characters != ord(" ")) & (characters != ord("\t")))])
-    filled = blanks[ends] > blanks[starts]
-    commas = np.concatenate([[0], np.cumsum((characters == ord(separator)) & outside)])
-    widths = commas[ends] - commas[starts] + 1
+    widths = np.add.reduceat((characters == ord(separator)) & outside, starts, dtype=np.int64) + 1
     # A row of separators only, as spreadsheets write, is blank too.
-    visible = characters != ord(separator)
-    content = np.concatenate([[0], np.cumsum(visible & (characters != ord(" ")) & (characters != ord("\t")))])
-    filled &= content[ends] > content[starts]
+    visible = characters != ord("\n")
+    for blank in (" ", "\t", separator):
+        visible &= characters != ord(blank)
+    filled = np.add.reduceat(visible, starts, dtype=np.int64) > 0
     filled &= ~_comments_above(characters, starts, filled)
     rows = np.flatnonzero(filled) + 1
     if not len(rows):
@@ -222,14 +259,22 @@ def _header_ok(path: str, names: list[str], separator: str, findings: Findings) 
         findings.error(
             "GB706", "the first row has numbers where names are expected", Cell(path, 1), help="name the columns"
         )
-    for name in sorted({name for name in names if name and names.count(name) > 1}):
+    _unique(path, [name for name in names if name], findings)
+    return len(findings.errors) == before
+
+
+def _unique(path: str, names: list[str], findings: Findings) -> None:
+    """Reports the names that several columns have."""
+    counts = Counter(names)
+    again = sorted(name for name, count in counts.items() if count > 1)
+    for i, notes in shown(range(len(again)), "names"):
         findings.error(
             "GB707",
-            f"{names.count(name)} columns are named `{name}`",
-            Cell(path, 1, name),
+            f"{counts[again[i]]} columns are named `{again[i]}`",
+            Cell(path, 1, again[i]),
             help="give each column its own name (for replicates use the long layout)",
+            notes=notes,
         )
-    return len(findings.errors) == before
 
 
 def _is_number(text: str) -> bool:
@@ -278,6 +323,11 @@ def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:
 def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet | None:
     """Reads a Parquet file; its first record counts as row 2, as if there were a header."""
     try:
+        height, width = _parquet_size(data)
+        if height > MOST_ROWS or width > MOST_COLUMNS:
+            most = f"at most {MOST_ROWS:,} and {MOST_COLUMNS:,} are read"
+            _too_large(path, None, f"the table has {height:,} rows and {width:,} columns; {most}", findings)
+            return None
         frame = pl.read_parquet(io.BytesIO(data))
     except (pl.exceptions.PolarsError, OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else "it is damaged"
@@ -285,11 +335,18 @@ def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet |
         return None
     names = [cell_name(name) for name in frame.columns]
     before = len(findings.errors)
-    for name in sorted({name for name in names if names.count(name) > 1}):
-        findings.error("GB707", f"{names.count(name)} columns are named `{name}`", Cell(path, 1, name))
+    _unique(path, names, findings)
     if not names or not frame.height:
         findings.error("GB704", "the table is empty", Cell(path), help="each row is one time")
     if len(findings.errors) > before:
         return None
     rows = np.arange(2, frame.height + 2, dtype=np.int64)
     return Sheet(path, _named(names, frame.get_columns()), rows, sha256)
+
+
+def _parquet_size(data: bytes) -> tuple[int, int]:
+    """The rows and columns of a Parquet file according to its footer, without reading them."""
+    import pyarrow.parquet as pq
+
+    meta = pq.read_metadata(io.BytesIO(data))
+    return int(meta.num_rows), int(meta.num_columns)

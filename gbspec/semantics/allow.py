@@ -13,7 +13,7 @@ from gbspec.syntax import ast
 
 Allowed = tuple[tuple[str, str | None], ...]
 
-WARNINGS = re.compile(r"GB4\d\d|GB307|GB314|GB331|GB55\d|GB65\d")
+WARNINGS = re.compile(r"GB4\d\d|GB307|GB314|GB31[6-9]|GB331|GB55\d|GB65\d")
 """Codes that are warnings about a model."""
 
 

@@ -12,15 +12,17 @@ from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from typing import assert_never
 
-from gbspec.diagnostics import Findings, Label, Span
+from gbspec.diagnostics import Findings, Label, Span, UserError
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
-from gbspec.syntax import Kind, Place, ast, children
+from gbspec.syntax import MOST_PARTS, MOST_WRITTEN_OUT, Kind, Place, ast, children, refused
 
 LARGEST = 2000
 """The most elements that an array may have."""
+MOST_ROUNDS = 20
+"""How often constants that depend on branches of an `if` that are not taken are tried again."""
 
 
 @dataclass
@@ -107,24 +109,77 @@ class _Expansion:
         for item in self._merged.items:
             if isinstance(item.statement, ast.ClosureStatement):
                 self._close(item.statement)
-        items = [new for item in self._merged.items for new in self._written_out(item)]
+        items = self._all_written_out()
         expanded = dataclasses.replace(
             self._merged, items=tuple(items), arrays=frozenset(self._unsure), in_indices=frozenset(self._named)
         )
         return expanded, self._arrays
 
+    def _all_written_out(self) -> list[Item]:
+        """Every statement for every element. Raises `UserError` (GB010) first if these are too many, or too long."""
+        count, size = 0, 0
+        for item in self._merged.items:
+            copies = self._copies(item.statement)
+            count += copies
+            size += copies * self._weight(item.statement)
+        if count > MOST_WRITTEN_OUT or size > MOST_PARTS:
+            what = f"{count:,} statements; at most {MOST_WRITTEN_OUT:,} are read"
+            if count <= MOST_WRITTEN_OUT:
+                what = f"{size:,} names, numbers and operations; at most {MOST_PARTS:,} are read"
+            path = self._merged.items[0].statement.span.source.path
+            raise UserError([refused(path, f"written out for the elements of its arrays, this model has {what}")])
+        return [new for item in self._merged.items for new in self._written_out(item)]
+
+    def _copies(self, statement: ast.Statement) -> int:
+        """For how many elements a statement is written out."""
+        match statement:
+            case ast.StateStatement(declarator=ast.Declarator(name=name, first=first)) if first is not None:
+                array = self._arrays.get(name.text)
+            case ast.About(target=ast.Name(text=text)):
+                array = self._arrays.get(text)
+            case ast.About(target=ast.Index() as target) if running_index(target, self._values) is not None:
+                array = self._arrays.get(target.array.text)
+            case _:
+                return 1
+        return 1 if array is None else array.last - array.first + 1
+
+    def _weight(self, statement: ast.Statement) -> int:
+        """The parts of a statement's expressions, `sum(c)` counted as the sum of all elements."""
+        parts = [p for root in children(statement) if isinstance(root, ast.Expression) for p in walk(root)]
+        summed = [name for part in parts for name in _summed(part)]
+        arrays = [self._arrays[name] for name in summed if name in self._arrays]
+        return len(parts) + sum(2 * (array.last - array.first + 1) for array in arrays)
+
     def _constants(self) -> dict[str, float]:
         """The values of the constants that can be evaluated; errors in the others are reported later."""
-        waiting = [i.statement for i in self._merged.items if isinstance(i.statement, ast.ConstStatement)]
+        statements = [i.statement for i in self._merged.items if isinstance(i.statement, ast.ConstStatement)]
+        declared = {statement.name.text for statement in statements}
         values: dict[str, float] = {}
         evaluate = Evaluator(values, self._functions)
-        progress = True
-        while progress:
-            progress = False
-            for statement in waiting:
+        users: dict[str, list[int]] = {}
+        lacking: list[int] = []  # of each statement: how many of the constants in it are not known yet
+        for number, statement in enumerate(statements):
+            names = {n.text for n in walk(statement.value) if isinstance(n, ast.Name)} & declared
+            lacking.append(len(names))
+            for name in names:
+                users.setdefault(name, []).append(number)
+        ready = [number for number, count in enumerate(lacking) if not count]
+        while ready:  # each is evaluated once, so that a long chain takes linear time
+            statement = statements[ready.pop()]
+            if statement.name.text in values or (value := evaluate(statement.value)) is None:
+                continue
+            values[statement.name.text] = value
+            for user in users.get(statement.name.text, ()):
+                lacking[user] -= 1
+                if not lacking[user]:
+                    ready.append(user)
+        for _ in range(MOST_ROUNDS):  # an `if` may have a value though one of its branches has none
+            before = len(values)
+            for statement in statements:
                 if statement.name.text not in values and (value := evaluate(statement.value)) is not None:
                     values[statement.name.text] = value
-                    progress = True
+            if len(values) == before:
+                break
         return values
 
     # --------------------------------------------------------------------------------------------------- declarations
@@ -379,3 +434,10 @@ class _Expansion:
         for i in range(array.first + 1, array.last + 1):
             total = ast.Binary(node.span, "+", total, ast.Name(node.span, array.element(i)))
         return ast.Group(node.span, total)
+
+
+def _summed(node: ast.Node) -> tuple[str, ...]:
+    """The array of `sum(c)`."""
+    if isinstance(node, ast.Call) and _is_sum(node):
+        return tuple(argument.text for argument in node.arguments if isinstance(argument, ast.Name))
+    return ()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Findings, UserError
 from gbspec.semantics import (
     allow,
     arrays,
     balances,
     columns,
+    doubts,
     graph,
     places,
     processes,
@@ -26,7 +27,7 @@ from gbspec.semantics.numbers import Numbers, constants, default_start, function
 from gbspec.semantics.scope import Resolver
 from gbspec.semantics.sites import Sites
 from gbspec.semantics.table import Table
-from gbspec.syntax import Kind, ast
+from gbspec.syntax import MOST_STATEMENTS, Kind, ast, refused
 
 Terms = dict[str, tuple[tuple[bool, processes.Term], ...]]
 
@@ -45,6 +46,7 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     """
     local = Findings()
     read = merge(file, local, load)
+    _limited(file, len(read.items))
     merged, found = arrays.expand(read, local)
     names = table.build(merged.items, local)
     accepted = allow.allowed(merged.items, names, local, merged)
@@ -53,6 +55,13 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
         checked = dataclasses.replace(checked, source=read.items, arrays=found)
     findings.extend(d for d in local if not allow.is_accepted(d, accepted))
     return None if findings.failed else checked
+
+
+def _limited(file: ast.File, count: int) -> None:
+    """Raises `UserError` if there are too many statements."""
+    if count > MOST_STATEMENTS:
+        what = f"this model has {count:,} statements; at most {MOST_STATEMENTS:,} are read"
+        raise UserError([refused(file.span.source.path, what)])
 
 
 def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Findings) -> Checked | None:
@@ -86,6 +95,9 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     usage.unused(places_of, merged.in_indices, names, findings)
     usage.only_compared(places_of, usage.observed_names(items), names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
+    subject = doubts.Subject(items, names, values, order, numbers, places_of)
+    doubts.check(subject, findings)
+    doubts.coefficients(terms, subject, findings)
     return Checked(items, names, order, values, numbers, terms, known, accepted)
 
 

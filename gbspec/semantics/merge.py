@@ -16,7 +16,7 @@ from typing import TypeVar
 
 from gbspec.diagnostics import Findings, Source, Span, UserError
 from gbspec.semantics.vocabulary import suggestion
-from gbspec.syntax import Key, ast, children
+from gbspec.syntax import MOST_SIGNS, Key, ast, children, refused, signs
 
 _UNITS = (ast.UnitName, ast.UnitNumber, ast.UnitBinary)
 
@@ -96,6 +96,7 @@ def _chain(file: ast.File, findings: Findings, load: Load) -> tuple[list[ast.Fil
 
     files = [file]
     seen = [_identity(Path(file.span.source.path))]
+    size = signs(file.span.source)
     while True:
         current = files[-1]
         string = next((s.extends for s in current.statements if isinstance(s, ast.ModelStatement) and s.extends), None)
@@ -115,6 +116,11 @@ def _chain(file: ast.File, findings: Findings, load: Load) -> tuple[list[ast.Fil
             )
             return files, False
         source = _load(path, string, findings, load)
+        size += signs(source) if source is not None else 0
+        if source is not None and size > MOST_SIGNS:
+            what = f"a model and those that it extends have {size:,} words and signs; at most {MOST_SIGNS:,} are read"
+            findings.add(refused(source.path, what))
+            return files, False
         parsed = parse(source, findings) if source is not None else None
         if parsed is None:
             return files, False

@@ -21,15 +21,16 @@ _NOT_OFFERED = {
 """Functions that other languages have, and what takes their place here."""
 
 _SUGGESTIONS = 20
+_MOST = 200  # undeclared names that are reported one by one
 _PLACES = 4
 
 
 @dataclass
 class Missing:
-    """An undeclared name: where it occurs, the names it may be a misspelling of, whether it is called."""
+    """An undeclared name: where it occurs, the formal arguments known there, whether it is called."""
 
     spans: list[Span]
-    candidates: frozenset[str]
+    formals: frozenset[str]
     called: bool
 
 
@@ -69,7 +70,7 @@ class Resolver:
     def report_missing(self, merged: Merged) -> None:
         """Reports each undeclared name once, at its first place."""
         names = [name for name in self.missing if merged.lacks(name)]
-        for number, name in enumerate(names):
+        for number, name in enumerate(names[:_MOST]):
             missing = self.missing[name]
             places = {(s.source.path, s.start): s for s in missing.spans}
             spans = [places[key] for key in sorted(places)]
@@ -80,13 +81,19 @@ class Resolver:
                 spans[0],
                 label="not declared",
                 labels=[Label(span, "also here") for span in spans[1:_PLACES]],
-                notes=[f"and in {len(spans) - _PLACES} more places"] if len(spans) > _PLACES else [],
+                notes=self._further(len(spans) - _PLACES, len(names) - _MOST if number == _MOST - 1 else 0),
                 help=(_NOT_OFFERED.get(name, "") if missing.called else "")
-                or (suggestion(name, missing.candidates) if number < _SUGGESTIONS else "")
+                or (suggestion(name, self._candidates(missing)) if number < _SUGGESTIONS else "")
                 or f"declare it, for example `{'function' if missing.called else 'const'} {name}"
                 f"{'(x)' if missing.called else ''} = …`",
                 subject=name,
             )
+
+    @staticmethod
+    def _further(places: int, names: int) -> list[str]:
+        """Notes on what is not shown: further places of a name, and further names."""
+        notes = [f"and in {places} more places"] if places > 0 else []
+        return notes + ([f"and {names:,} more names are not declared"] if names > 0 else [])
 
     def report_unapplied(self, merged: Merged) -> None:
         """Reports each unknown used without arguments whose declared arguments are not all names of the model."""
@@ -119,11 +126,14 @@ class Resolver:
         site.references.complete = False
         missing = self.missing.get(name.text)
         if missing is None:
-            kinds = (Kind.FUNCTION, Kind.UNKNOWN) if called else None
-            pool = {n for n, d in self.table.items() if kinds is None or d.kind in kinds}
-            pool |= set(FUNCTIONS) if called else site.formals
-            missing = self.missing[name.text] = Missing([], frozenset(pool), called)
+            missing = self.missing[name.text] = Missing([], frozenset(site.formals), called)
         missing.spans.append(name.span)
+
+    def _candidates(self, missing: Missing) -> frozenset[str]:
+        """The names of which an undeclared one may be a misspelling."""
+        kinds = (Kind.FUNCTION, Kind.UNKNOWN) if missing.called else None
+        pool = {n for n, d in self.table.items() if kinds is None or d.kind in kinds}
+        return frozenset(pool | (set(FUNCTIONS) if missing.called else missing.formals))
 
     def _name(self, node: ast.Name, site: Site, smooth: bool) -> None:
         name = node.text

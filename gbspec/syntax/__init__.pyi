@@ -10,6 +10,13 @@ from .formatter import format_text as format_text
 from .grammar import grammar_file as grammar_file
 from .kinds import VALUES as VALUES
 from .kinds import Kind as Kind
+from .limits import MOST_BYTES as MOST_BYTES
+from .limits import MOST_PARTS as MOST_PARTS
+from .limits import MOST_SIGNS as MOST_SIGNS
+from .limits import MOST_STATEMENTS as MOST_STATEMENTS
+from .limits import MOST_WRITTEN_OUT as MOST_WRITTEN_OUT
+from .limits import refused as refused
+from .limits import signs as signs
 from .names import FUNCTIONS as FUNCTIONS
 from .names import REFUSED as REFUSED
 from .names import explain_look_alike as explain_look_alike

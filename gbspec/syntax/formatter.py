@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from gbspec.diagnostics import Defect, Findings, Source
+from gbspec.diagnostics import Defect, Findings, Source, UserError
 from gbspec.syntax import ast
 from gbspec.syntax.characters import clean
 from gbspec.syntax.chunks import split
+from gbspec.syntax.limits import too_large
 from gbspec.syntax.parser import Parsed, parse, parse_statements
 from gbspec.syntax.spacing import Piece, pieces
 from gbspec.syntax.transformer import Clause
@@ -46,6 +47,9 @@ def format_text(source: Source) -> str:
     The result parses to the same tree, and formatting it again changes nothing.
     """
     findings = Findings()
+    large = too_large(source)
+    if large is not None:
+        raise UserError([large])
     parsed = parse_statements(source, findings)
     findings.raise_if_failed()
     text = _file(source, parsed)

@@ -18,6 +18,7 @@ from gbspec.syntax.characters import clean
 from gbspec.syntax.chunks import Chunk, Comment, split
 from gbspec.syntax.grammar import engine
 from gbspec.syntax.kinds import Kind
+from gbspec.syntax.limits import MOST_ERRORS, too_large
 from gbspec.syntax.mistakes import Slip, explain_slip, where
 from gbspec.syntax.names import normalise
 from gbspec.syntax.reading import read_source
@@ -53,8 +54,12 @@ class Parsed:
 def parse(source: Source, findings: Findings) -> ast.File | None:
     """The tree of a file. Every syntax error is recorded; the statements that have one are left out of the tree.
 
-    None if the file has statements but none could be parsed.
+    None if the file has statements but none could be parsed, or is too large (GB010).
     """
+    large = too_large(source)
+    if large is not None:
+        findings.add(large)
+        return None
     statements: list[ast.Statement] = []
     uncertain: set[str] = set()
     parsed = parse_statements(source, findings)
@@ -81,12 +86,16 @@ def parse_expression(source: Source, findings: Findings) -> ast.Expression | Non
 
 
 def parse_statements(source: Source, findings: Findings) -> list[Parsed]:
-    """Every statement of a file with its place, including those with errors; each error is recorded once."""
+    """Every statement of a file with its place, including those with errors; each error is recorded once.
+
+    After `MOST_ERRORS` statements with errors the others are not parsed (GB011).
+    """
     chunks = split(source).chunks
     reader = _Reader(source, _declared(chunks))
     done: list[Parsed] = []
     waiting = deque(chunks)
-    while waiting:
+    wrong = 0
+    while waiting and wrong < MOST_ERRORS:
         chunk = waiting.popleft()
         parsed = reader.read(chunk)
         if parsed.problems and parsed.stopped_at in chunk.lines[1:]:
@@ -104,9 +113,20 @@ def parse_statements(source: Source, findings: Findings) -> list[Parsed]:
             done[-1] = joined
         else:
             done.append(parsed)
+            wrong += bool(parsed.problems)
     for parsed in done:
         findings.extend(parsed.problems)
-    return done
+    if waiting:
+        findings.add(_not_read(waiting))
+    return done + [Parsed(chunk, None, (), ()) for chunk in waiting]
+
+
+def _not_read(waiting: deque[Chunk]) -> Diagnostic:
+    """The diagnostic for the rest of a file with too many errors."""
+    first, last = waiting[0].span, waiting[-1].span
+    lines = last.position[2] - first.position[0] + 1
+    message = f"{MOST_ERRORS} statements have errors; {lines:,} more line{'s were' if lines > 1 else ' was'} not read"
+    return Diagnostic("GB011", message, first, "not read from here", help="correct the errors above first")
 
 
 def _declared(chunks: tuple[Chunk, ...]) -> Mapping[str, str]:

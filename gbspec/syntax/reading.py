@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from gbspec.diagnostics import Cell, Diagnostic, Source, Span, UserError
-from gbspec.files import read_bytes
+from gbspec.files import TooLargeError, read_bytes
+from gbspec.syntax.limits import MOST_BYTES, refused
 
 _TABLES = frozenset({".csv", ".tsv", ".parquet", ".pq", ".xlsx"})
 
@@ -18,7 +19,10 @@ def read_source(path: Path | str) -> Source:
         message = f"`{path}` is a table of data, not a model"
         raise UserError([Diagnostic("GB002", message, place, help="the `.gb` file comes first, then the table")])
     try:
-        data = read_bytes(path)
+        data = read_bytes(path, MOST_BYTES)
+    except TooLargeError:
+        what = f"`{path}` is larger than {MOST_BYTES:,} bytes, and no model is"
+        raise UserError([refused(str(path), what)]) from None
     except FileNotFoundError:
         raise UserError([Diagnostic("GB001", f"there is no file `{path}`", place, help=_nearest(path))]) from None
     except IsADirectoryError:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from gbspec.analysis.bifurcation.bifurcate import bifurcate
 from gbspec.analysis.bifurcation.continuation import SteadyCurve
-from gbspec.analysis.bifurcation.curve import Steps
+from gbspec.analysis.bifurcation.curve import Curve, Steps
 from gbspec.analysis.bifurcation.hopf import analyse_hopf
 from gbspec.analysis.systems.family import Family
 from gbspec.analysis.systems.steady import steady_states
@@ -140,6 +143,34 @@ def test_a_closed_branch_is_followed_once_around() -> None:
     followed = curve.follow(start)
     assert followed.end == "closed"
     assert sorted(round(curve.unscaled(point.y)[1], 9) for _, point in followed.special) == [-1.0, 1.0]
+
+
+def test_a_curve_of_centres_has_no_special_points_and_is_not_stable() -> None:
+    # Lotka and Volterra: the eigenvalues +-i sqrt(r m) have real parts of rounding size, whose signs mean nothing.
+    def rhs(prey: Any, predator: Any, m: Any) -> tuple[Any, ...]:
+        eaten = 0.028 * prey * predator
+        return 0.55 * prey - eaten, 0.857 * eaten - m * predator
+
+    ranges = {"prey": (2.0, 80.0), "predator": (2.0, 60.0), "m": (0.4, 1.2)}
+    system = textbook("lotka_volterra", ("prey", "predator"), rhs, {"m": float("nan")}, ranges)
+    found = bifurcate(system, "m", 0.4, 1.2)
+    assert not found.special
+    inner = [one for one in found.branches if one.points[0].state.min() > 1.0]
+    assert [one.ends for one in inner] == [("range", "range")]
+    assert not any(point.stable for one in inner for point in one.points)
+
+
+def test_a_zero_is_not_located_where_the_test_keeps_its_sign() -> None:
+    line = Curve(lambda y: (np.array([y[0]]), np.array([[1.0, 0.0]])))
+    start = line.point(np.zeros(2), np.array([0.0, 1.0]))
+    assert start is not None
+    assert line.locate(start, 1.0, lambda point: point.y[1] + 0.5) is None
+    at_end = line.locate(start, 1.0, lambda point: 1.0 + 1e-13 - point.y[1])
+    assert at_end is not None
+    assert at_end.y[1] == pytest.approx(1.0)
+    inside = line.locate(start, 1.0, lambda point: 0.25 - point.y[1])
+    assert inside is not None
+    assert inside.y[1] == pytest.approx(0.25)
 
 
 def test_what_cannot_be_varied_is_named() -> None:

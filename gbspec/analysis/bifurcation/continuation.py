@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from gbspec.analysis.bifurcation.curve import Curve, CurvePoint, Steps, balanced, row_sizes
-from gbspec.analysis.systems import Family, ordered_eigenvalues
+from gbspec.analysis.systems import Family, axis_width, ordered_eigenvalues
 from gbspec.arrays import Array, ComplexArray
 
 Kind = Literal["fold", "hopf", "branch", "cycle_fold", "period_doubling", "torus"]
@@ -35,7 +35,7 @@ class SteadyPoint:
     @property
     def stable(self) -> bool:
         """Whether all eigenvalues are in the left half plane."""
-        return bool(np.all(self.eigenvalues.real < 0.0))
+        return bool(np.all(self.eigenvalues.real < -axis_width(self.eigenvalues)))
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,12 @@ class SteadyCurve:
 
     # ------------------------------------------------------------------ special points
     def _unstable(self, point: CurvePoint) -> int:
-        return int(np.sum(self.eigenvalues(point.y).real > 0.0))
+        """The number of eigenvalues to the right of the imaginary axis.
+
+        Those on it up to rounding do not count: along a curve of centres (prey and predators) only their signs change.
+        """
+        eigenvalues = self.eigenvalues(point.y)
+        return int(np.sum(eigenvalues.real > axis_width(eigenvalues)))
 
     def _changes(
         self, a: CurvePoint, b: CurvePoint, length: float, before: int, after: int

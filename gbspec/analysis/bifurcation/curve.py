@@ -12,6 +12,9 @@ from gbspec.arrays import Array
 TOLERANCE = 1e-11
 """Newton stops when its step is below this, in scaled variables."""
 
+ROUNDING = 1e-9
+"""A test at one end of a step that is this small, relative to its other end, is zero."""
+
 
 @dataclass(frozen=True)
 class CurvePoint:
@@ -111,7 +114,10 @@ class Curve:
     def locate(
         self, a: CurvePoint, length: float, test: Callable[[CurvePoint], float], tolerance: float = 1e-13
     ) -> CurvePoint | None:
-        """The zero of `test` within the step of this length from `a`, by Brent's method along the curve."""
+        """The zero of `test` within the step of this length from `a`, by Brent's method along the curve.
+
+        An end where the test is zero up to rounding counts; None if it has one sign at both ends.
+        """
         from scipy.optimize import brentq
 
         seen: dict[float, CurvePoint] = {}
@@ -124,6 +130,10 @@ class Curve:
             return test(point)
 
         try:
+            first, last = value(0.0), value(length)
+            if first * last > 0.0:
+                size = ROUNDING * max(abs(first), abs(last))
+                return seen[0.0] if abs(first) <= size else seen[length] if abs(last) <= size else None
             s = float(brentq(value, 0.0, length, xtol=tolerance * max(length, 1.0), rtol=1e-15, maxiter=80))
             return seen[s] if s in seen else self.point(a.y + s * a.tangent, a.tangent)
         except ArithmeticError:

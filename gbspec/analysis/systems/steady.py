@@ -41,7 +41,12 @@ class SteadyState:
     @property
     def stable(self) -> bool:
         """Whether all eigenvalues are in the left half plane."""
-        return bool(np.all(self.eigenvalues.real < 0.0))
+        return bool(np.all(self.eigenvalues.real < -axis_width(self.eigenvalues)))
+
+
+def axis_width(eigenvalues: ComplexArray) -> float:
+    """The size of real parts that are rounding: eigenvalues with such a real part lie on the imaginary axis."""
+    return 1e-13 * float(np.max(np.abs(eigenvalues), initial=0.0))
 
 
 def ordered_eigenvalues(jacobian: Array) -> ComplexArray:

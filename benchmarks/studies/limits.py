@@ -1,0 +1,275 @@
+"""Oversized and hostile inputs: the processor time and the memory until gbspec refuses, or accepts, each of them.
+
+    python -m benchmarks.studies.limits -o docs/limits.md
+    python -m benchmarks.studies.limits --only nonsense,names
+
+Each input is made in a temporary folder and given to one command in a process of its own. The time is that of the
+processor (user and system), the memory the largest resident set. A process is stopped after 120 s of processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
+from gbspec.syntax.limits import (
+    LONGEST_WORD,
+    MOST_BYTES,
+    MOST_ERRORS,
+    MOST_PARTS,
+    MOST_SIGNS,
+    MOST_STATEMENTS,
+    MOST_WRITTEN_OUT,
+)
+
+MOST_SECONDS, MOST_MEGABYTES, STOP = 5.0, 1000.0, 120
+HEAD = "model m\nstate x = 1\nx' = -x\nobserve x\n"
+
+
+@dataclass(frozen=True)
+class Input:
+    """A hostile input: what it is, and a function that writes it into a folder and gives the command's arguments."""
+
+    name: str
+    what: str
+    make: Callable[[Path], list[str]]
+
+
+def model(text: Callable[[], str]) -> Callable[[Path], list[str]]:
+    """`check` of a model."""
+
+    def make(folder: Path) -> list[str]:
+        (folder / "m.gb").write_text(text())
+        return ["check", str(folder / "m.gb")]
+
+    return make
+
+
+def table(text: Callable[[], str]) -> Callable[[Path], list[str]]:
+    """Reading a table for a model of one state."""
+
+    def make(folder: Path) -> list[str]:
+        (folder / "m.gb").write_text(HEAD)
+        (folder / "t.csv").write_text(text())
+        return ["table", str(folder / "m.gb"), str(folder / "t.csv")]
+
+    return make
+
+
+def parquet(folder: Path) -> list[str]:
+    """A Parquet file of a few kilobytes with 1e8 rows, constant, so that run-length coding packs them."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    (folder / "m.gb").write_text(HEAD)
+    size = 1_000_000
+    part = pa.table({name: pa.array([1.0] * size) for name in ("t", "x")})
+    with pq.ParquetWriter(folder / "t.parquet", part.schema) as writer:
+        for _ in range(100):
+            writer.write_table(part, row_group_size=size)
+    return ["table", str(folder / "m.gb"), str(folder / "t.parquet")]
+
+
+def lets(count: int) -> str:
+    chain = "".join(f"let a{i} = a{i - 1} + 1\n" for i in range(1, count))
+    return "model m\nstate x = 1\nlet a0 = 1\n" + chain + f"x' = -x*a{count - 1}\nobserve x\n"
+
+
+def states(count: int) -> str:
+    names = "".join(f"state x{i} = 1\n" for i in range(count))
+    chain = "".join(f"x{i}' = x{i - 1} - x{i}\n" for i in range(1, count))
+    return f"model m\n{names}x0' = -x0\n{chain}observe x0\n"
+
+
+INPUTS = (
+    Input("nonsense", "a model: 100,000 lines of nonsense", model(lambda: "asdf qwer ?? 17\n" * 100_000)),
+    Input("various", "a model: 100,000 different lines of nonsense",
+          model(lambda: "".join(f"foo{i} {i} ( bar\n" for i in range(100_000)))),
+    Input("names", "a model: 100,000 unknown names",
+          model(lambda: HEAD + "".join(f"let a{i} = nothing{i}\n" for i in range(100_000)))),
+    Input("sum", "a model: 100,000 unknown names in one sum",
+          model(lambda: HEAD + "let a = " + " + ".join(f"nothing{i}" for i in range(100_000)) + "\n")),
+    Input("lets", "a model: 25,000 chained `let`", model(lambda: lets(25_000))),
+    Input("states", "a model: 25,000 chained states", model(lambda: states(25_000))),
+    Input("array", "a model: an array of 1,000,000 states",
+          model(lambda: "model m\nstate x[1..1000000] = 1\nx[i]' = -x[i]\nobserve x\n")),
+    Input("line", "a model: 10 MB on one line", model(lambda: HEAD + "let a = " + "1 + " * 2_500_000 + "1\n")),
+    Input("word", "a model: one name of 10 MB", model(lambda: HEAD + "let " + "a" * 10_000_000 + " = 1\n")),
+    Input("number", "a model: one number of 1.5 MB", model(lambda: HEAD + "let a = " + "9" * 1_500_000 + "\n")),
+    Input("brackets", "a model: 1,000,000 open brackets", model(lambda: HEAD + "let a = " + "(" * 1_000_000 + "\n")),
+    Input("quote", "a model: 100,000 lines in open quotes", model(lambda: 'let a = "b\n' * 100_000)),
+    Input("twice", "a model: one state declared 50,000 times", model(lambda: HEAD + "state x = 1\n" * 50_000)),
+    Input("indented", "a model: 100,000 indented lines", model(lambda: HEAD + "  let a = 1\n" * 100_000)),
+    Input("most-lets", "a model near the limits: 9,900 chained `let`, the last of an unknown name",
+          model(lambda: lets(9_900).replace("let a9899 = a9898", "let a9899 = a9898*nothing"))),
+    Input("most-states", "a model near the limits: 4,900 chained states, one of an unknown name",
+          model(lambda: states(4_900).replace("x4899' = x4898", "x4899' = nothing"))),
+    Input("most-names", "a model near the limits: 9,900 unknown names",
+          model(lambda: HEAD + "".join(f"let a{i} = nothing{i}\n" for i in range(9_900)))),
+    Input("most-sum", "a model near the limits: 70,000 unknown names in one sum",
+          model(lambda: HEAD + "let a = " + " + ".join(f"nothing{i}" for i in range(70_000)) + "\n")),
+    Input("most-ones", "a model near the limits: a sum of 70,000 numbers, and an unknown name",
+          model(lambda: HEAD + "let a = " + "1 + " * 70_000 + "nothing\n")),
+    Input("most-lines", "a model near the limits: 20,000 lines of nonsense",
+          model(lambda: "asdf qwer ?? 17\n" * 20_000)),
+    Input("most-array", "a model near the limits: four arrays of 2,000 states, an unknown name in each balance",
+          model(lambda: "model m\n" + "".join(
+              f"state {x}[1..2000] = 1\n{x}[i]' = -{x}[i]*nothing\n" for x in "abcd") + "observe a[1]\n")),
+    Input("most-parts", "a model near the limits: 2,000 elements, balances of 240 names and numbers, one unknown",
+          model(lambda: "model m\nstate x[1..2000] = 1\nx[i]' = " + "-x[i]" * 60 + "*nothing\nobserve x[1]\n")),
+    Input("coupled", "a model: 2,000 elements, each balance with the sum of all",
+          model(lambda: "model m\nstate x[1..2000] = 1\nx[i]' = -x[i]*sum(x)\nobserve x[1]\n")),
+    Input("columns", "a table: 100,000 unknown columns",
+          table(lambda: "t,x," + ",".join(f"c{i}" for i in range(100_000)) + ("\n1,1" + ",1" * 100_000) * 3 + "\n")),
+    Input("nameless", "a table: 1,000,000 columns without a name",
+          table(lambda: "t,x" + "," * 1_000_000 + ("\n1,1" + "," * 1_000_000) * 2 + "\n")),
+    Input("same", "a table: 100,000 columns in pairs of one name",
+          table(lambda: "t,x," + ",".join(f"c{i // 2}" for i in range(100_000)) + "\n1,1" + ",1" * 100_000 + "\n")),
+    Input("cell", "a table: a cell of 50 MB", table(lambda: f"t,x\n0,1\n1,{'a' * 50_000_000}\n")),
+    Input("quoted", "a table: a quoted cell of 50 MB", table(lambda: f't,x\n0,1\n1,"{"a b" * 17_000_000}"\n')),
+    Input("header", "a table: a column's name of 50 MB", table(lambda: f"t,x,{'a' * 50_000_000}\n0,1,2\n")),
+    Input("rows", "a table: 1,000,000 blank rows", table(lambda: "t,x\n" + ",\n" * 1_000_000)),
+    Input("words", "a table: 1,000,000 cells that are no numbers",
+          table(lambda: "t,x\n" + "".join(f"{i},w{i}\n" for i in range(1_000_000)))),
+    Input("parquet", "a table: Parquet, 1e8 constant rows in a small file", parquet),
+    Input("trajectories", "a table: 100,000 trajectories",
+          table(lambda: "trajectory,t,x\n" + "".join(f"a{i},0,1\na{i},1,2\n" for i in range(100_000)))),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a command needed, its exit status, and the codes of its diagnostics with the number of each."""
+
+    seconds: float
+    megabytes: float
+    status: int
+    codes: str
+    written: int
+
+
+def run(item: Input) -> Outcome:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        arguments = item.make(folder)
+        with (folder / "out").open("wb") as out:
+            process = subprocess.Popen(
+                [sys.executable, *_command(arguments)], stdout=out, stderr=out, preexec_fn=_limited
+            )
+            _, status, used = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+        said = (folder / "out").read_text(errors="replace")
+    seconds = used.ru_utime + used.ru_stime
+    return Outcome(seconds, used.ru_maxrss / 1024, process.returncode, _codes(said), len(said))
+
+
+READ = """
+import sys
+from gbspec import frontend
+from gbspec.cli.output import Output
+from gbspec.diagnostics import Findings, UserError
+from gbspec.operations import tables
+findings = Findings()
+try:
+    tables.read_data(sys.argv[2], frontend.load_model(sys.argv[1], findings), findings)
+except UserError as error:
+    findings.extend(error.diagnostics)
+Output().findings(findings)
+sys.exit(int(findings.failed))
+"""
+
+
+def _command(arguments: list[str]) -> list[str]:
+    """Python's arguments: a command of gbspec, or the reading of a table as every command does it."""
+    kind, *files = arguments
+    return ["-c", READ, *files] if kind == "table" else ["-m", "gbspec", *arguments]
+
+
+def _limited() -> None:
+    resource.setrlimit(resource.RLIMIT_CPU, (STOP, STOP + 1))
+    resource.setrlimit(resource.RLIMIT_DATA, (6 * 2**30, 6 * 2**30))
+
+
+def _codes(said: str) -> str:
+    found = re.findall(r"^(?:error|warning)\[(GB\d+)\]", said, re.MULTILINE)
+    counts = {code: found.count(code) for code in sorted(set(found))}
+    return ", ".join(f"{code} ({count})" if count > 1 else code for code, count in counts.items())
+
+
+TEXT = f"""# Limits: what is read, and what oversized inputs cost
+
+| limit | at most |
+|---|---:|
+@LIMITS@
+
+A larger model gets `GB010`, a larger table `GB732`. After {MOST_ERRORS} wrong statements a file is not read on
+(`GB011`). The rows of a text are not limited.
+
+Each model below is given to `gbspec check`, each table is read for a model of one state as every command
+reads it, in a process of its own:
+
+    python -m benchmarks.studies.limits -o docs/limits.md
+
+Every refusal is to come within {MOST_SECONDS:.0f} s of processor time and {MOST_MEGABYTES:,.0f} MB of memory,
+the import of gbspec included. The times are of one machine that other work shares; the tests
+(`tests/frontend/test_limits.py`, `tests/data/test_limits.py`) check counts and codes. Without limits
+(commit `6e7297e`) the first four models took 38 s, 51 s, more than 119 s with 14.8 GB, and 20 s.
+
+| input | processor time, s | memory, MB | status | diagnostics | text written, kB |
+|---|---:|---:|---:|---|---:|
+"""
+LIMITS = {
+    "bytes of a model file": MOST_BYTES,
+    "words and signs of a model, with those that it extends": MOST_SIGNS,
+    "statements of a model, with those that it extends": MOST_STATEMENTS,
+    "statements of a model, one for each element of an array": MOST_WRITTEN_OUT,
+    "names, numbers and operations of a model, written out for each element": MOST_PARTS,
+    "elements of an array of states": 2_000,
+    "characters of a word": LONGEST_WORD,
+    "columns of a table": MOST_COLUMNS,
+    "bytes of a line of a CSV or TSV table": LONGEST_LINE,
+    "rows of a Parquet table": MOST_ROWS,
+}
+
+
+def document(outcomes: list[tuple[Input, Outcome]]) -> str:
+    limits = "\n".join(f"| {what} | {most:,} |" for what, most in LIMITS.items())
+    rows = []
+    for item, found in outcomes:
+        over = found.seconds > MOST_SECONDS or found.megabytes > MOST_MEGABYTES
+        mark = " (**over**)" if over else ""
+        rows.append(
+            f"| {item.what}{mark} | {found.seconds:.1f} | {found.megabytes:.0f} | {found.status} "
+            f"| {found.codes or 'none'} | {found.written / 1000:.0f} |"
+        )
+    return TEXT.replace("@LIMITS@", limits) + "\n".join(rows) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="", help="names of inputs, with commas between them")
+    parser.add_argument("-o", dest="to", default=None, help="the Markdown file to write")
+    options = parser.parse_args()
+    wanted = [item for item in INPUTS if not options.only or item.name in options.only.split(",")]
+    outcomes = []
+    for item in wanted:
+        outcomes.append((item, run(item)))
+        print(f"{item.name}: {outcomes[-1][1]}", file=sys.stderr, flush=True)
+    text = document(outcomes)
+    if options.to:
+        Path(options.to).write_text(text)
+    else:
+        print(text)
+
+
+if __name__ == "__main__":
+    main()
