@@ -57,14 +57,8 @@ def target(to: str, *, resume: bool) -> Path:
     if directory.exists() and not directory.is_dir():
         message = f"`{to}` is a file; a run needs a directory"
         raise UserError([Diagnostic("GB802", message, None, help="choose another name")])
-    if directory.is_dir() and not resume and not _unbegun(directory):
+    if directory.is_dir() and not resume and not unbegun(directory):
         message = f"`{to}` already exists and is not empty"
         help = "choose another name, remove it, or continue an interrupted run with `--resume`"
         raise UserError([Diagnostic("GB806", message, None, help=help)])
     return directory
-
-
-def _unbegun(directory: Path) -> bool:
-    from gbspec.training import unbegun  # loads the libraries of training
-
-    return unbegun(directory)
