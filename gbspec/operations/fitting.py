@@ -20,7 +20,7 @@ def train(
     """Fits the learnables and unknowns of a model to data into a run directory, then checks every fit's step."""
     from gbspec.training import writing
 
-    with writing(directory):
+    with writing(directory, options.resume):
         return with_step_checks(fit(model, data, directory, options, progress), data, options)
 
 

@@ -71,9 +71,7 @@ def train(
     """
     shown = progress or Silent()
     fitting = Fitting(model, trajectories, options, Path(directory), shown)
-    if options.resume and not fitting.path.exists():
-        raise _nothing_to_resume(fitting.path)
-    with writing(fitting.path):
+    with writing(fitting.path, options.resume):
         fitting.begin()
         try:
             fit_jobs(fitting.jobs(), options, shown, fitting.take)
@@ -83,11 +81,14 @@ def train(
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path, resume: bool = False) -> Iterator[None]:
     """Holds a run directory against other processes, and removes what a killed one has left behind in it.
 
-    Raises UserError: GB855 if the directory holds other things than a run, GB864 if another process writes to it.
+    Raises UserError: GB855 if the directory holds other things than a run, or does not exist although a run is to be
+    resumed, GB864 if another process writes to it.
     """
+    if resume and not path.exists():
+        raise _nothing_to_resume(path)
     _check_place(path)
     with locked(path):
         clear(path)
