@@ -298,8 +298,11 @@ class _Planner:
         return float(np.sqrt(2 * max(losses, default=0.0)))
 
     def _astray(self, reached: Reached) -> bool:
-        """Whether whole solutions are so far from the data that segments are needed to find them."""
-        return self._whole_error(reached) > ASTRAY
+        """Whether whole solutions are so far from the data that segments are needed to find them.
+
+        Not with few noisy values: segments are fitted without a ridge, and would follow the noise.
+        """
+        return self._whole_error(reached) > ASTRAY and (self.values >= FEW or not self._noisy(reached))
 
     def _unfollowed(self, reached: Reached) -> bool:
         """Whether whole solutions have to be fitted: they do not follow the data, or the data are noisy."""
