@@ -1,0 +1,65 @@
+"""What is said of a fit: whole solutions against naive predictors, and stages that end early."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gbspec.diagnostics import ComputationError
+from gbspec.runs import ChannelRecord
+from gbspec.training import TrainOptions, train
+from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
+from gbspec.training.runs.verdict import verdicts
+from tests.training.conftest import URP, model_of, urp_data
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+
+@pytest.mark.parametrize(
+    ("r2", "naive", "said"),
+    [
+        (0.99, 0.5, ""),
+        (0.2, 0.0, ""),
+        (0.05, 0.0, "hardly better than"),
+        (0.0, 0.3, "worse than"),
+        (-7.0, -0.2, "worse than"),
+        (None, 0.3, ""),
+        (0.9, None, ""),
+    ],
+)
+def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive: float | None, said: str) -> None:
+    found = verdicts({"x": ChannelRecord(r2, naive, "the mean of each trajectory")})
+    assert len(found) == bool(said)
+    assert all(said in text and "`x`" in text and "postulate" in text for text in found)
+
+
+def test_every_method_says_so(tmp_path: Path) -> None:
+    options = TrainOptions(method="adam", epochs=1, warm_start=False, learning_rate=1e-6, max_step=0.1, workers=1)
+    run = train(model_of(URP), urp_data(3, 4.0, 6), options, tmp_path / "run")
+    assert any("`x2` worse than" in warning or "`x2` hardly better" in warning for warning in run.fit.warnings)
+
+
+def test_a_stage_that_blows_up_keeps_what_was_reached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    step = LevenbergMarquardt.step
+
+    def blown(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
+        if self.name == "blend":
+            raise ComputationError("the solution blows up in trajectory `1` at time 2")
+        return step(self, state, iteration)
+
+    monkeypatch.setattr(LevenbergMarquardt, "step", blown)
+    options = TrainOptions(stages="teacher forcing; blend; autoregressive", effort="low", max_step=0.1, workers=1)
+    run = train(model_of(URP), urp_data(3, 2.0, 6), options, tmp_path / "run")
+    names = [stage.name for stage in run.fit.members[0].stages]
+    assert names == ["warm start", "teacher forcing", "autoregressive"]
+    assert any("the stage `blend` ended early" in warning and "at time 2" in warning for warning in run.fit.warnings)
+
+
+def test_a_first_stage_that_blows_up_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def blown(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
+        raise ComputationError("the solution blows up")
+
+    monkeypatch.setattr(LevenbergMarquardt, "step", blown)
+    with pytest.raises(ComputationError):
+        train(model_of(URP), urp_data(3, 2.0, 6), TrainOptions(stages="blend", workers=1), tmp_path / "run")
