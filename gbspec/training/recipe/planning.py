@@ -292,7 +292,7 @@ class _Planner:
 
     def _whole_error(self, reached: Reached) -> float:
         """The root mean square residual of whole solutions, of the channel in which it is largest."""
-        engine = self.context.engine(self.released, 0.0)
+        engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
         table, seen = residual_table(engine, reached.theta), engine.problem.seen
         losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
         return float(np.sqrt(2 * max(losses, default=0.0)))
@@ -390,7 +390,9 @@ class _Planner:
         layout = parameters or self.parameters
 
         def make(reached: Reached) -> Stage:
-            return InitialStates(name.value, self.context.engine(layout, blend), self.context.seed)
+            # Whole solutions can depend so much on the step that initial states belong to one.
+            fraction = step_fraction(reached.begun) if name is StageName.WHOLE_STARTS else 1.0
+            return InitialStates(name.value, self.context.engine(layout, blend, fraction), self.context.seed)
 
         return Planned(name, 1, make, wanted, lambda reached: bool(layout.start_free.any() or layout.own))
 

@@ -192,15 +192,15 @@ class _Runner:
 
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
+        begun = [stage.name for stage in position.stages]
         if position.iteration == 0:
-            begun = [stage.name for stage in position.stages]
             if not planned.due(Reached(position.theta, position.marks, begun)):
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
                 if self.context.options.named_stages and planned.name not in begun and note not in position.notes:
                     position.notes.append(note)
                 return
             position.entry = position.theta
-        stage = planned.make(Reached(position.entry, position.marks))
+        stage = planned.make(Reached(position.entry, position.marks, begun))
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
             position.stages.append(StageRecord(stage.name, 0, None, 0.0))
