@@ -7,27 +7,24 @@ Bundled models without one of their channels, and `hidden_tanks.gb`: one traject
 and with 2 % of each channel's standard deviation, fitted with all defaults. `r2`: R² of whole solutions in the worst
 channel; `naive`: that of the best predictor that knows no model; `loss_noise`: loss over that of the noise alone (with
 noise); `fresh`: R² on two trajectories from other initial states and with other inputs, without noise, of which
-`validate` estimates the initial states. A row is added to OUT/fits.csv as soon as its fit is done; the same command run
+`validate` estimates the initial states. A row is added to OUT/sets.csv as soon as its fit is done; the same command run
 again continues with the missing fits.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import os
 import tempfile
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
+
+from .sets import Key, Row, Study, by_model
 
 FIELDS = ("model", "noise", "seed", "r2", "naive", "loss_noise", "fresh", "seconds")
 ROWS, FRESH = 1000, 2
 NOISES = (0.0, 0.02)
-Row = dict[str, str | float | int]
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ MODELS = {
 }
 
 
-def one_fit(name: str, noise: float, seed: int) -> Row:
+def one_fit(name: str, noise: float, seed: int) -> list[Row]:
     """Simulates a set and fits it."""
     from gbspec import frontend
     from gbspec.data import SimulateOptions
@@ -87,7 +84,7 @@ def one_fit(name: str, noise: float, seed: int) -> Row:
     own, naive = (min(value for value in values if value is not None)
                   for values in ([c.r2 for c in channels], [c.naive for c in channels]))  # fmt: skip
     share = (member.loss or 0.0) / (0.5 * noise**2) if noise else 0.0
-    return dict(zip(FIELDS, (name, noise, seed, own, naive, share, fresh, round(seconds)), strict=True))
+    return [dict(zip(FIELDS, (name, noise, seed, own, naive, share, fresh, round(seconds)), strict=True))]
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -109,46 +106,15 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read(path: Path) -> list[Row]:
-    """The rows of the finished fits, in the order of models, noises and seeds."""
-    if not path.is_file():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        rows: list[Row] = [dict(row) for row in csv.DictReader(file)]
-    order = list(MODELS)
-    return sorted(rows, key=lambda row: (order.index(str(row["model"])), float(row["noise"]), int(row["seed"])))
+def _wanted(chosen: argparse.Namespace) -> Iterable[Key]:
+    return [(name, noise, seed) for seed in range(chosen.seeds) for noise in NOISES for name in reversed(MODELS)]
 
 
-def main() -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.hidden", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("hidden"))
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--table", type=Path, help="write the table of the finished fits, without fitting")
-    chosen = parser.parse_args()
-    fits = chosen.output / "fits.csv"
-    if chosen.table is None:
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        done = {(row["model"], float(row["noise"]), int(row["seed"])) for row in read(fits)}
-        wanted = [(name, noise, seed) for seed in range(chosen.seeds) for noise in NOISES for name in reversed(MODELS)
-                  if (name, noise, seed) not in done]  # fmt: skip
-        with ProcessPoolExecutor(chosen.workers, mp_context=get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(one_fit, *each) for each in wanted]):
-                new = not fits.is_file()
-                with fits.open("a", newline="", encoding="utf-8") as file:
-                    writer = csv.DictWriter(file, FIELDS)
-                    if new:
-                        writer.writeheader()
-                    writer.writerow(future.result())
-    rows = read(fits)
-    if not rows:
-        raise SystemExit(f"{fits}: no finished fits yet")
-    print(table(rows))
-    if chosen.table is not None:
-        chosen.table.write_text(table(rows), encoding="utf-8")
 
+
+STUDY = Study("hidden", __doc__, FIELDS, one_fit, by_model, _wanted, table, _options)
 
 if __name__ == "__main__":
-    main()
+    STUDY.run()

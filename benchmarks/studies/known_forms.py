@@ -3,7 +3,7 @@
     python -m benchmarks.studies.known_forms -o known_forms --seeds 5 --workers 2
     python -m benchmarks.studies.known_forms -o known_forms --table docs/studies/known_forms.md
 
-Each model of `known_forms.toml` is simulated from its true constants with `--noise` relative to each channel's standard
+Each model of `known_forms.toml` is simulated from its true constants with 2 % noise relative to each channel's standard
 deviation, a set for each seed. Every constant has bounds that are six decades apart and contain the truth at a random
 place in their four inner decades; the starting value is the default one. Each set is fitted with all defaults, and once
 more from the truth itself, by least squares alone. The best minimum is found if the loss of the first fit is at most
@@ -14,26 +14,24 @@ command run again continues with the missing sets.
 from __future__ import annotations
 
 import argparse
-import csv
 import math
-import os
 import tempfile
 import time
 import tomllib
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
+from .sets import Key, Row, Study
+
 FIELDS = ("model", "seed", "constants", "loss", "reference", "found", "starts", "error", "seconds")
 DECADES, INNER = 6.0, 4.0
 """Decades between the bounds, and the inner ones in which the truth lies."""
+NOISE = 0.02
 SAME, ROUNDING = 1e-3, 1e-12
 """Differences of losses, relative and absolute, that do not count."""
-Row = dict[str, str | float | int]
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def forms() -> dict[str, Form]:
     return {name: Form(name, **entry) for name, entry in content.items()}
 
 
-def one_set(form: Form, noise: float, seed: int) -> Row:
+def one_set(name: str, seed: int) -> list[Row]:
     """Simulates a set and fits it twice."""
     from gbspec import frontend
     from gbspec.data import SimulateOptions
@@ -81,11 +79,12 @@ def one_set(form: Form, noise: float, seed: int) -> Row:
     from gbspec.operations import fitting, models, tables
     from gbspec.training import TrainOptions
 
+    form = forms()[name]
     with tempfile.TemporaryDirectory() as place:
         path, bounds = Path(place) / f"{form.name}.gb", form.within(seed)
         path.write_text(form.text(bounds), encoding="utf-8")
         model = frontend.load_model(str(path), Findings())
-        drawn = SimulateOptions(form.trajectories, form.span, form.dt, keep_start=True, noise=noise, seed=seed)
+        drawn = SimulateOptions(form.trajectories, form.span, form.dt, keep_start=True, noise=NOISE, seed=seed)
         data = tables.simulate(models.reference(model), drawn)
         path.write_text(form.text({k: f"{bounds[k]} = {v!r}" for k, v in form.constants.items()}), encoding="utf-8")
         there = frontend.load_model(str(path), Findings())
@@ -96,21 +95,21 @@ def one_set(form: Form, noise: float, seed: int) -> Row:
             fit = fitting.fit(model, data, Path(place) / "run", TrainOptions(threads=1, seed=seed)).fit
         except ComputationError as error:
             print(f"{form.name} {seed}: {error.what}", flush=True)
-            return dict(zip(FIELDS, (form.name, seed, len(form.constants), math.nan, reference.loss or math.nan, 0, "",
-                                     math.nan, 0), strict=True))  # fmt: skip
+            return [dict(zip(FIELDS, (form.name, seed, len(form.constants), math.nan, reference.loss or math.nan, 0, "",
+                                      math.nan, 0), strict=True))]  # fmt: skip
         seconds = time.process_time() - began
     loss, best = fit.members[0].loss or 0.0, reference.loss or 0.0
     search = next(stage.remark for stage in fit.members[0].stages if stage.name == "search") or ""
     error = max(abs(math.log10(fit.constants[k].value / v)) for k, v in form.constants.items())
     found = int(loss <= best * (1 + SAME) + ROUNDING)
-    return dict(zip(FIELDS, (form.name, seed, len(form.constants), loss, best, found, search, error,
-                             round(seconds, 1)), strict=True))  # fmt: skip
+    return [dict(zip(FIELDS, (form.name, seed, len(form.constants), loss, best, found, search, error,
+                              round(seconds, 1)), strict=True))]  # fmt: skip
 
 
-def table(rows: Sequence[Row], noise: float) -> str:
+def table(rows: Sequence[Row]) -> str:
     """The summary in Markdown: a line for each model, and all sets."""
     lines = [
-        f"Bounds over six decades, {100 * noise:g} % noise, defaults, one member; `found`: loss at most that of a fit "
+        f"Bounds over six decades, {100 * NOISE:g} % noise, defaults, one member; `found`: loss at most that of a fit "
         "from the truth.",
         "",
         "| model | constants | sets | found | largest loss / reference | CPU s a set |",
@@ -127,54 +126,20 @@ def table(rows: Sequence[Row], noise: float) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read(path: Path) -> list[Row]:
-    """The rows of the finished sets, in the order of models and seeds."""
-    if not path.is_file():
-        return []
-    with path.open(newline="") as file:
-        rows: list[Row] = [dict(row) for row in csv.DictReader(file)]
-    order = list(forms())
-    return sorted(rows, key=lambda row: (order.index(str(row["model"])), int(row["seed"])))
+def _wanted(chosen: argparse.Namespace) -> Iterable[Key]:
+    return [(name, seed) for seed in range(chosen.seeds) for name in chosen.models or forms()]
 
 
-def append(path: Path, row: Row) -> None:
-    """Appends the row of a set."""
-    new = not path.is_file()
-    with path.open("a", newline="") as file:
-        writer = csv.DictWriter(file, FIELDS)
-        if new:
-            writer.writeheader()
-        writer.writerow(row)
-
-
-def main() -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.known_forms", description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("known_forms"))
+def _options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--models", nargs="*", help="some of the models")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--noise", type=float, default=0.02)
-    parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--table", type=Path, help="write the table of the finished sets, without fitting")
-    chosen = parser.parse_args()
-    sets = chosen.output / "sets.csv"
-    if chosen.table is None:
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        done = {(row["model"], int(row["seed"])) for row in read(sets)}
-        wanted = [(form, seed) for seed in range(chosen.seeds) for form in forms().values()
-                  if (form.name, seed) not in done and form.name in (chosen.models or forms())]  # fmt: skip
-        with ProcessPoolExecutor(chosen.workers, mp_context=get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(one_set, form, chosen.noise, seed) for form, seed in wanted]):
-                append(sets, future.result())
-    rows = read(sets)
-    if not rows:
-        raise SystemExit(f"{sets}: no finished sets yet")
-    text = table(rows, chosen.noise)
-    print(text)
-    if chosen.table is not None:
-        chosen.table.write_text(text)
 
+
+def _key(row: Row) -> Key:
+    return str(row["model"]), int(row["seed"])
+
+
+STUDY = Study("known_forms", __doc__, FIELDS, one_set, _key, _wanted, table, _options)
 
 if __name__ == "__main__":
-    main()
+    STUDY.run()

@@ -329,7 +329,7 @@ def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet |
             _too_large(path, None, f"the table has {height:,} rows and {width:,} columns; {most}", findings)
             return None
         frame = pl.read_parquet(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, OSError, ValueError) as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else "it is damaged"
         findings.error("GB709", f"the file is not a Parquet table that can be read: {reason}", Cell(path))
         return None
@@ -346,7 +346,11 @@ def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet |
 
 def _parquet_size(data: bytes) -> tuple[int, int]:
     """The rows and columns of a Parquet file according to its footer, without reading them."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    meta = pq.read_metadata(io.BytesIO(data))
+    try:
+        meta = pq.read_metadata(io.BytesIO(data))
+    except pa.ArrowException as error:  # not all of them are OSError or ValueError
+        raise ValueError(str(error)) from error
     return int(meta.num_rows), int(meta.num_columns)

@@ -29,5 +29,5 @@ def test_the_table_counts_what_was_found() -> None:
          "error": 0.0, "seconds": 2.0}
         for i in range(2)
     ]  # fmt: skip
-    text = table(rows, 0.02)
+    text = table(rows)
     assert "| a | 4 | 2 | 1 | 2 | 2 |" in text and "1 (50 %)" in text

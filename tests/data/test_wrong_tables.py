@@ -104,6 +104,9 @@ def test_files_that_are_not_tables(reading: Reader, tmp_path: Path) -> None:
     assert places(reading("x", name="t.xlsx")[1]) == [("GB702", None, None)]
     assert places(reading("x", name="table")[1]) == [("GB702", None, None)]
     assert places(reading(b"PAR1 nonsense", name="t.parquet")[1]) == [("GB709", None, None)]
+    # integers of fewer than 8 bits in the footer, found by fuzzing
+    narrow = Path(__file__).with_name("narrow_integers.parquet").read_bytes()
+    assert places(reading(narrow, name="t.parquet")[1]) == [("GB709", None, None)]
     findings = Findings()
     with pytest.raises(UserError):
         read(tmp_path / "absent.csv", reactor(), findings)

@@ -1,0 +1,311 @@
+"""Mutation campaign: small defects are put into the sources one at a time, and the tests that run them must fail.
+
+    python -m pytest -n 2 --cov=gbspec --cov-context=test --cov-report= --durations=0 tests > durations.log
+    python -m benchmarks.studies.mutants -o mutants --coverage .coverage --durations durations.log --count 300
+    python -m benchmarks.studies.mutants -o mutants --table docs/studies/mutants.md
+
+Mutants are drawn at random, with a seed, over the functions of `ROOMS`: operators (`+`, `*`, `<`, `and`, ...), numbers,
+`min` for `max`, negated conditions, and two exchanged arguments. Messages and declarations are left alone. The tests
+whose coverage contains the mutated line are run in a copy of the tree, fastest first, within `--seconds` of processor
+time; a mutant that one of them notices, or that does not end, is killed. A row is added to OUT/mutants.csv as soon as a
+mutant is judged; the same command run again continues. `equivalent` marks survivors that a reader found to change no
+result: they are listed by file and line in `mutants_equivalent.toml`, each with the reason.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import csv
+import os
+import random
+import re
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+ROOMS = ("ir", "lower", "passes", "training", "analysis", "backends")
+FIELDS = ("file", "line", "change", "result", "tests", "by")
+BINARY: Mapping[type[ast.AST], type[ast.operator]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
+    ast.FloorDiv: ast.Mult, ast.Mod: ast.FloorDiv, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
+}  # fmt: skip
+COMPARED: Mapping[type[ast.AST], type[ast.cmpop]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+}  # fmt: skip
+CALLED = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum",
+          "argmin": "argmax", "argmax": "argmin", "floor": "ceil", "ceil": "floor"}  # fmt: skip
+SPOKEN = ("Diagnostic", "UserError", "ComputationError", "warn", "message")
+"""Calls whose arguments are words for the user: their numbers and operators are not mutated."""
+Row = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A change of a file: the number of its place among the file's places, its line, and what it does."""
+
+    file: str
+    place: int
+    line: int
+    change: str
+
+
+class _Mutator(ast.NodeTransformer):
+    """Counts the places where a function's code can be changed, and changes the one of number `wanted`."""
+
+    def __init__(self, wanted: int = -1) -> None:
+        self.wanted, self.depth, self.found = wanted, 0, list[tuple[int, str]]()
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        if isinstance(node, ast.FunctionDef):
+            self.depth += 1
+            node.body = [self.visit(one) for one in node.body]
+            self.depth -= 1
+            return node
+        if isinstance(node, ast.AnnAssign | ast.Raise | ast.Assert | ast.JoinedStr | ast.Global | ast.ImportFrom):
+            return node
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in SPOKEN:
+            return node
+        changed = self._changed(node) if self.depth else None
+        return changed if changed is not None else super().generic_visit(node)
+
+    def _changed(self, node: ast.AST) -> ast.AST | None:
+        """The changed node if this place is the wanted one."""
+        for new, what in _changes(node):
+            self.found.append((getattr(node, "lineno", 0), what))
+            if len(self.found) - 1 == self.wanted:
+                return ast.copy_location(new, node)
+        return None
+
+
+def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
+    """What a node can be changed to, with words."""
+    new = copy.deepcopy(node)
+    if isinstance(new, ast.BinOp | ast.AugAssign) and type(new.op) in BINARY:
+        new.op = BINARY[type(new.op)]()
+    elif isinstance(new, ast.Compare) and len(new.ops) == 1 and type(new.ops[0]) in COMPARED:
+        new.ops = [COMPARED[type(new.ops[0])]()]
+    elif isinstance(new, ast.BoolOp):
+        new.op = ast.And() if isinstance(new.op, ast.Or) else ast.Or()
+    elif isinstance(new, ast.UnaryOp) and isinstance(new.op, ast.Not | ast.USub):
+        yield new.operand, f"{ast.unparse(node)} -> {ast.unparse(new.operand)}"
+        return
+    elif isinstance(new, ast.Constant) and isinstance(new.value, bool | int | float):
+        new.value = not new.value if isinstance(new.value, bool) else new.value + 1
+    elif isinstance(new, ast.If | ast.IfExp | ast.While):
+        new.test = ast.UnaryOp(ast.Not(), new.test)
+        yield new, f"if {ast.unparse(getattr(node, 'test', node))} -> if not ..."
+        return
+    elif isinstance(new, ast.Call) and _name(new.func) in CALLED:
+        name = CALLED[_name(new.func)]
+        new.func = ast.Name(name) if isinstance(new.func, ast.Name) else ast.Attribute(new.func.value, name)  # type: ignore[attr-defined]
+    elif isinstance(new, ast.Call) and len(new.args) == 2 and all(isinstance(one, ast.Name) for one in new.args):
+        new.args = [new.args[1], new.args[0]]
+    else:
+        return
+    yield new, f"{ast.unparse(node)} -> {ast.unparse(ast.fix_missing_locations(new))}"
+
+
+def _name(function: ast.expr) -> str:
+    return function.id if isinstance(function, ast.Name) else getattr(function, "attr", "")
+
+
+def mutants_of(path: Path) -> list[Mutant]:
+    """All mutants of a file."""
+    mutator = _Mutator()
+    mutator.visit(ast.parse(path.read_text(encoding="utf-8")))
+    file = str(path.relative_to(ROOT))
+    return [Mutant(file, place, line, what) for place, (line, what) in enumerate(mutator.found)]
+
+
+def mutated(mutant: Mutant, source: str) -> str:
+    """The source with the change."""
+    tree = _Mutator(mutant.place).visit(ast.parse(source))
+    return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
+
+
+def drawn(count: int, seed: int) -> list[Mutant]:
+    """Random mutants, without repetition."""
+    paths = [path for room in ROOMS for path in sorted((ROOT / "gbspec" / room).rglob("*.py"))]
+    every = [mutant for path in paths for mutant in mutants_of(path)]
+    return random.Random(seed).sample(every, min(count, len(every)))
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Runs the tests of mutants in copies of the tree."""
+
+    coverage: Path
+    durations: Mapping[str, float]
+    seconds: float
+
+    def tests(self, mutant: Mutant) -> list[str]:
+        """The tests that run the mutated line, fastest first, as many as fit into the time."""
+        from coverage.numbits import register_sqlite_functions
+
+        with sqlite3.connect(self.coverage) as database:
+            register_sqlite_functions(database)
+            query = (
+                "select distinct context.context from line_bits join file on file.id = line_bits.file_id "
+                "join context on context.id = line_bits.context_id "
+                "where file.path like ? and num_in_numbits(?, line_bits.numbits)"
+            )
+            found = database.execute(query, (f"%/{mutant.file}", mutant.line)).fetchall()
+        names = {name.rpartition("|")[0] for (name,) in found if name}
+        ordered = sorted(names, key=lambda name: (self.durations.get(name, 0.0), name))
+        return self._within(ordered)
+
+    def fallback(self, mutant: Mutant) -> list[str]:
+        """The tests of the mutant's package, where coverage names none."""
+        room = f"tests/{Path(mutant.file).parts[1]}/"
+        return self._within(sorted((n for n in self.durations if n.startswith(room)), key=self.durations.__getitem__))
+
+    def _within(self, ordered: Sequence[str]) -> list[str]:
+        """The first tests, as many as fit into the time."""
+        spent, chosen = 0.0, list[str]()
+        for name in ordered:
+            spent += self.durations.get(name, 0.0) + 0.02
+            if chosen and spent > self.seconds:
+                break
+            chosen.append(name)
+        return chosen
+
+    def judge(self, mutant: Mutant, place: Path) -> Row:
+        """The row of a mutant, judged in the copy of the tree at `place`."""
+        tests = self.tests(mutant)
+        row = {"file": mutant.file, "line": str(mutant.line), "change": mutant.change, "tests": str(len(tests))}
+        if not tests:  # the sources of generated code are run under other names
+            tests = self.fallback(mutant)
+        if not tests:
+            return row | {"result": "not run", "by": ""}
+        path, original = place / mutant.file, (ROOT / mutant.file).read_text(encoding="utf-8")
+        path.write_text(mutated(mutant, original), encoding="utf-8")
+        try:
+            return row | self._verdict(tests, place)
+        finally:
+            path.write_text(original, encoding="utf-8")
+
+    def _verdict(self, tests: Sequence[str], place: Path) -> Row:
+        environment = os.environ | {"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *tests]
+        try:
+            done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False,
+                                  timeout=60 + 10 * self.seconds)  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return {"result": "killed", "by": "did not end"}
+        by = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+        return {"result": "killed" if done.returncode else "survived", "by": by.group(1) if by else ""}
+
+
+def durations(path: Path) -> dict[str, float]:
+    """The seconds of each test, from a log of pytest with `--durations=0`."""
+    found = re.findall(r"^\s*([\d.]+)s (?:call|setup)\s+(\S.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    total: dict[str, float] = {}
+    for seconds, name in found:
+        total[name.strip()] = total.get(name.strip(), 0.0) + float(seconds)
+    return total
+
+
+def copied(place: Path) -> Path:
+    """A copy of the tree in which mutants are tested."""
+    left = shutil.ignore_patterns(".git", ".venv", "runs", "demo", "__pycache__", ".hypothesis", ".mypy_cache")
+    if not place.is_dir():
+        shutil.copytree(ROOT, place, ignore=left, symlinks=True)
+    return place
+
+
+def equivalent() -> dict[str, str]:
+    """Why survivors change no result, by `file: change`."""
+    path = Path(__file__).with_name("mutants_equivalent.toml")
+    return dict(tomllib.loads(path.read_text(encoding="utf-8"))) if path.is_file() else {}
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The summary in Markdown: a line for each room, and the survivors."""
+    same = equivalent()
+    lines = ["| package | mutants | killed | equivalent | survived | not run | killed, of those not equivalent |",
+             "|---|---:|---:|---:|---:|---:|---:|"]  # fmt: skip
+    for room in (*ROOMS, "all"):
+        own = [row for row in rows if room == "all" or row["file"].startswith(f"gbspec/{room}/")]
+        killed = sum(row["result"] == "killed" for row in own)
+        alike = sum(row["result"] == "survived" and _label(row) in same for row in own)
+        idle = sum(row["result"] == "not run" for row in own)
+        rest = max(len(own) - alike, 1)
+        lines.append(f"| {room} | {len(own)} | {killed} | {alike} | {len(own) - killed - alike - idle} | {idle} | "
+                     f"{100 * killed / rest:.0f} % |")  # fmt: skip
+    left = [row for row in rows if row["result"] != "killed"]
+    lines += ["", "Not killed:", ""]
+    lines += [
+        f"- `{row['file']}:{row['line']}`: `{row['change']}` ({same.get(_label(row), row['result'])})" for row in left
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _label(row: Row) -> str:
+    return f"{row['file']}: {row['change']}"
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.studies.mutants", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip
+    parser.add_argument("-o", "--output", type=Path, default=Path("mutants"))
+    parser.add_argument("--coverage", type=Path, default=Path(".coverage"))
+    parser.add_argument("--durations", type=Path, default=Path("durations.log"))
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=40.0, help="of tests for a mutant, as they last without it")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--table", type=Path, help="write the table of the judged mutants, without running tests")
+    chosen = parser.parse_args()
+    chosen.output.mkdir(parents=True, exist_ok=True)
+    path = chosen.output / "mutants.csv"
+    if chosen.table is None:
+        judge = Judge(chosen.coverage.resolve(), durations(chosen.durations), chosen.seconds)
+        done = {(row["file"], row["line"], row["change"]) for row in _read(path)}
+        waiting = [m for m in drawn(chosen.count, chosen.seed) if (m.file, str(m.line), m.change) not in done]
+        _campaign(judge, waiting, path, chosen.workers)
+    rows = _read(path)
+    print(table(rows))
+    if chosen.table is not None:
+        chosen.table.write_text(table(rows), encoding="utf-8")
+
+
+def _campaign(judge: Judge, waiting: Sequence[Mutant], path: Path, workers: int) -> None:
+    places = [copied(path.parent.resolve() / f"tree{i}") for i in range(workers)]
+
+    def work(i: int) -> None:
+        for mutant in waiting[i::workers]:
+            _append(path, judge.judge(mutant, places[i]))
+
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(work, range(workers)))
+
+
+def _append(path: Path, row: Row) -> None:
+    new = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, FIELDS)
+        if new:
+            writer.writeheader()
+        writer.writerow(row)
+
+
+def _read(path: Path) -> list[Row]:
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""The mutation campaign's changes of sources, and its table."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from benchmarks.studies import mutants
+
+SOURCE = '''"""A module."""
+LIMIT = 3
+
+def limited(x: int, y: int = 2) -> int:
+    """The smaller of two."""
+    if x < LIMIT and y > 0:
+        return min(x + 1, y)
+    raise ValueError(1 + 2)
+'''
+
+
+@pytest.fixture
+def every(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[mutants.Mutant]:
+    monkeypatch.setattr(mutants, "ROOT", tmp_path)
+    (tmp_path / "a.py").write_text(SOURCE)
+    return mutants.mutants_of(tmp_path / "a.py")
+
+
+def test_code_of_functions_is_changed_but_neither_declarations_nor_messages(every: list[mutants.Mutant]) -> None:
+    assert {mutant.line for mutant in every} == {6, 7}
+    assert {mutant.change for mutant in every} >= {"min(x + 1, y) -> max(x + 1, y)", "x + 1 -> x - 1", "1 -> 2",
+                                                   "x < LIMIT -> x <= LIMIT", "0 -> 1"}  # fmt: skip
+
+
+def test_each_mutant_is_another_program(every: list[mutants.Mutant]) -> None:
+    programs = {mutants.mutated(mutant, SOURCE) for mutant in every}
+    assert len(programs) == len(every) and ast.unparse(ast.parse(SOURCE)) + "\n" not in programs
+    for program in programs:
+        compile(program, "a.py", "exec")
+
+
+def test_a_draw_repeats_itself() -> None:
+    assert mutants.drawn(20, 3) == mutants.drawn(20, 3) != mutants.drawn(20, 4)
+
+
+def test_the_table_counts_and_lists_survivors() -> None:
+    row = {"file": "gbspec/ir/a.py", "line": "3", "change": "x -> y", "tests": "2", "by": ""}
+    text = mutants.table([row | {"result": "killed"}, row | {"result": "survived"}])
+    assert "| ir | 2 | 1 | 0 | 1 | 0 | 50 % |" in text and "- `gbspec/ir/a.py:3`: `x -> y` (survived)" in text
+
+
+def test_durations_are_read_from_a_log(tmp_path: Path) -> None:
+    (tmp_path / "log").write_text("0.50s call     tests/a.py::b\n0.25s setup    tests/a.py::b\n1 passed in 1s\n")
+    assert mutants.durations(tmp_path / "log") == {"tests/a.py::b": 0.75}
