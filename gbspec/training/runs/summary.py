@@ -76,7 +76,8 @@ def summarise(
         column = difference[seen[:, i], i]
         with np.errstate(over="ignore", invalid="ignore"):
             rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
-        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i])
+        share = 1.0 if problem.scaling.share is None else float(problem.scaling.share[i])
+        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i]) * share**0.5
     known = len(model.constants)
     values = constants.numpy()[:, known:].mean(axis=0)
     own = constants.numpy()[:, [known + i for i in parameters.own]]
@@ -153,7 +154,8 @@ class _Noise:
         """The noise from the residuals at `theta`, with the forcing of the training."""
         whole = whole_solutions(context, parameters, stages)
         engine = context.engine(parameters, 0.0 if whole else context.options.blend, step_fraction(stages))
-        residuals = residual_table(engine, theta)
+        residuals, share = residual_table(engine, theta), engine.problem.scaling.share
+        residuals = residuals if share is None else residuals / np.sqrt(share)
         count = int((context.packed().weights > 0).sum())
         if not whole or not count:
             return cls(residuals, None, float("inf"))
