@@ -182,6 +182,7 @@ class _Profiler:
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)
+        self.free.estimated = next((m.estimated(run.model) for m in run.fit.members if m.member == member), None)
         self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
         self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
         self.column = self.parameters.n_weights + self.place

@@ -20,7 +20,7 @@ from gbspec.data import Estimated, deviations, unstated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, linearise, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, NormalEquations, Stage, evidence
-from gbspec.training.problem import Parameters, Problem
+from gbspec.training.problem import Integers, Parameters, Problem
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
 from gbspec.training.stages import StageName, most_iterations
@@ -101,12 +101,13 @@ def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> E
     used = _used(engine, theta, ridge)
     noise, share = np.full(len(free), np.nan), np.ones(len(free))
     for i in np.flatnonzero(free):
-        column = table[seen[:, i], i]
+        rows = _in_time(problem, int(i))
+        column = table[rows, i]
         robust = 1.4826 * float(np.median(np.abs(column)))
         inside = np.minimum(np.abs(column), OUTLYING * robust) if robust > 0 else np.abs(column)
         left = max(len(column) - used[i], LEAST_LEFT * len(column), 1.0)
         noise[i] = scale[i] * float(np.sqrt(np.sum(inside**2) / left))
-        share[i] = _share(table, problem, int(i))
+        share[i] = share_of(column, problem.packed.row_trajectory[rows])
     if (noise[free] <= CLEAN * deviation[free]).all():
         return None
     return Estimated(np.maximum(noise, CLEAN * deviation), share)
@@ -125,20 +126,23 @@ def unsettled(context: Context, new: Estimated) -> bool:
     return change(context, new) > (NOTICED if context.estimated is None else SETTLED)
 
 
-def _share(table: Array, problem: Problem, channel: int) -> float:
-    """The share of a channel's values that count: 1 unless the correlation of successive residuals is beyond chance."""
-    packed, seen = problem.packed, problem.seen[:, channel]
-    rows = np.flatnonzero(seen)
-    rows = rows[np.lexsort((packed.row_index[rows], packed.row_trajectory[rows]))]
-    ours, owner = table[rows, channel], packed.row_trajectory[rows]
-    both, squares = owner[1:] == owner[:-1], float(np.mean(ours**2))
+def share_of(residuals: Array, owner: Integers) -> float:
+    """The share of residuals [m], in the order of time, that count: 1 unless the correlation of successive ones of the
+    same trajectory is beyond chance."""
+    both, squares = owner[1:] == owner[:-1], float(np.mean(residuals**2))
     if both.sum() < 2 or not squares > 0:
         return 1.0
-    correlation = float(np.mean((ours[1:] * ours[:-1])[both])) / squares
+    correlation = float(np.mean((residuals[1:] * residuals[:-1])[both])) / squares
     if correlation <= 2 / np.sqrt(both.sum()):
         return 1.0
     correlation = min(correlation, 1.0)
-    return float(max((1 - correlation) / (1 + correlation), 1 / len(rows)))
+    return float(max((1 - correlation) / (1 + correlation), 1 / len(residuals)))
+
+
+def _in_time(problem: Problem, channel: int) -> Integers:
+    """The rows with a measurement of a channel, trajectory by trajectory."""
+    packed, rows = problem.packed, np.flatnonzero(problem.seen[:, channel])
+    return np.asarray(rows[np.lexsort((packed.row_index[rows], packed.row_trajectory[rows]))], dtype=np.int64)
 
 
 def _used(engine: Engine, theta: Array, ridge: float) -> Array:
