@@ -22,8 +22,10 @@ from .sampling import Box as Box
 from .sampling import SimulateOptions as SimulateOptions
 from .sampling import fixed as fixed
 from .sampling import regimen as regimen
+from .scales import Estimated as Estimated
 from .scales import Scales as Scales
 from .scales import scales_of as scales_of
+from .scales import unstated as unstated
 from .scales import weights as weights
 from .sheet import FORMATS as FORMATS
 from .sheet import PARQUET as PARQUET

@@ -8,7 +8,9 @@ averages, 0 where nothing was measured. The scale of a channel is
   the logarithm, under `lognormal`, is the given one over the size of the value): the stated standard deviation, divided
   by the channels' common noise level (the mean of stated noise / standard deviation of the data), so that all
   residuals are in units of the data's standard deviation and the stated noises determine the channels' relative
-  weights. An entry with its own standard deviation has its own scale.
+  weights. An entry with its own standard deviation has its own scale;
+- with an estimated noise: as if it were stated. Where successive residuals follow one another, only a share of the
+  channel's values counts: its scale is divided by the square root of this share.
 
 In a model whose functions are all known, channels that declare the same unit and no noise share one scale: the fit is
 then the ordinary least squares of textbooks. Nothing is known about channels without units (a voltage may stand beside
@@ -42,6 +44,11 @@ class Scales:
     level: float
     noise: float | None
 
+    @property
+    def value_weights(self) -> Array:
+        """The weight [C] of a squared error of each channel, in units of the variance of its data."""
+        return np.asarray((self.deviation / self.channel) ** 2, dtype=np.float64)
+
     def of_rows(self, sd: Array, values: Array) -> Array:
         """The scales [R, C] of entries with the standard deviations `sd` [R, C] (NaN: none of its own), in the unit of
         their `values`; a value of zero has no standard deviation of its logarithm, and the channel's scale."""
@@ -60,20 +67,42 @@ def weights(values: Array, counts: Array) -> Array:
     return np.where(np.isfinite(values), np.sqrt(counts), 0.0)
 
 
-def scales_of(model: Model, trajectories: Trajectories) -> Scales:
-    """The scales of residuals of a table (see the module's documentation)."""
+@dataclass(frozen=True)
+class Estimated:
+    """What residuals say of the channels whose noise is not stated: its standard deviation `noise` [C] (NaN: stated, or
+    not known), and the `share` [C] of their values that count, as others repeat them (1: all)."""
+
+    noise: Array
+    share: Array
+
+
+def scales_of(model: Model, trajectories: Trajectories, estimated: Estimated | None = None) -> Scales:
+    """The scales of residuals of a table (see the module's documentation), with `estimated` noise where none is
+    stated."""
     log, deviation = logarithmic(model), deviations(model, trajectories)
     stated = _stated(model, trajectories)
-    known = np.isfinite(stated) & (stated > 0)
-    level = float(np.mean(stated[known] / deviation[known])) if known.any() else 1.0
-    channel = np.where(known, np.where(known, stated, 1.0) / level, deviation)
+    believed = np.isfinite(stated) & (stated > 0)
+    sd = stated if estimated is None else np.where(believed, stated, estimated.noise)
+    known = np.isfinite(sd) & (sd > 0)
+    level = float(np.mean(sd[known] / deviation[known])) if known.any() else 1.0
+    channel = np.where(known, np.where(known, sd, 1.0) / level, deviation)
     if model.complete:
         units = [_unit(model, i) for i in range(len(known))]
         free = [i for i in np.flatnonzero(~known).tolist() if units[i] is not None]
         for i in free:
             alike = [j for j in free if units[j] == units[i]]
             channel[i] = float(np.sqrt(np.mean(deviation[alike] ** 2)))
-    return Scales(log, channel, deviation, level, level if known.all() and level > 0 else None)
+    if estimated is not None:
+        channel = np.where(believed, channel, channel / np.sqrt(estimated.share))
+    return Scales(log, channel, deviation, level, level if believed.all() and level > 0 else None)
+
+
+def unstated(model: Model, trajectories: Trajectories) -> Mask:
+    """The channels [C] with measurements whose noise neither the model nor the table states."""
+    stated = _stated(model, trajectories)
+    seen = [np.isfinite(item.values).any(axis=0) for item in trajectories.items]
+    measured = np.any([np.zeros(len(model.channels), dtype=bool), *seen], axis=0)
+    return np.asarray(measured & ~(np.isfinite(stated) & (stated > 0)), dtype=np.bool_)
 
 
 def _unit(model: Model, index: int) -> str | None:

@@ -192,8 +192,20 @@ def _channels(members: Sequence[MemberRecord]) -> str:
         for name, rmse in member.rmse.items():
             found = (member.channels or {}).get(name)
             known = (found.r2, found.naive, found.held) if found is not None else (None, None, None)
+            count, weight = (found.values, found.weight) if found is not None else (None, None)
+            shown = ["-" if count is None else str(count), number(weight, 3)]
             predictor = found.predictor if found is not None else ""
-            rows.append([str(i), name, *(number(value, 5) for value in (rmse, *known)), predictor or "-"])
-    header = ["member", "whole solutions", "rmse", "R²", "naive R²", "held-out R²", "naive predictor"]
+            rows.append([str(i), name, *(number(value, 5) for value in (rmse, *known)), predictor or "-", *shown])
+    header = [
+        "member",
+        "whole solutions",
+        "rmse",
+        "R²",
+        "naive R²",
+        "held-out R²",
+        "naive predictor",
+        "values",
+        "weight",
+    ]
     kept = [i for i in range(len(header)) if not rows or any(row[i] != "-" for row in rows)]
     return table([header[i] for i in kept], [[row[i] for i in kept] for row in rows])

@@ -6,14 +6,14 @@ The keys are the names of the fields, in their order. Files of version 0.1.0 lac
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from gbspec.backends import INTERFACE
-from gbspec.data import Scales, Trajectories, scales_of
+from gbspec.data import Estimated, Scales, Trajectories, scales_of
 from gbspec.diagnostics import Findings
 from gbspec.files import finite
 from gbspec.ir import METHODS, RK4, Model, logarithmic
@@ -96,12 +96,20 @@ class ChannelRecord:
     `r2` is 1 minus the mean squared error over the variance of the data (of logarithms, if the noise is log-normal),
     `naive` that of the best predictor that knows no model, which `predictor` names; None where they are undefined (the
     solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded.
+
+    `values` is the number of measured values, `weight` that of a squared error, in units of the variance of the data.
+    If the channel is weighed by a noise that the fit estimated, `noise` is its standard deviation, and `share` the
+    share of the values that count.
     """
 
     r2: float | None
     naive: float | None
     predictor: str = ""
     held: float | None = None
+    values: int | None = field(default=None, metadata=OMITTED)
+    weight: float | None = field(default=None, metadata=OMITTED)
+    noise: float | None = field(default=None, metadata=OMITTED)
+    share: float | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -126,6 +134,15 @@ class MemberRecord:
     interval_loss: float | None = field(default=None, metadata=OMITTED)
     channels: Mapping[str, ChannelRecord] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
+
+    def estimated(self, model: Model) -> Estimated | None:
+        """The noise by which the member's channels are weighed, if that was estimated."""
+        found = [(self.channels or {}).get(channel.name) for channel in model.channels]
+        if all(one is None or one.share is None for one in found):
+            return None
+        noise = [np.nan if one is None or one.noise is None else one.noise for one in found]
+        share = [1.0 if one is None or one.share is None else one.share for one in found]
+        return Estimated(np.array(noise), np.array(share))
 
 
 @dataclass(frozen=True)
@@ -155,6 +172,13 @@ class ScalesRecord:
         """The record of the scales of the training data; None for a channel without any."""
         channel, deviation = (tuple(map(finite, map(float, each))) for each in (scales.channel, scales.deviation))
         return cls(channel, deviation, scales.level, scales.noise)
+
+    @classmethod
+    def mean(cls, scales: Sequence[Scales]) -> ScalesRecord:
+        """The record of several members' scales: their geometric mean."""
+        channel = np.exp(np.mean([np.log(one.channel) for one in scales], axis=0))
+        level = float(np.exp(np.mean([np.log(one.level) for one in scales])))
+        return cls.of(replace(scales[0], channel=channel, level=level))
 
     def scales(self, model: Model) -> Scales:
         """The scales of a model's channels."""

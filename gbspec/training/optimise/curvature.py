@@ -50,21 +50,23 @@ def covariance(engine: Engine, theta: Array) -> Covariance | None:
 class _Reduced:
     """The normal matrix of the shared columns [m, n] after elimination of the trajectories' own.
 
-    `squares` is the sum of squared residuals, `count` their number, `used` the degrees of freedom of own columns.
-    `shared` and, for each trajectory, `thin` [r, n_local] have the matrix A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T.
+    `squares` is the sum of squared residuals, `count` their number (as much as each counts), `used` the degrees of
+    freedom of own columns. `shared` and, for each trajectory, `thin` [r, n_local] have the matrix
+    A^T A - sum of (A_i^T T_i)(A_i^T T_i)^T.
     """
 
     shared: Array
     thin: tuple[tuple[Integers, Array], ...]
     squares: float
-    count: int
+    count: float
     used: float
     weak: float
 
     @classmethod
     def of(cls, engine: Engine, system: Linearised, theta: Array) -> _Reduced:
         measured = system.residuals.numpy()
-        delta = float(np.clip(4 * np.median(np.abs(measured)), DELTA_LOW, DELTA_HIGH)) if len(measured) else np.inf
+        size = np.abs(engine.problem.of_noise(measured))
+        delta = float(np.clip(4 * np.median(size), DELTA_LOW, DELTA_HIGH)) if len(measured) else np.inf
         weights = huber_weights(measured, delta)
         priors = Priors.of(engine.problem, engine.parameters, measured)
         rows = priors.with_rows(system, theta)
@@ -83,7 +85,7 @@ class _Reduced:
         squares = float(np.sum(weights * measured**2))
         shared = rows.shared.numpy()
         shared *= root[:, None]  # in place, as it may be large
-        return cls(shared, tuple(thin), squares, len(measured), used, weak)
+        return cls(shared, tuple(thin), squares, engine.problem.information, used, weak)
 
     def times(self, columns: Array) -> Array:
         """The product [n, k] of the matrix with `columns` [n, k]."""

@@ -12,7 +12,7 @@ from gbspec.training.engines import Engine, Linearised, linearise, residual_vect
 from gbspec.training.optimise.normal_equations import NormalEquations, huber, huber_weights
 from gbspec.training.optimise.priors import Priors
 from gbspec.training.optimise.stage import Outcome, State, require_finite, scalar
-from gbspec.training.problem import Parameters, mean_loss
+from gbspec.training.problem import Parameters, Problem, mean_loss
 
 DELTA_HIGH, DELTA_LOW = 0.1, 0.003
 """Bounds on Huber's threshold, in standard deviations of the data; it is four times the median residual."""
@@ -84,14 +84,14 @@ class LevenbergMarquardt:
         damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
         system = linearise(engine, theta)
         require_finite(engine, theta, system.residuals.numpy(), self.name)
-        fit = _Fit(engine, system, theta, self.threshold(system.residuals.numpy()), ridge)
+        fit = _Fit(engine, system, theta, self.threshold(engine.problem.of_noise(system.residuals.numpy())), ridge)
         found = _searched(fit, damping)
         if not found.after.value < fit.start.value:
             kept = state | {"damping": np.array(found.damping), "small": np.array(2.0)}
             return Outcome(kept, mean_loss(fit.measured(fit.start)), True)
         before, after, trial = fit.start.value, found.after, theta + found.move
         if self.options.evidence:
-            ridge = evidence(fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
+            ridge = evidence(engine.problem, fit.equations, fit.measured(fit.start), fit.delta, trial, ridge, iteration)
         # The better the linear model predicted the decrease, the less damping is needed (Nielsen 1999).
         damping = found.damping * float(np.clip(1 - (2 * found.gain - 1) ** 3, 0.2, 2.0))
         small = small + 1 if (before - after.value) < self.options.tolerance * max(before, 1e-300) else 0.0
@@ -127,12 +127,12 @@ class LevenbergMarquardt:
         residuals = system.residuals.numpy()
         if not np.isfinite(residuals).all():
             return Certainty.unknown(parameters)
-        delta = self.threshold(residuals)
+        delta = self.threshold(engine.problem.of_noise(residuals))
         fit = _Fit(engine, system, theta, delta, ridge)
         equations = fit.equations
         weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
         freedom = equations.degrees_of_freedom(weak, 0)
-        variance = noise_variance(equations, residuals, delta, freedom)
+        variance = noise_variance(engine.problem, residuals, delta, freedom)
         ahead, count = fit.step(weak), len(parameters.shared)
         out, inverse = np.zeros(count), np.zeros((count, count))
         slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
@@ -324,14 +324,20 @@ def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
     return bend if small else None
 
 
-def noise_variance(equations: NormalEquations, residuals: Array, delta: float, freedom: float) -> float:
+def noise_variance(problem: Problem, residuals: Array, delta: float, freedom: float) -> float:
     """Residual variance, corrected for the degrees of freedom that the fit used."""
-    weights = huber_weights(residuals, delta)
-    return float(np.sum(weights * residuals**2)) / max(len(residuals) - freedom, 0.1 * len(residuals), 1.0)
+    weights, count = huber_weights(residuals, delta), problem.information
+    return float(np.sum(weights * residuals**2)) / max(count - freedom, 0.1 * count, 1.0)
 
 
 def evidence(
-    equations: NormalEquations, residuals: Array, delta: float, theta: Array, ridge: float, seed: int
+    problem: Problem,
+    equations: NormalEquations,
+    residuals: Array,
+    delta: float,
+    theta: Array,
+    ridge: float,
+    seed: int,
 ) -> float:
     """The ridge that maximises the evidence at the present linearisation (MacKay 1992), averaged with the present one
     (in logarithms).
@@ -351,5 +357,5 @@ def evidence(
         return ridge
     unpenalised = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
     effective = max(freedom - unpenalised, 1.0)
-    target = noise_variance(equations, residuals, delta, freedom) * effective / size
+    target = noise_variance(problem, residuals, delta, freedom) * effective / size
     return target if ridge <= 0 else float(np.sqrt(ridge * target))

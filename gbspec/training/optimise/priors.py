@@ -63,8 +63,9 @@ class Priors:
                 columns.append(owner + parameters.n_weights + parameters.shared.index(i))
             owners.append(owner)
         stated = problem.scaling.noise
-        noise = stated if stated is not None else max(typical(residuals), LEAST_NOISE) if len(columns) > 1 else 0.0
-        return Priors(parameters, noise, np.concatenate(columns), np.concatenate(owners))
+        if stated is None:
+            stated = max(typical(problem.of_noise(residuals)), LEAST_NOISE) if len(columns) > 1 else 0.0
+        return Priors(parameters, stated, np.concatenate(columns), np.concatenate(owners))
 
     def __len__(self) -> int:
         return len(self.column)

@@ -18,4 +18,5 @@ from .residuals import measured_only as measured_only
 from .residuals import residual_slopes as residual_slopes
 from .residuals import residuals_of as residuals_of
 from .residuals import typical as typical
+from .scaling import Scaling as Scaling
 from .scaling import scaling_of as scaling_of

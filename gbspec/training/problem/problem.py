@@ -50,6 +50,21 @@ class Problem:
         """Weights of the measured values over their scales [R, C]; 0 where there is none."""
         return np.where(self.seen, self.packed.weights / self.scaling.row_scale, 0.0)
 
+    @cached_property
+    def shares(self) -> Array | float:
+        """How much each of the measured values counts [m], row by row; 1 if all count fully."""
+        share = self.scaling.share
+        return 1.0 if share is None else np.broadcast_to(share, self.seen.shape)[self.seen]
+
+    @property
+    def information(self) -> float:
+        """The number of measured values, each as much as it counts."""
+        return float(np.sum(self.shares * np.ones(int(self.seen.sum()))))
+
+    def of_noise(self, residuals: Array) -> Array:
+        """Residuals of the measured values [m] that have the standard deviation of the noise."""
+        return residuals if self.scaling.share is None else residuals / np.sqrt(self.shares)
+
     def forced(self, blend: float) -> Problem:
         """The same problem with teacher forcing of strength `blend`: 1 teacher forcing, 0 autoregressive."""
         return replace(self, forcing=teacher_forcing(self.model, self.packed, blend))

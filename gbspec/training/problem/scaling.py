@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import Trajectories, scales_of
+from gbspec.data import Estimated, Trajectories, scales_of
 from gbspec.ir import Model
 from gbspec.training.problem.packing import Packed
 
@@ -14,6 +14,8 @@ from gbspec.training.problem.packing import Packed
 class Scaling:
     """The form of residuals: `log` [C] (of logarithms), `row_scale` [R, C], `channel` [C] (the channel's scale).
 
+    `share` [C] is the share of each channel's values that count (None: all do): the scale is larger for it, so that
+    residuals divided by its square root have the standard deviation of the noise.
     `noise` is the standard deviation of the noise in units of the residuals; None if a channel does not state its
     noise.
     """
@@ -22,9 +24,11 @@ class Scaling:
     row_scale: Array
     channel: Array
     noise: float | None = None
+    share: Array | None = None
 
 
-def scaling_of(model: Model, packed: Packed, trajectories: Trajectories) -> Scaling:
+def scaling_of(model: Model, packed: Packed, trajectories: Trajectories, estimated: Estimated | None = None) -> Scaling:
     """The scales for all trajectories of a fit, at the rows of a packing of these or of others."""
-    scales = scales_of(model, trajectories)
-    return Scaling(scales.log, scales.of_rows(packed.sd, packed.values), scales.channel, scales.noise)
+    scales = scales_of(model, trajectories, estimated)
+    share = None if estimated is None or (estimated.share == 1).all() else estimated.share
+    return Scaling(scales.log, scales.of_rows(packed.sd, packed.values), scales.channel, scales.noise, share)

@@ -39,7 +39,7 @@ from gbspec.training.optimise import (
     require_finite,
 )
 from gbspec.training.options import TrainOptions
-from gbspec.training.problem import Parameters, typical
+from gbspec.training.problem import Parameters, Problem, typical
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 
@@ -182,6 +182,7 @@ class _Profiler:
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)
+        self.free.estimated = next((m.estimated(run.model) for m in run.fit.members if m.member == member), None)
         self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
         self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
         self.column = self.parameters.n_weights + self.place
@@ -196,15 +197,15 @@ class _Profiler:
         engine = self.free.engine(parameters, 0.0)
         residuals = residual_vector(engine, theta)
         require_finite(engine, theta, residuals, "profile")
-        noise = max(typical(residuals), CLEAN)
+        noise = max(typical(engine.problem.of_noise(residuals)), CLEAN)
         self.target = self._penalised(FIRST_RIDGE * max(noise, 1e-2) ** 2 if parameters.n_weights else 0.0, noise**2)
         equations = self.target.equations(theta)
-        freedom = self._freedom(equations, residuals)
-        self.variance = max(noise_variance(equations, residuals, float("inf"), freedom), CLEAN**2)
+        freedom = self._freedom(engine.problem, equations, residuals)
+        self.variance = max(noise_variance(engine.problem, residuals, float("inf"), freedom), CLEAN**2)
         first = self.target = self._penalised(equations.ridge, self.variance)
         rest = self._settled(theta)
         residuals = residual_vector(engine, rest.theta)
-        self.variance = max(float(residuals @ residuals) / max(len(residuals) - freedom, 1.0), CLEAN**2)
+        self.variance = max(float(residuals @ residuals) / max(engine.problem.information - freedom, 1.0), CLEAN**2)
         self.target = self._penalised(self.target.ridge, self.variance)
         self.anchor = self._anchor(rest.theta)
         self.deviation = math.sqrt(self.anchor.variance * self.variance)
@@ -212,7 +213,7 @@ class _Profiler:
             self._compare(first, rest.theta)
         return self._fitted(rest)
 
-    def _freedom(self, equations: NormalEquations, residuals: Array) -> float:
+    def _freedom(self, problem: Problem, equations: NormalEquations, residuals: Array) -> float:
         """Degrees of freedom that the fit has used; sets the equations' ridge to that of greatest evidence."""
         parameters = self.parameters
         own = len(parameters.shared) + float(parameters.free[parameters.n_shared :].sum())
@@ -221,7 +222,7 @@ class _Profiler:
         weak = WEAK * max(float(np.mean(residuals**2)), CLEAN**2)
         for _ in range(ROUNDS):
             at = self.begin
-            equations.ridge = evidence(equations, residuals, float("inf"), at, equations.ridge, self.free.seed)
+            equations.ridge = evidence(problem, equations, residuals, float("inf"), at, equations.ridge, self.free.seed)
         return equations.degrees_of_freedom(weak, self.free.seed)
 
     def _settled(self, theta: Array) -> Rest:

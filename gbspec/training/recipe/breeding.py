@@ -18,7 +18,7 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories, Trajectory
 from gbspec.training.engines import predicted, residual_vector
 from gbspec.training.optimise import Outcome, State
-from gbspec.training.problem import Parameters, Problem, mean_loss, pack, scaling_of, teacher_forcing
+from gbspec.training.problem import Parameters, Problem, mean_loss, pack, teacher_forcing
 from gbspec.training.recipe.context import Context
 from gbspec.training.stages import StageName
 from gbspec.training.starts import refit_starts
@@ -53,7 +53,7 @@ def _early_problem(context: Context, blend: float) -> Problem:
     items = tuple(_begun_earlier(item) for item in context.trajectories.items)
     data: Trajectories = replace(context.trajectories, items=items)
     packed = pack(data, context.model, context.max_step, method=context.method)
-    scaling = scaling_of(context.model, packed, context.trajectories)
+    scaling = context.scaling(packed)
     return Problem(context.model, context.module, packed, teacher_forcing(context.model, packed, blend), scaling)
 
 

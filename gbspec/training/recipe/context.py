@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
-from gbspec.data import Trajectories
+from gbspec.data import Estimated, Scales, Trajectories, scales_of
 from gbspec.ir import METHODS, Method, Model
 from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
@@ -16,6 +16,7 @@ from gbspec.training.problem import (
     Packed,
     Parameters,
     Problem,
+    Scaling,
     Weights,
     default_max_step,
     measured_states,
@@ -31,7 +32,8 @@ class Context:
     """The data of one member and everything derived from them; rebuilt identically on resume.
 
     `held` are the trajectories (or a single trajectory's last rows) excluded by `--holdout`; their own initial states
-    are fitted, but they have no influence on shared parameters.
+    are fitted, but they have no influence on shared parameters. `estimated` is the noise by which channels are weighed,
+    once residuals have shown it.
     """
 
     model: Model
@@ -48,6 +50,7 @@ class Context:
     start_free: Array
     state_scale: Array
     choice: Choice = field(default_factory=Choice)
+    estimated: Estimated | None = None
     _packed: dict[tuple[float, int | None], Packed] = field(default_factory=dict)
 
     @property
@@ -70,8 +73,15 @@ class Context:
         """The training problem with teacher forcing of strength `blend`."""
         packed = self.packed(fraction, draw)
         forcing = teacher_forcing(self.model, packed, blend)
-        scaling = scaling_of(self.model, packed, self.trajectories)
-        return Problem(self.model, self.module, packed, forcing, scaling)
+        return Problem(self.model, self.module, packed, forcing, self.scaling(packed))
+
+    def scaled(self, estimated: Estimated | None) -> Scales:
+        """The scales of the channels with these estimates of their noise."""
+        return scales_of(self.model, self.trajectories, estimated)
+
+    def scaling(self, packed: Packed) -> Scaling:
+        """The scales of residuals at the rows of a packing, with the present weights of the channels."""
+        return scaling_of(self.model, packed, self.trajectories, self.estimated)
 
     def engine(
         self, parameters: Parameters, blend: float = 1.0, fraction: float = 1.0, draw: int | None = None

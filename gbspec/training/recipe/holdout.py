@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, predicted, residual_vector
-from gbspec.training.problem import Parameters, Problem, mean_loss, pack, scaling_of, teacher_forcing
+from gbspec.training.problem import Parameters, Problem, mean_loss, pack, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.starts import fit_curves, refit_starts
 
@@ -35,7 +35,7 @@ def _fitted(context: Context, parameters: Parameters, theta: Array, blend: float
     """The engine of the held-out data, with the vector in which their own parameters are fitted."""
     held, model = context.held, context.model
     packed = pack(held, model, context.max_step, method=context.method)
-    scaling = scaling_of(model, packed, context.trajectories)
+    scaling = context.scaling(packed)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
     if single:  # only the rows that are not fitted count
         earlier = (packed.row_time <= context.trajectories.items[0].end)[:, None]

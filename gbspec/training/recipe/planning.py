@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
+from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
+from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -50,44 +52,6 @@ ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
 
-@dataclass(frozen=True)
-class Reached:
-    """The progress of a fit: the vector, the vectors at the ends of the previous stages, by their names, and the names
-    of all stages that have begun."""
-
-    theta: Array
-    marks: Mapping[str, Array] = field(default_factory=dict)
-    begun: Sequence[str] = ()
-
-
-Decision = Callable[[Reached], bool]
-At = Callable[[int], Engine]
-
-
-def always(reached: Reached) -> bool:
-    """The decision of stages that run for all data."""
-    return True
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A stage that may run: `make` builds it when its predecessors have ended.
-
-    Two decisions are made at the same time: `wanted`, whether the data call for the stage, and `possible`, whether the
-    stage has anything to do.
-    """
-
-    name: StageName
-    total: int
-    make: Callable[[Reached], Stage]
-    wanted: Decision = always
-    possible: Decision = always
-
-    def due(self, reached: Reached) -> bool:
-        """Whether the stage runs."""
-        return self.possible(reached) and self.wanted(reached)
-
-
 def plan(context: Context, parameters: Parameters) -> list[Planned]:
     """The stages for these data and options, in order.
 
@@ -101,14 +65,6 @@ def plan(context: Context, parameters: Parameters) -> list[Planned]:
         message = f"`--stages`: with this model, data and options there is no stage `{missing[0]}`, only {there}"
         raise UserError([Diagnostic("GB850", message, None)])
     return [replace(stage, wanted=always) for stage in stages if stage.name in named] if named else stages
-
-
-def step_fraction(begun: Sequence[str]) -> float:
-    """The fraction of the largest step that the last of the begun stages uses."""
-    finer = list(begun).count(StageName.FINER)
-    if finer:
-        return float(0.5**finer)
-    return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
 
 
 class _Planner:
@@ -176,6 +132,7 @@ class _Planner:
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
             *(self._finer(number, blend, plain) for number in range(1, HALVINGS[self.options.effort] + 1)),
+            *(self._weights(number, plain, blend == 0.0) for number in range(1 + REWEIGHTINGS)),
         ]
 
     def _finer(self, number: int, blend: float, options: LevenbergOptions) -> Planned:
@@ -195,6 +152,26 @@ class _Planner:
             return self._step_shows(layout(reached), reached.theta, blend, present)
 
         return Planned(StageName.FINER, most, make, possible=shows)
+
+    def _weights(
+        self, number: int, options: LevenbergOptions | Callable[[Array], LevenbergOptions], whole: bool = True
+    ) -> Planned:
+        """Continues `whole` solutions with channels weighed by their noise."""
+
+        def layout(reached: Reached) -> Parameters:
+            moved = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
+            return self.released if moved else self.parameters
+
+        def noisy(reached: Reached) -> bool:
+            """Whether whole solutions were fitted to data that are not exact (known forms look at the residuals)."""
+            fitted = StageName.AUTOREGRESSIVE in reached.marks and self._noisy(reached)
+            return whole and (fitted or not self.parameters.n_weights)
+
+        def settings(reached: Reached) -> LevenbergOptions:
+            chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
+            return replace(chosen, damping=STEADY)
+
+        return reweighed(self.context, number, layout, settings, noisy)
 
     def _step_shows(self, layout: Parameters, theta: Array, blend: float, fraction: float) -> bool:
         """Whether halving the step changes a channel's residuals so much that a constant could move.
@@ -238,6 +215,7 @@ class _Planner:
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
+            *(self._weights(number, self._regular) for number in range(1 + REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
         ]
 

@@ -294,6 +294,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
     own = own_records(model, ordered)
+    weighed = [r.scales for r in ordered if r.scales is not None]
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     bounds = [
         f"member {member}: `{name}` ended at its bound {bound:g}; widen the bounds if values beyond it are plausible"
@@ -306,6 +307,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         members=tuple(_member(k, results[k]) for k in sorted(results)),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
         correlations=correlations,
+        scales=ScalesRecord.mean(weighed) if len(weighed) == len(ordered) else record.scales,
     )
 
 

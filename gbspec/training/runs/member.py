@@ -13,7 +13,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
-from gbspec.data import Trajectories, fingerprint
+from gbspec.data import Estimated, Trajectories, fingerprint
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
@@ -24,6 +24,7 @@ from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
 from gbspec.training.runs.certainties import certainties
+from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.summary import MemberResult, summarise
 from gbspec.training.stages import StageName
@@ -43,7 +44,8 @@ class Position:
 
     `entry` is the vector at the beginning of the present stage, from which the stage is rebuilt on resume; `marks`
     holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
-    belong to the vector that best predicts held-out data (without held-out data: the last one).
+    belong to the vector that best predicts held-out data (without held-out data: the last one). `estimated` is the
+    noise by which channels are weighed, if they are.
     """
 
     stage: int = 0
@@ -61,33 +63,7 @@ class Position:
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
     stages: list[StageRecord] = field(default_factory=list)
     finished: bool = False
-
-
-@dataclass(frozen=True)
-class Exact:
-    """Numbers of a checkpoint in hexadecimal, since they may be infinite or NaN, which JSON does not have."""
-
-    loss: str
-    best_score: str
-    freedom: str
-
-
-@dataclass(frozen=True)
-class Remarks:
-    """What a checkpoint holds beside its arrays; see `Position`. Losses and constants of the history are hexadecimal.
-
-    `smooth`: whether the measured values were smoothed for the warm start.
-    """
-
-    stage: int
-    iteration: int
-    seconds: float
-    finished: bool
-    smooth: bool
-    stages: tuple[StageRecord, ...]
-    notes: tuple[str, ...]
-    exact: Exact
-    history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
+    estimated: Estimated | None = None
 
 
 def fit_member(
@@ -151,6 +127,7 @@ class _Runner:
         self.context, self.member = context, member
         self.directory, self.progress = directory, progress
         self.position = position
+        context.estimated = position.estimated
         self.plan = plan(context, parameters)
         # Stages that keep measured initial values leave their entries at zero, which represents the measured value.
         self.parameters = context.parameters(parameters.fixed, released=True)
@@ -192,7 +169,7 @@ class _Runner:
 
     def _run_stage(self, planned: Planned, stop: Callable[[], bool]) -> None:
         position = self.position
-        begun = [stage.name for stage in position.stages]
+        begun, weights = [stage.name for stage in position.stages], self.context.estimated
         if position.iteration == 0:
             if not planned.due(Reached(position.theta, position.marks, begun)):
                 note = f"the stage `{planned.name}` was requested, but had nothing to do"
@@ -200,6 +177,8 @@ class _Runner:
                     position.notes.append(note)
                 return
             position.entry = position.theta
+            if planned.weigh is not None:
+                self._weigh(planned.weigh(Reached(position.theta, position.marks, begun)))
         stage = planned.make(Reached(position.entry, position.marks, begun))
         if position.iteration == 0:
             position.state = stage.begin(position.theta)
@@ -212,9 +191,21 @@ class _Runner:
             position.notes.append(f"the stage `{planned.name}` ended early, and what was reached is kept: {error.what}")
             if position.iteration == 0:
                 position.stages.pop()
+                self._weigh(weights)
                 return
         position.marks[planned.name] = position.theta
         self._take_certainty(stage)
+
+    def _weigh(self, noise: Estimated | None) -> None:
+        """Weighs channels by this noise from now on; the best vector so far is judged anew, with the same weights."""
+        position = self.position
+        if noise is self.context.estimated:
+            return
+        self.context.estimated = position.estimated = noise
+        if len(self.context.held):
+            from gbspec.training.recipe import held_out_score
+
+            position.best_score = held_out_score(self.context, self.parameters, position.best)
 
     def _take_steps(self, stage: Stage, stop: Callable[[], bool]) -> None:
         """The steps of a stage that remain. Raises ComputationError if one of them is impossible."""
@@ -365,6 +356,8 @@ class _Runner:
         arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
+        if position.estimated is not None:
+            arrays |= {"noise": position.estimated.noise, "share": position.estimated.share}
         remarks = Remarks(
             stage=position.stage,
             iteration=position.iteration,
@@ -434,4 +427,5 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         notes=list(remarks.notes),
         marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
         finished=remarks.finished,
+        estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
     )

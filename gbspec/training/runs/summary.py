@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.data import naive_predictors, variance_of
+from gbspec.data import Scales, naive_predictors, variance_of
 from gbspec.files import finite
 from gbspec.runs import ChannelRecord, StageRecord
 from gbspec.training.engines import predicted, residual_table, residual_vector
@@ -27,7 +27,8 @@ class MemberResult:
     follow the data (`channels`), root mean square of prediction minus value of the autoregressive solution (`rmse`, NaN
     if it is not finite), and the estimated standard deviation of the `noise`; `constants` by name; `sd` by name (NaN:
     not known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed`
-    names the trajectories whose autoregressive solution is not finite. `own` and `own_sd` [N, j] are the constants per
+    names the trajectories whose autoregressive solution is not finite. `scales` are those of the residuals, if their
+    noise was estimated. `own` and `own_sd` [N, j] are the constants per
     trajectory and their standard deviations (NaN: not known).
     """
 
@@ -50,6 +51,7 @@ class MemberResult:
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own_sd: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    scales: Scales | None = None
 
 
 def summarise(
@@ -76,7 +78,8 @@ def summarise(
         column = difference[seen[:, i], i]
         with np.errstate(over="ignore", invalid="ignore"):
             rmse[channel.name] = float(np.sqrt(np.mean(column**2))) if len(column) else float("nan")
-        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i])
+        share = 1.0 if problem.scaling.share is None else float(problem.scaling.share[i])
+        noise[channel.name] = noise_of.deviation(seen[:, i], i) * float(problem.scaling.channel[i]) * share**0.5
     known = len(model.constants)
     values = constants.numpy()[:, known:].mean(axis=0)
     own = constants.numpy()[:, [known + i for i in parameters.own]]
@@ -97,6 +100,7 @@ def summarise(
         failed,
         own=own,
         own_sd=np.full(own.shape, np.nan),
+        scales=None if context.estimated is None else context.scaled(context.estimated),
     )
 
 
@@ -106,6 +110,7 @@ def _channels(
     """How whole solutions follow each channel's data, and those of held-out trajectories."""
     naive = naive_predictors(context.model, context.trajectories)
     held = held_out_solutions(context, parameters, theta)
+    estimated, scales = context.estimated, context.scaled(context.estimated)
     out = {}
     for i, channel in enumerate(context.model.channels):
         known = naive.get(channel.name)
@@ -114,6 +119,10 @@ def _channels(
             finite(known.r2) if known is not None else None,
             known.predictor if known is not None else "",
             _r2(*held, i) if held is not None else None,
+            int(problem.seen[:, i].sum()),
+            finite(float(scales.value_weights[i])),
+            None if estimated is None else finite(float(estimated.noise[i])),
+            None if estimated is None else float(estimated.share[i]),
         )
     return out
 
@@ -153,7 +162,8 @@ class _Noise:
         """The noise from the residuals at `theta`, with the forcing of the training."""
         whole = whole_solutions(context, parameters, stages)
         engine = context.engine(parameters, 0.0 if whole else context.options.blend, step_fraction(stages))
-        residuals = residual_table(engine, theta)
+        residuals, share = residual_table(engine, theta), engine.problem.scaling.share
+        residuals = residuals if share is None else residuals / np.sqrt(share)
         count = int((context.packed().weights > 0).sum())
         if not whole or not count:
             return cls(residuals, None, float("inf"))

@@ -35,7 +35,7 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
     window = engine.rebound(problem, parameters)
     if problem.scaling.noise is None:
         # The same noise throughout, so that losses with priors are comparable.
-        noise = max(typical(residual_vector(window, theta)), LEAST_NOISE)
+        noise = max(typical(problem.of_noise(residual_vector(window, theta))), LEAST_NOISE)
         problem = replace(problem, scaling=replace(problem.scaling, noise=noise if np.isfinite(noise) else 0.0))
         window = engine.rebound(problem, parameters)
     best, losses = theta, trajectory_losses(window, theta)

@@ -1,0 +1,60 @@
+"""A stage that may run, and what has been reached when it is decided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from gbspec.arrays import Array
+from gbspec.data import Estimated
+from gbspec.training.engines import Engine
+from gbspec.training.optimise import Stage
+from gbspec.training.stages import StageName
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The progress of a fit: the vector, the vectors at the ends of the previous stages, by their names, and the names
+    of all stages that have begun."""
+
+    theta: Array
+    marks: Mapping[str, Array] = field(default_factory=dict)
+    begun: Sequence[str] = ()
+
+
+Decision = Callable[[Reached], bool]
+At = Callable[[int], Engine]
+
+
+def always(reached: Reached) -> bool:
+    """The decision of stages that run for all data."""
+    return True
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A stage that may run: `make` builds it when its predecessors have ended.
+
+    Two decisions are made at the same time: `wanted`, whether the data call for the stage, and `possible`, whether the
+    stage has anything to do. `weigh` gives the noise by which channels are weighed from this stage on; without it they
+    keep their weights.
+    """
+
+    name: StageName
+    total: int
+    make: Callable[[Reached], Stage]
+    wanted: Decision = always
+    possible: Decision = always
+    weigh: Callable[[Reached], Estimated | None] | None = None
+
+    def due(self, reached: Reached) -> bool:
+        """Whether the stage runs."""
+        return self.possible(reached) and self.wanted(reached)
+
+
+def step_fraction(begun: Sequence[str]) -> float:
+    """The fraction of the largest step that the last of the begun stages uses."""
+    finer = list(begun).count(StageName.FINER)
+    if finer:
+        return float(0.5**finer)
+    return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0

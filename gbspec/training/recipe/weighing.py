@@ -1,0 +1,167 @@
+"""The weights of channels whose noise is not stated: it is estimated from the residuals, and the fit is continued.
+
+This is iteratively reweighted least squares, which maximises the likelihood with the channels' standard deviations
+concentrated out (Seber and Wild, Nonlinear Regression, 1989, 2.2.5 and 11.2). Each channel's variance is the sum of its
+squared residuals over the number of its values less the degrees of freedom that the fit has taken from it. Residuals
+that follow one another count less: of n values with a correlation c of successive residuals, n (1 - c) / (1 + c) count.
+
+A dense channel that the model cannot follow exactly would bend a fit away from all others, whose noise would then be
+overestimated. So where numbers of values differ much, a fit in which all channels count equally comes first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from gbspec.arrays import Array, Mask
+from gbspec.data import Estimated, deviations, unstated
+from gbspec.diagnostics import ComputationError
+from gbspec.training.engines import Engine, linearise, residual_table
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, NormalEquations, Stage, evidence
+from gbspec.training.problem import Integers, Parameters, Problem
+from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
+from gbspec.training.stages import StageName, most_iterations
+
+REWEIGHTINGS = 3
+"""How often channels may be weighed anew."""
+CLEAN = 1e-3
+"""The least standard deviation of noise that is estimated, relative to that of the data: channels that are fitted this
+closely count as exact, and weigh equally."""
+UNEQUAL = 5.0
+"""Above this ratio of the channels' numbers of values all of them first count equally."""
+NOTICED, SETTLED = 0.25, 0.1
+"""Weights are introduced where the ratio of two scales changes by more than `NOTICED` (of its logarithm), and changed
+while it changes by more than `SETTLED`."""
+LEAST_LEFT = 0.25
+"""The least share of a channel's values that is taken to be left by a fit."""
+OUTLYING = 4.0
+"""Residuals beyond this many robust standard deviations do not count in full."""
+WEAK = 1e-2
+"""Precision of a prior on all entries in the count of degrees of freedom, relative to the noise."""
+PROBES, ROUNDS = 24, 6
+"""Random vectors for the trace of a channel's part of the projection, and steps to the ridge of greatest evidence."""
+
+
+def reweighed(
+    context: Context,
+    number: int,
+    layout: Callable[[Reached], Parameters],
+    options: Callable[[Reached], LevenbergOptions],
+    wanted: Decision,
+) -> Planned:
+    """The stage that continues whole solutions with channels weighed by their noise, for the `number`-th time; number 0
+    lets all channels count equally."""
+    most = most_iterations(StageName.WEIGHTS, context.options.effort)
+
+    def engine_of(reached: Reached) -> Engine:
+        return context.engine(layout(reached), 0.0, step_fraction(reached.begun))
+
+    def found(reached: Reached) -> Estimated | None:
+        noise = estimated(context, engine_of(reached), reached.theta, options(reached).ridge)
+        return noise if noise is None or number else equal(context)
+
+    def make(reached: Reached) -> Stage:
+        engine = engine_of(reached)
+        return LevenbergMarquardt(StageName.WEIGHTS.value, most, lambda iteration: engine, options(reached))
+
+    def differ(reached: Reached) -> bool:
+        noise = found(reached) if wanted(reached) else None
+        return noise is not None and unsettled(context, noise)
+
+    return Planned(StageName.WEIGHTS, most, make, possible=differ, weigh=found)
+
+
+def weighable(context: Context) -> Mask:
+    """The channels [C] whose noise is estimated: those that do not state it, if there is another one to weigh them
+    against."""
+    free = unstated(context.model, context.trajectories)
+    measured = context.problem().seen.any(axis=0)
+    return free if measured.sum() > 1 else np.zeros_like(free)
+
+
+def equal(context: Context) -> Estimated | None:
+    """Shares by which all channels count equally; None if their numbers of values differ little."""
+    count, free = context.problem().seen.sum(axis=0), weighable(context)
+    if free.sum() < 2 or count[free].max() <= UNEQUAL * count[free].min():
+        return None
+    share = np.where(free, count[free].min() / np.maximum(count, 1), 1.0)
+    return Estimated(np.full(len(count), np.nan), share)
+
+
+def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> Estimated | None:
+    """The noise of the channels at a vector; None if it is negligible in all of them, or not known."""
+    free, problem = weighable(context), engine.problem
+    table, seen, scale = residual_table(engine, theta), problem.seen, problem.scaling.channel
+    if not free.any() or not np.isfinite(table[seen]).all():
+        return None
+    deviation = deviations(context.model, context.trajectories)
+    used = _used(engine, theta, ridge)
+    noise, share = np.full(len(free), np.nan), np.ones(len(free))
+    for i in np.flatnonzero(free):
+        rows = _in_time(problem, int(i))
+        column = table[rows, i]
+        robust = 1.4826 * float(np.median(np.abs(column)))
+        inside = np.minimum(np.abs(column), OUTLYING * robust) if robust > 0 else np.abs(column)
+        left = max(len(column) - used[i], LEAST_LEFT * len(column), 1.0)
+        noise[i] = scale[i] * float(np.sqrt(np.sum(inside**2) / left))
+        share[i] = share_of(column, problem.packed.row_trajectory[rows])
+    if (noise[free] <= CLEAN * deviation[free]).all():
+        return None
+    return Estimated(np.maximum(noise, CLEAN * deviation), share)
+
+
+def change(context: Context, new: Estimated) -> float:
+    """The largest change of the logarithm of a ratio of two channels' scales."""
+    packed, before = context.packed(), context.problem().scaling.channel
+    measured = (packed.weights > 0).any(axis=0)
+    ratio = np.log(context.scaled(new).channel / before)[measured]
+    return float(ratio.max() - ratio.min()) if len(ratio) else 0.0
+
+
+def unsettled(context: Context, new: Estimated) -> bool:
+    """Whether the new scales differ noticeably from the present ones."""
+    return change(context, new) > (NOTICED if context.estimated is None else SETTLED)
+
+
+def share_of(residuals: Array, owner: Integers) -> float:
+    """The share of residuals [m], in the order of time, that count: 1 unless the correlation of successive ones of the
+    same trajectory is beyond chance."""
+    both, squares = owner[1:] == owner[:-1], float(np.mean(residuals**2))
+    if both.sum() < 2 or not squares > 0:
+        return 1.0
+    correlation = float(np.mean((residuals[1:] * residuals[:-1])[both])) / squares
+    if correlation <= 2 / np.sqrt(both.sum()):
+        return 1.0
+    correlation = min(correlation, 1.0)
+    return float(max((1 - correlation) / (1 + correlation), 1 / len(residuals)))
+
+
+def _in_time(problem: Problem, channel: int) -> Integers:
+    """The rows with a measurement of a channel, trajectory by trajectory."""
+    packed, rows = problem.packed, np.flatnonzero(problem.seen[:, channel])
+    return np.asarray(rows[np.lexsort((packed.row_index[rows], packed.row_trajectory[rows]))], dtype=np.int64)
+
+
+def _used(engine: Engine, theta: Array, ridge: float) -> Array:
+    """The degrees of freedom [C] that a fit has taken from each channel, under the ridge of greatest evidence."""
+    problem, parameters = engine.problem, engine.parameters
+    seen = problem.seen
+    channel = np.broadcast_to(np.arange(seen.shape[1]), seen.shape)[seen]
+    try:
+        system = linearise(engine, theta)
+        residuals = system.residuals.numpy()
+        weak = WEAK * max(float(np.mean(residuals**2)), 1e-300)
+        equations = NormalEquations(system, parameters, np.ones(len(residuals)), ridge, theta)
+        for number in range(ROUNDS if ridge else 0):
+            equations.ridge = evidence(problem, equations, residuals, float("inf"), theta, equations.ridge, number)
+        rng, out = np.random.default_rng([59]), np.zeros(seen.shape[1])
+        for i in np.unique(channel):
+            for _ in range(PROBES):
+                probe = np.where(channel == i, rng.choice([-1.0, 1.0], size=len(channel)), 0.0)
+                out[i] -= float(probe @ equations.times(equations.respond(probe, weak))) / PROBES
+        return np.maximum(out, 0.0)
+    except (np.linalg.LinAlgError, ComputationError):
+        return np.zeros(seen.shape[1])

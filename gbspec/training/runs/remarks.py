@@ -1,0 +1,34 @@
+"""What a checkpoint holds beside its arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gbspec.runs import StageRecord
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Numbers of a checkpoint in hexadecimal, since they may be infinite or NaN, which JSON does not have."""
+
+    loss: str
+    best_score: str
+    freedom: str
+
+
+@dataclass(frozen=True)
+class Remarks:
+    """What a checkpoint holds beside its arrays; see `Position`. Losses and constants of the history are hexadecimal.
+
+    `smooth`: whether the measured values were smoothed for the warm start.
+    """
+
+    stage: int
+    iteration: int
+    seconds: float
+    finished: bool
+    smooth: bool
+    stages: tuple[StageRecord, ...]
+    notes: tuple[str, ...]
+    exact: Exact
+    history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
