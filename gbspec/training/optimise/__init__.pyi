@@ -7,6 +7,7 @@ from .levenberg_marquardt import Certainty as Certainty
 from .levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .levenberg_marquardt import LevenbergOptions as LevenbergOptions
 from .levenberg_marquardt import evidence as evidence
+from .levenberg_marquardt import moved as moved
 from .levenberg_marquardt import noise_variance as noise_variance
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import huber as huber

@@ -14,6 +14,7 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, FinerStep, step_shows
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
@@ -40,12 +41,6 @@ WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
 """Largest numbers of iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
 """The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
-
-HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
-"""How often the step may be halved where its error shows in the constants."""
-SHOWS, LEAST_ERROR = 0.1, 1e-5
-"""A step's error shows where it could move a constant by more than this many of its standard deviations, and is larger
-than this fraction of a channel's scale."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
@@ -105,10 +100,24 @@ def plan(context: Context, parameters: Parameters) -> list[Planned]:
 
 def step_fraction(begun: Sequence[str]) -> float:
     """The fraction of the largest step that the last of the begun stages uses."""
-    finer = list(begun).count(StageName.FINER)
-    if finer:
-        return float(0.5**finer)
-    return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
+    first = (
+        0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
+    )
+    return float(first * 0.5 ** list(begun).count(StageName.FINER))
+
+
+@dataclass(frozen=True)
+class _Last:
+    """The fit that a finer step continues: layout of the vector, strength of teacher forcing and options.
+
+    `seen` is the strength with which the step's error is looked at; `constants`: whether constants have intervals.
+    """
+
+    layout: Parameters
+    blend: float
+    seen: float
+    options: Callable[[Array], LevenbergOptions]
+    constants: bool
 
 
 class _Planner:
@@ -170,48 +179,54 @@ class _Planner:
                 and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
             )
 
+        def known(reached: Reached) -> _Last:
+            layout = self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
+            return _Last(layout, blend, blend, lambda theta: plain, True)
+
         released = self._at(0.0, 1.0, self.released)
         return [
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
-            *(self._finer(number, blend, plain) for number in range(1, HALVINGS[self.options.effort] + 1)),
+            *(self._finer(number, known) for number in range(1, HALVINGS[self.options.effort] + 1)),
         ]
 
-    def _finer(self, number: int, blend: float, options: LevenbergOptions) -> Planned:
-        """Continues at half the present step, where its error shows and the step is not one that the user gave."""
-        present, most = 0.5 ** (number - 1), self._most(StageName.FINER)
-
-        def layout(reached: Reached) -> Parameters:
-            return self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
+    def _finer(self, number: int, last: Callable[[Reached], _Last | None]) -> Planned:
+        """Continues the last fit at half its step, where its error shows and the step is not one that the user gave."""
+        most = self._most(StageName.FINER)
 
         def make(reached: Reached) -> Stage:
-            engine = self._at(blend, present / 2, layout(reached))
-            return LevenbergMarquardt(StageName.FINER.value, most, engine, replace(options, damping=STEADY))
+            found, fraction = last(reached), step_fraction(reached.begun) / 2
+            assert found is not None, "the stage has begun"
+            chosen = replace(found.options(reached.theta), damping=STEADY)
+            newton = LevenbergMarquardt(StageName.FINER, most, self._at(found.blend, fraction, found.layout), chosen)
+            return FinerStep(newton, fraction * self.context.max_step)
 
         def shows(reached: Reached) -> bool:
-            if self.options.max_step is not None or step_fraction(reached.begun) != present:
+            found = last(reached)
+            if self.options.max_step is not None or found is None:
                 return False
-            return self._step_shows(layout(reached), reached.theta, blend, present)
+            if list(reached.begun).count(StageName.FINER) != number - 1:
+                return False
+            parts = (1.0, 0.5)
+            now, half = (
+                self.context.engine(found.layout, found.seen, part * step_fraction(reached.begun)) for part in parts
+            )
+            return step_shows(now, half, reached.theta, found.constants)
 
         return Planned(StageName.FINER, most, make, possible=shows)
 
-    def _step_shows(self, layout: Parameters, theta: Array, blend: float, fraction: float) -> bool:
-        """Whether halving the step changes a channel's residuals so much that a constant could move.
-
-        A change d of the residuals moves a constant by at most |d| / sigma of its standard deviations (the length of
-        the projection of d on one direction, in units of the noise).
-        """
-        now, half = (self.context.engine(layout, blend, part) for part in (fraction, fraction / 2))
-        before, after, seen = residual_table(now, theta), residual_table(half, theta), now.problem.seen
-        for i in range(before.shape[1]):
-            rows = seen[:, i]
-            if not (rows.any() and np.isfinite(after[rows, i]).all()):
-                continue
-            change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
-            if change > max(SHOWS * noise / np.sqrt(rows.sum()), LEAST_ERROR):
-                return True
-        return False
+    def _last_of_networks(self, reached: Reached) -> _Last | None:
+        """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
+        marks = reached.marks
+        if StageName.AUTOREGRESSIVE in marks:
+            late = marks[StageName.AUTOREGRESSIVE]
+            if np.array_equal(marks.get(StageName.CHOICE, late), late):
+                return _Last(self.released, 0.0, 0.0, self._regular, True)
+            return None if StageName.HORIZONS in marks else _Last(self.released, 1.0, 1.0, self._prior, False)
+        if StageName.TEACHER not in marks or StageName.HORIZONS in marks:
+            return None
+        return _Last(self.parameters, 1.0, 0.0, self._close, self.values < FEW)
 
     def _automatic(self) -> list[Planned]:
         """The stages of the recipe for unknown functions: see docs/training.md."""
@@ -239,6 +254,7 @@ class _Planner:
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
+            *(self._finer(n, self._last_of_networks) for n in range(1, NETWORK_HALVINGS[self.options.effort] + 1)),
         ]
 
     # ---------------------------------------------------------------- problems
