@@ -1,11 +1,11 @@
 from .context import Context as Context
 from .context import build_context as build_context
+from .finer import step_fraction as step_fraction
 from .holdout import held_out_score as held_out_score
 from .holdout import held_out_solutions as held_out_solutions
 from .planning import FIRST_RIDGE as FIRST_RIDGE
 from .planning import Planned as Planned
 from .planning import Reached as Reached
 from .planning import plan as plan
-from .planning import step_fraction as step_fraction
 from .preparation import prepare as prepare
 from .recognition_network import recognition as recognition

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, residual_table
-from gbspec.training.optimise import LevenbergMarquardt, Outcome, State, moved
-from gbspec.training.problem import mean_loss, measured_only
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, moved
+from gbspec.training.problem import Parameters, mean_loss, measured_only
 from gbspec.training.stages import Effort, StageName
 
 HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
@@ -19,6 +20,28 @@ NETWORK_HALVINGS: Mapping[Effort, int] = {"low": 2, "normal": 4, "high": 6}
 SHOWS, LEAST_ERROR = 0.1, 1e-5
 """A step's error shows where it moves a solution by more than this share of the noise, or a constant by more than this
 many of its standard deviations, and where it is larger than this fraction of a channel's scale."""
+
+
+def step_fraction(begun: Sequence[str]) -> float:
+    """The fraction of the largest step that the last of the begun stages uses."""
+    first = (
+        0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
+    )
+    return float(first * 0.5 ** list(begun).count(StageName.FINER))
+
+
+@dataclass(frozen=True)
+class LastFit:
+    """The fit that is continued: layout of the vector, strength of teacher forcing and options.
+
+    `seen` is the strength with which the step's error is looked at; `constants`: whether constants have intervals.
+    """
+
+    layout: Parameters
+    blend: float
+    seen: float
+    options: Callable[[Array], LevenbergOptions]
+    constants: bool
 
 
 def step_shows(now: Engine, half: Engine, theta: Array, constants: bool) -> bool:

@@ -14,7 +14,15 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
-from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, FinerStep, step_shows
+from gbspec.training.recipe.finer import (
+    HALVINGS,
+    NETWORK_HALVINGS,
+    FinerStep,
+    LastFit,
+    step_fraction,
+    step_shows,
+)
+from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
@@ -98,34 +106,15 @@ def plan(context: Context, parameters: Parameters) -> list[Planned]:
     return [replace(stage, wanted=always) for stage in stages if stage.name in named] if named else stages
 
 
-def step_fraction(begun: Sequence[str]) -> float:
-    """The fraction of the largest step that the last of the begun stages uses."""
-    first = (
-        0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
-    )
-    return float(first * 0.5 ** list(begun).count(StageName.FINER))
-
-
-@dataclass(frozen=True)
-class _Last:
-    """The fit that a finer step continues: layout of the vector, strength of teacher forcing and options.
-
-    `seen` is the strength with which the step's error is looked at; `constants`: whether constants have intervals.
-    """
-
-    layout: Parameters
-    blend: float
-    seen: float
-    options: Callable[[Array], LevenbergOptions]
-    constants: bool
-
-
 class _Planner:
     def __init__(self, context: Context, parameters: Parameters) -> None:
         self.context, self.parameters, self.options = context, parameters, context.options
         self.blend = context.options.blend
         self.values = int((context.packed().weights > 0).sum())
-        self.enough = ENOUGH[context.options.effort]
+        # Effort high is never worse than normal: it does the same first, and then continues.
+        first = context.options.method == "auto" and parameters.n_weights and not context.options.named_stages
+        self.effort: Effort = "normal" if first and self.options.effort == "high" else self.options.effort
+        self.enough = ENOUGH[self.effort]
         # Whole solutions of noisy data must not start from single noisy values; the vector's layout stays the same.
         self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
 
@@ -179,9 +168,9 @@ class _Planner:
                 and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
             )
 
-        def known(reached: Reached) -> _Last:
+        def known(reached: Reached) -> LastFit:
             layout = self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
-            return _Last(layout, blend, blend, lambda theta: plain, True)
+            return LastFit(layout, blend, blend, lambda theta: plain, True)
 
         released = self._at(0.0, 1.0, self.released)
         return [
@@ -191,7 +180,7 @@ class _Planner:
             *(self._finer(number, known) for number in range(1, HALVINGS[self.options.effort] + 1)),
         ]
 
-    def _finer(self, number: int, last: Callable[[Reached], _Last | None]) -> Planned:
+    def _finer(self, number: int, last: Callable[[Reached], LastFit | None]) -> Planned:
         """Continues the last fit at half its step, where its error shows and the step is not one that the user gave."""
         most = self._most(StageName.FINER)
 
@@ -208,25 +197,25 @@ class _Planner:
                 return False
             if list(reached.begun).count(StageName.FINER) != number - 1:
                 return False
-            parts = (1.0, 0.5)
-            now, half = (
-                self.context.engine(found.layout, found.seen, part * step_fraction(reached.begun)) for part in parts
-            )
+            size = step_fraction(reached.begun)
+            now, half = (self.context.engine(found.layout, found.seen, part) for part in (size, size / 2))
             return step_shows(now, half, reached.theta, found.constants)
 
         return Planned(StageName.FINER, most, make, possible=shows)
 
-    def _last_of_networks(self, reached: Reached) -> _Last | None:
+    def _last_of_networks(self, reached: Reached) -> LastFit | None:
         """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
         marks = reached.marks
+        if StageName.AS_ASKED in marks:
+            return LastFit(self.parameters, self.blend, self.blend, self._regular, True)
         if StageName.AUTOREGRESSIVE in marks:
             late = marks[StageName.AUTOREGRESSIVE]
             if np.array_equal(marks.get(StageName.CHOICE, late), late):
-                return _Last(self.released, 0.0, 0.0, self._regular, True)
-            return None if StageName.HORIZONS in marks else _Last(self.released, 1.0, 1.0, self._prior, False)
+                return LastFit(self.released, 0.0, 0.0, self._regular, True)
+            return None if StageName.HORIZONS in marks else LastFit(self.released, 1.0, 1.0, self._prior, False)
         if StageName.TEACHER not in marks or StageName.HORIZONS in marks:
             return None
-        return _Last(self.parameters, 1.0, 0.0, self._close, self.values < FEW)
+        return LastFit(self.parameters, 1.0, 0.0, self._close, self.values < FEW)
 
     def _automatic(self) -> list[Planned]:
         """The stages of the recipe for unknown functions: see docs/training.md."""
@@ -240,6 +229,7 @@ class _Planner:
                 self._starts(StageName.STARTS, 1.0),
                 self._newton(StageName.TEACHER, first, self._prior),
                 self._newton(StageName.AS_ASKED, last, self._regular),
+                *self._continued(),
             ]
         whole = self._at(0.0, 1.0, self.released)
         return [
@@ -254,8 +244,26 @@ class _Planner:
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
-            *(self._finer(n, self._last_of_networks) for n in range(1, NETWORK_HALVINGS[self.options.effort] + 1)),
+            *self._continued(),
         ]
+
+    def _continued(self) -> list[Planned]:
+        """What follows the last fit of networks: finer steps, and at effort high further iterations and finer steps."""
+
+        def finer(effort: Effort) -> list[Planned]:
+            return [self._finer(n, self._last_of_networks) for n in range(1, NETWORK_HALVINGS[effort] + 1)]
+
+        def make(reached: Reached) -> Stage:
+            found = self._last_of_networks(reached)
+            assert found is not None, "the stage is possible"
+            chosen = replace(found.options(reached.theta), damping=STEADY, enough=ENOUGH["high"])
+            engine = self._at(found.blend, step_fraction(reached.begun), found.layout)
+            return Further(LevenbergMarquardt(StageName.FURTHER, total, engine, chosen))
+
+        total = most_iterations(StageName.FURTHER, self.options.effort)
+        further = Planned(StageName.FURTHER, total, make, possible=lambda r: self._last_of_networks(r) is not None)
+        high = self.options.effort == "high"
+        return [*finer(self.effort), *([further, *finer("high")] if high and self.effort != "high" else [])]
 
     # ---------------------------------------------------------------- problems
     def _at(self, blend: float, fraction: float = 1.0, parameters: Parameters | None = None) -> At:
@@ -269,7 +277,7 @@ class _Planner:
 
     # ---------------------------------------------------------------- decisions
     def _most(self, stage: StageName) -> int:
-        return most_iterations(stage, self.options.effort)
+        return most_iterations(stage, self.effort)
 
     def _teacher_limit(self) -> int:
         """The limit of teacher forcing: few iterations if smoothing curves have shown noise, since it is inconsistent
@@ -280,7 +288,7 @@ class _Planner:
     def _whole_limit(self) -> int:
         """The limit of whole solutions: with few data the ridge matters and converges slowly, and an iteration is
         cheap."""
-        return WITH_FEW_DATA[self.options.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
+        return WITH_FEW_DATA[self.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
 
     def _both_fits(self, reached: Reached) -> bool:
         """Whether intervals and whole solutions were both fitted."""
@@ -378,7 +386,7 @@ class _Planner:
             first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]
             starts = first if not context.points.equations else first[::-1]
             starts += [self._random(reached.theta, number) for number in range(1, most - 1)]
-            return GrowingHorizons(context, self.released, starts[:most])
+            return GrowingHorizons(context, self.released, starts[:most], self.effort)
 
         return Planned(StageName.HORIZONS, parts * most, make, self._astray, lambda reached: parts > 0)
 
