@@ -33,6 +33,7 @@ class StageName(StrEnum):
     LEAST_SQUARES_STARTS = "least squares, starts too"
     FINER = "finer step"
     WEIGHTS = "channel weights"
+    FURTHER = "further iterations"
     LBFGS = "lbfgs"
     BREEDING = "bred initial states"
     LEVENBERG_MARQUARDT = "lm"
@@ -53,6 +54,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.LEAST_SQUARES_STARTS: (100, 200, 500),
     StageName.FINER: (20, 50, 100),
     StageName.WEIGHTS: (8, 30, 60),
+    StageName.FURTHER: (0, 0, 120),
     StageName.LBFGS: (100, 300, 1500),
     StageName.LEVENBERG_MARQUARDT: (6, 60, 200),
 }

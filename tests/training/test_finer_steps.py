@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from gbspec.data import Trajectories, Trajectory
 from gbspec.training import TrainOptions, train
 from gbspec.training.recipe import step_fraction
-from tests.training.conftest import model_of
+from tests.training.conftest import Recorder, model_of
 
 ABSORPTION = """
 model absorption
@@ -58,3 +59,48 @@ def test_a_step_that_was_given_stays(tmp_path: Path) -> None:
 
 def test_each_finer_stage_halves_the_step() -> None:
     assert [step_fraction(["search", *["finer step"] * n]) for n in range(4)] == [1.0, 0.5, 0.25, 0.125]
+
+
+HIDDEN = """
+model elimination
+time t
+condition D in [1, 20]
+state A
+state C in [0, 15]
+learn ka = 0.3 in [0.01, 10]
+unknown out(C in [0, 15]) = 0.05*C*nn by mlp(4)
+A' = -ka*A
+C' = ka*A - out
+initial A = D
+initial C = 0
+observe C
+"""
+
+
+def doses() -> Trajectories:
+    """Six doses of the same substance, without noise."""
+    (one,) = SPARSE.items
+    items = [
+        replace(one, label=str(i), values=one.values * dose / 10, condition=np.array([dose]))
+        for i, dose in enumerate((2.0, 4.0, 7.0, 10.0, 13.0, 16.0))
+    ]
+    return replace(SPARSE, items=tuple(items))
+
+
+def test_a_model_with_a_network_is_fitted_at_a_step_that_does_not_show(tmp_path: Path) -> None:
+    recorder = Recorder()
+    run = train(model_of(HIDDEN), doses(), TrainOptions(workers=1), tmp_path / "run", recorder)
+    (member,) = run.fit.members
+    finer = [stage for stage in member.stages if stage.name == "finer step"]
+    assert 1 <= len(finer) <= 4
+    assert "half step" in [stage.name for stage in member.stages]
+    shown = [f"largest step {0.5**n:.3g}" for n in range(1, len(finer) + 1)]
+    assert [stage.remark for stage in finer] == shown
+    assert list(dict.fromkeys(u.remark for u in recorder.updates if u.stage == "finer step")) == shown
+    assert run.member().info["max_step"] == 0.5 ** len(finer)
+    assert run.fit.constants["ka"].value == pytest.approx(KA, rel=0.01)
+
+
+def test_the_step_of_a_network_that_was_given_stays(tmp_path: Path) -> None:
+    run = train(model_of(HIDDEN), doses(), TrainOptions(workers=1, max_step=2.0), tmp_path / "run")
+    assert "finer step" not in [stage.name for stage in run.fit.members[0].stages]

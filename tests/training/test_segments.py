@@ -142,7 +142,7 @@ def test_growing_horizons_find_a_law_that_intervals_do_not_show() -> None:
     fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
     whole = context.parameters(fixed, released=True)
     theta = whole.vector(context.module.weights)
-    stage = GrowingHorizons(context, whole, [theta])
+    stage = GrowingHorizons(context, whole, [theta], "normal")
     state, iteration, losses = stage.begin(theta), 0, []
     while iteration < stage.total:
         outcome: Outcome = stage.step(state, iteration)

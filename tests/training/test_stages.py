@@ -94,7 +94,7 @@ def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatc
         ready = prepare(model, load_module(model), data, TrainOptions(**options), 0)  # type: ignore[arg-type]
         return {stage.name for stage in planning.plan(ready.context, ready.parameters)}
 
-    found = names(URP, initial="bred") | names(URP, forcing="0.5") | names(KNOWN)
+    found = names(URP, initial="bred") | names(URP, effort="high") | names(URP, forcing="0.5") | names(KNOWN)
     monkeypatch.setattr(planning, "PASSES", 1)
     found |= names(URP)
     assert found == set(STAGES)

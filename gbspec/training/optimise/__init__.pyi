@@ -2,11 +2,13 @@ from .adam import Adam as Adam
 from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
 from .curvature import covariance as covariance
+from .curvature import log_evidence as log_evidence
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import Certainty as Certainty
 from .levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from .levenberg_marquardt import LevenbergOptions as LevenbergOptions
 from .levenberg_marquardt import evidence as evidence
+from .levenberg_marquardt import moved as moved
 from .levenberg_marquardt import noise_variance as noise_variance
 from .normal_equations import NormalEquations as NormalEquations
 from .normal_equations import huber as huber

@@ -46,6 +46,34 @@ def covariance(engine: Engine, theta: Array) -> Covariance | None:
         return None
 
 
+def log_evidence(engine: Engine, theta: Array) -> float | None:
+    """The logarithm of the evidence at a vector, up to a constant of the problem (Laplace's approximation, with the
+    prior of the weights that maximises it); None if it is not known or would take too long.
+
+    The curvature of the trajectories' own parameters counts as constant, by their degrees of freedom.
+    """
+    parameters = engine.parameters
+    n, total = parameters.n_weights, parameters.n_shared
+    if n == 0 or n > DENSE or int(engine.problem.seen.sum()) * total > LARGEST:
+        return None
+    system = linearise(engine, theta)
+    if not bool(np.isfinite(system.residuals.numpy()).all()):
+        return None
+    try:
+        reduced = _Reduced.of(engine, system, theta)
+        matrix = reduced.matrix()
+        block = matrix[n:, n:] + reduced.weak * np.eye(total - n)
+        values = np.linalg.eigvalsh(matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(block, matrix[n:, :n]))
+    except np.linalg.LinAlgError:
+        return None
+    values = np.maximum(values, 0.0)
+    others = reduced.used + total - n
+    ridge, variance = _evidence(reduced, values, theta[:n], others)
+    misfit = reduced.squares + ridge * float(theta[:n] @ theta[:n])
+    shrinking = float(np.sum(np.log(ridge / (values + ridge)))) - float(np.linalg.slogdet(block)[1])
+    return 0.5 * (shrinking - misfit / variance - (reduced.count - others) * float(np.log(variance)))
+
+
 @dataclass(frozen=True)
 class _Reduced:
     """The normal matrix of the shared columns [m, n] after elimination of the trajectories' own.

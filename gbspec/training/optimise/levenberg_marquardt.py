@@ -27,6 +27,8 @@ DIFFERENCE, BEND = 0.1, 0.75
 """The fraction of a step used to estimate its curvature, and the largest correction relative to the step."""
 CORRECTIONS, WORTHWHILE = 8, 0.02
 """Largest number of corrections of a step, and the relative decrease of the objective that each must achieve."""
+EVIDENCE_UPDATES = 6
+"""How often the ridge is estimated again from one linearisation."""
 WEAK = 1e-2
 """Prior precision assumed for entries without a prior, relative to the noise, in the count of degrees of freedom."""
 
@@ -322,6 +324,34 @@ def _bend(fit: _Fit, step: Array, damping: float) -> Array | None:
     with np.errstate(over="ignore"):
         small = 2 * float(np.linalg.norm(bend)) <= BEND * float(np.linalg.norm(step))
     return bend if small else None
+
+
+def moved(engine: Engine, theta: Array, change: Array) -> float:
+    """The largest move of a shared constant, in its standard deviations, if the residuals [m] change by `change`.
+
+    By a Gauss-Newton step from `theta`, with the weights' prior of the evidence there; 0 if it is not known.
+    """
+    system = linearise(engine, theta)
+    residuals = system.residuals.numpy().copy()
+    if not np.isfinite(residuals).all():
+        return 0.0
+    delta = float(np.clip(4 * np.median(np.abs(engine.problem.of_noise(residuals))), DELTA_LOW, DELTA_HIGH))
+    fit, parameters = _Fit(engine, system, theta, delta, 0.0), engine.parameters
+    equations, weak = fit.equations, WEAK * max(float(np.mean(residuals**2)), 1e-300)
+    try:
+        for number in range(EVIDENCE_UPDATES):
+            equations.ridge = evidence(engine.problem, equations, residuals, delta, theta, equations.ridge, number)
+        freedom = equations.degrees_of_freedom(weak, 0)
+        target = equations.root * np.concatenate([change, np.zeros(len(equations.root) - len(change))])
+        move, worst = equations.respond(target, weak), 0.0
+        for place in range(parameters.n_weights, parameters.n_shared):
+            unit = np.zeros(parameters.size)
+            unit[place] = 1.0
+            variance = equations.invert(unit, weak)[place] * noise_variance(engine.problem, residuals, delta, freedom)
+            worst = max(worst, abs(float(move[place])) / max(float(variance), 1e-300) ** 0.5)
+    except np.linalg.LinAlgError:
+        return 0.0
+    return worst
 
 
 def noise_variance(problem: Problem, residuals: Array, delta: float, freedom: float) -> float:

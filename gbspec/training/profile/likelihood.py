@@ -179,6 +179,8 @@ class _Profiler:
 
     def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
         options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
+        step = run.member(member).info.get("max_step")
+        options = replace(options, max_step=float(step) if isinstance(step, int | float) else options.max_step)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)

@@ -42,10 +42,9 @@ class GrowingHorizons:
 
     name = StageName.HORIZONS.value
 
-    def __init__(self, context: Context, whole: Parameters, starts: Sequence[Array]) -> None:
+    def __init__(self, context: Context, whole: Parameters, starts: Sequence[Array], effort: Effort) -> None:
         self.context, self.whole, self.starts = context, whole, list(starts)
         self.horizons = horizons(context)
-        effort = context.options.effort
         self.most = ITERATIONS[effort]
         self.total = self.most * len(self.horizons) * len(self.starts)
         self._made: dict[int, Segments] = {}

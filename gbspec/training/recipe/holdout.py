@@ -13,28 +13,34 @@ from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.starts import fit_curves, refit_starts
 
 
-def held_out_score(context: Context, parameters: Parameters, theta: Array) -> float:
+def held_out_score(context: Context, parameters: Parameters, theta: Array, fraction: float = 1.0) -> float:
     """Mean of half squared residuals of the held-out trajectories under teacher forcing (infinite if not finite).
+
+    With the `fraction` of the largest step that `theta` is fitted with.
 
     A single trajectory of which the last rows are held out is solved from its fitted initial state; only these rows
     count.
     """
-    engine, vector = _fitted(context, parameters, theta, 1.0)
+    engine, vector = _fitted(context, parameters, theta, 1.0, fraction)
     return mean_loss(residual_vector(engine, vector))
 
 
-def held_out_solutions(context: Context, parameters: Parameters, theta: Array) -> tuple[Problem, Array] | None:
+def held_out_solutions(
+    context: Context, parameters: Parameters, theta: Array, fraction: float = 1.0
+) -> tuple[Problem, Array] | None:
     """The problem of the held-out data, and its predictions [R, C] by whole solutions; None if nothing is held out."""
     if not len(context.held):
         return None
-    engine, vector = _fitted(context, parameters, theta, 0.0)
+    engine, vector = _fitted(context, parameters, theta, 0.0, fraction)
     return engine.problem, predicted(engine, vector).mean
 
 
-def _fitted(context: Context, parameters: Parameters, theta: Array, blend: float) -> tuple[Engine, Array]:
+def _fitted(
+    context: Context, parameters: Parameters, theta: Array, blend: float, fraction: float
+) -> tuple[Engine, Array]:
     """The engine of the held-out data, with the vector in which their own parameters are fitted."""
     held, model = context.held, context.model
-    packed = pack(held, model, context.max_step, method=context.method)
+    packed = pack(held, model, fraction * context.max_step, method=context.method)
     scaling = context.scaling(packed)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
     if single:  # only the rows that are not fitted count

@@ -54,7 +54,7 @@ class Planned:
 
 def step_fraction(begun: Sequence[str]) -> float:
     """The fraction of the largest step that the last of the begun stages uses."""
-    finer = list(begun).count(StageName.FINER)
-    if finer:
-        return float(0.5**finer)
-    return 0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
+    first = (
+        0.5 if StageName.HALF_STEP in begun and not {StageName.BLEND, StageName.AUTOREGRESSIVE} & set(begun) else 1.0
+    )
+    return float(first * 0.5 ** list(begun).count(StageName.FINER))

@@ -14,6 +14,8 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, FinerStep, LastFit, step_shows
+from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
@@ -42,12 +44,6 @@ WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
 """Largest numbers of iterations of `autoregressive` with few data."""
 FIRST_RIDGE = 1e-3
 """The initial ridge, as a multiple of the squared typical residual (at least 1e-4)."""
-
-HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
-"""How often the step may be halved where its error shows in the constants."""
-SHOWS, LEAST_ERROR = 0.1, 1e-5
-"""A step's error shows where it could move a constant by more than this many of its standard deviations, and is larger
-than this fraction of a channel's scale."""
 ALONE: Mapping[Effort, int] = {"low": 100, "normal": 300, "high": 1500}
 """Largest numbers of epochs of Adam and iterations of L-BFGS if no other stage fits the networks."""
 
@@ -72,7 +68,10 @@ class _Planner:
         self.context, self.parameters, self.options = context, parameters, context.options
         self.blend = context.options.blend
         self.values = int((context.packed().weights > 0).sum())
-        self.enough = ENOUGH[context.options.effort]
+        # Effort high is never worse than normal: it does the same first, and then continues.
+        first = context.options.method == "auto" and parameters.n_weights and not context.options.named_stages
+        self.effort: Effort = "normal" if first and self.options.effort == "high" else self.options.effort
+        self.enough = ENOUGH[self.effort]
         # Whole solutions of noisy data must not start from single noisy values; the vector's layout stays the same.
         self.released = replace(parameters, start_free=released_starts(context.model, parameters.start_free))
 
@@ -126,30 +125,39 @@ class _Planner:
                 and typical(residual_vector(context.engine(parameters, 0.0), reached.theta)) > NOISE
             )
 
+        def known(reached: Reached) -> LastFit:
+            layout = self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
+            return LastFit(layout, blend, blend, lambda theta: plain, True)
+
         released = self._at(0.0, 1.0, self.released)
         return [
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
-            *(self._finer(number, blend, plain) for number in range(1, HALVINGS[self.options.effort] + 1)),
+            *(self._finer(number, known) for number in range(1, HALVINGS[self.options.effort] + 1)),
             *(self._weights(number, plain, blend == 0.0) for number in range(1 + REWEIGHTINGS)),
         ]
 
-    def _finer(self, number: int, blend: float, options: LevenbergOptions) -> Planned:
-        """Continues at half the present step, where its error shows and the step is not one that the user gave."""
-        present, most = 0.5 ** (number - 1), self._most(StageName.FINER)
-
-        def layout(reached: Reached) -> Parameters:
-            return self.released if StageName.LEAST_SQUARES_STARTS in reached.marks else self.parameters
+    def _finer(self, number: int, last: Callable[[Reached], LastFit | None]) -> Planned:
+        """Continues the last fit at half its step, where its error shows and the step is not one that the user gave."""
+        most = self._most(StageName.FINER)
 
         def make(reached: Reached) -> Stage:
-            engine = self._at(blend, present / 2, layout(reached))
-            return LevenbergMarquardt(StageName.FINER.value, most, engine, replace(options, damping=STEADY))
+            found, fraction = last(reached), step_fraction(reached.begun) / 2
+            assert found is not None, "the stage has begun"
+            chosen = replace(found.options(reached.theta), damping=STEADY)
+            newton = LevenbergMarquardt(StageName.FINER, most, self._at(found.blend, fraction, found.layout), chosen)
+            return FinerStep(newton, fraction * self.context.max_step)
 
         def shows(reached: Reached) -> bool:
-            if self.options.max_step is not None or step_fraction(reached.begun) != present:
+            found = last(reached)
+            if self.options.max_step is not None or found is None:
                 return False
-            return self._step_shows(layout(reached), reached.theta, blend, present)
+            if list(reached.begun).count(StageName.FINER) != number - 1:
+                return False
+            size = step_fraction(reached.begun)
+            now, half = (self.context.engine(found.layout, found.seen, part) for part in (size, size / 2))
+            return step_shows(now, half, reached.theta, found.constants)
 
         return Planned(StageName.FINER, most, make, possible=shows)
 
@@ -173,22 +181,19 @@ class _Planner:
 
         return reweighed(self.context, number, layout, settings, noisy)
 
-    def _step_shows(self, layout: Parameters, theta: Array, blend: float, fraction: float) -> bool:
-        """Whether halving the step changes a channel's residuals so much that a constant could move.
-
-        A change d of the residuals moves a constant by at most |d| / sigma of its standard deviations (the length of
-        the projection of d on one direction, in units of the noise).
-        """
-        now, half = (self.context.engine(layout, blend, part) for part in (fraction, fraction / 2))
-        before, after, seen = residual_table(now, theta), residual_table(half, theta), now.problem.seen
-        for i in range(before.shape[1]):
-            rows = seen[:, i]
-            if not (rows.any() and np.isfinite(after[rows, i]).all()):
-                continue
-            change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
-            if change > max(SHOWS * noise / np.sqrt(rows.sum()), LEAST_ERROR):
-                return True
-        return False
+    def _last_of_networks(self, reached: Reached) -> LastFit | None:
+        """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
+        marks = reached.marks
+        if StageName.AS_ASKED in marks:
+            return LastFit(self.parameters, self.blend, self.blend, self._regular, True)
+        if StageName.AUTOREGRESSIVE in marks:
+            late = marks.get(StageName.WEIGHTS, marks[StageName.AUTOREGRESSIVE])
+            if np.array_equal(marks.get(StageName.CHOICE, late), late):
+                return LastFit(self.released, 0.0, 0.0, self._regular, True)
+            return None if StageName.HORIZONS in marks else LastFit(self.released, 1.0, 1.0, self._prior, False)
+        if StageName.TEACHER not in marks or StageName.HORIZONS in marks:
+            return None
+        return LastFit(self.parameters, 1.0, 0.0, self._close, self.values < FEW)
 
     def _automatic(self) -> list[Planned]:
         """The stages of the recipe for unknown functions: see docs/training.md."""
@@ -202,6 +207,7 @@ class _Planner:
                 self._starts(StageName.STARTS, 1.0),
                 self._newton(StageName.TEACHER, first, self._prior),
                 self._newton(StageName.AS_ASKED, last, self._regular),
+                *self._continued(),
             ]
         whole = self._at(0.0, 1.0, self.released)
         return [
@@ -217,7 +223,26 @@ class _Planner:
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
             *(self._weights(number, self._regular) for number in range(1 + REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
+            *self._continued(),
         ]
+
+    def _continued(self) -> list[Planned]:
+        """What follows the last fit of networks: finer steps, and at effort high further iterations and finer steps."""
+
+        def finer(effort: Effort) -> list[Planned]:
+            return [self._finer(n, self._last_of_networks) for n in range(1, NETWORK_HALVINGS[effort] + 1)]
+
+        def make(reached: Reached) -> Stage:
+            found = self._last_of_networks(reached)
+            assert found is not None, "the stage is possible"
+            chosen = replace(found.options(reached.theta), damping=STEADY, enough=ENOUGH["high"])
+            engine = self._at(found.blend, step_fraction(reached.begun), found.layout)
+            return Further(LevenbergMarquardt(StageName.FURTHER, total, engine, chosen))
+
+        total = most_iterations(StageName.FURTHER, self.options.effort)
+        further = Planned(StageName.FURTHER, total, make, possible=lambda r: self._last_of_networks(r) is not None)
+        high = self.options.effort == "high"
+        return [*finer(self.effort), *([further, *finer("high")] if high and self.effort != "high" else [])]
 
     # ---------------------------------------------------------------- problems
     def _at(self, blend: float, fraction: float = 1.0, parameters: Parameters | None = None) -> At:
@@ -231,7 +256,7 @@ class _Planner:
 
     # ---------------------------------------------------------------- decisions
     def _most(self, stage: StageName) -> int:
-        return most_iterations(stage, self.options.effort)
+        return most_iterations(stage, self.effort)
 
     def _teacher_limit(self) -> int:
         """The limit of teacher forcing: few iterations if smoothing curves have shown noise, since it is inconsistent
@@ -242,7 +267,7 @@ class _Planner:
     def _whole_limit(self) -> int:
         """The limit of whole solutions: with few data the ridge matters and converges slowly, and an iteration is
         cheap."""
-        return WITH_FEW_DATA[self.options.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
+        return WITH_FEW_DATA[self.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
 
     def _both_fits(self, reached: Reached) -> bool:
         """Whether intervals and whole solutions were both fitted."""
@@ -340,7 +365,7 @@ class _Planner:
             first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]
             starts = first if not context.points.equations else first[::-1]
             starts += [self._random(reached.theta, number) for number in range(1, most - 1)]
-            return GrowingHorizons(context, self.released, starts[:most])
+            return GrowingHorizons(context, self.released, starts[:most], self.effort)
 
         return Planned(StageName.HORIZONS, parts * most, make, self._astray, lambda reached: parts > 0)
 

@@ -44,8 +44,9 @@ class Position:
 
     `entry` is the vector at the beginning of the present stage, from which the stage is rebuilt on resume; `marks`
     holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
-    belong to the vector that best predicts held-out data (without held-out data: the last one). `estimated` is the
-    noise by which channels are weighed, if they are.
+    belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
+    number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
+    weighed, if they are.
     """
 
     stage: int = 0
@@ -55,6 +56,7 @@ class Position:
     theta: Array = field(default_factory=lambda: np.zeros(0))
     best: Array = field(default_factory=lambda: np.zeros(0))
     best_score: float = float("inf")
+    best_stages: int = 0
     marks: dict[str, Array] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     certainty: Certainty = field(default_factory=Certainty)
@@ -205,7 +207,8 @@ class _Runner:
         if len(self.context.held):
             from gbspec.training.recipe import held_out_score
 
-            position.best_score = held_out_score(self.context, self.parameters, position.best)
+            fraction = step_fraction([stage.name for stage in self._fitted_stages()])
+            position.best_score = held_out_score(self.context, self.parameters, position.best, fraction)
 
     def _take_steps(self, stage: Stage, stop: Callable[[], bool]) -> None:
         """The steps of a stage that remain. Raises ComputationError if one of them is impossible."""
@@ -261,15 +264,19 @@ class _Runner:
 
     def _score(self) -> None:
         """Keeps the vector that best predicts held-out data, or the last vector if nothing is held out."""
-        position = self.position
-        if not len(self.context.held):
-            position.best, position.best_score = position.theta, position.loss
-            return
-        from gbspec.training.recipe import held_out_score
+        position, score = self.position, self.position.loss
+        if len(self.context.held):
+            from gbspec.training.recipe import held_out_score
 
-        score = held_out_score(self.context, self.parameters, position.theta)
-        if score <= position.best_score:
-            position.best, position.best_score = position.theta, score
+            fraction = step_fraction([stage.name for stage in position.stages])
+            score = held_out_score(self.context, self.parameters, position.theta, fraction)
+            if not score <= position.best_score:
+                return
+        position.best, position.best_score, position.best_stages = position.theta, score, len(position.stages)
+
+    def _fitted_stages(self) -> list[StageRecord]:
+        """The stages up to the one that found the vector that is kept."""
+        return self.position.stages[: self.position.best_stages or None]
 
     def _constants(self, theta: Array) -> tuple[float, ...]:
         """Learned constants (the mean of per-trajectory ones), in natural units."""
@@ -285,21 +292,23 @@ class _Runner:
         converge earlier."""
         position = self.position
         pace = stage_seconds / max(position.iteration, 1)
-        later = sum(p.total for p in self.plan[position.stage + 1 :])
+        later = sum(p.total for p in self.plan[position.stage + 1 :] if p.name is not StageName.FINER)
         return pace * (max(stage.total - position.iteration, 0) + later)
 
     # ---------------------------------------------------------------- files
     def _result(self) -> MemberResult:
         position = self.position
         freedom = position.certainty.freedom
-        result = summarise(self.context, self.parameters, position.best, freedom, position.seconds, position.stages)
+        fitted = self._fitted_stages()
+        result = summarise(self.context, self.parameters, position.best, freedom, position.seconds, fitted)
+        result.stages = list(position.stages)
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
             # The largest step used in the last fit of the weights.
-            "max_step": self.context.max_step * step_fraction([stage.name for stage in position.stages]),
+            "max_step": self.context.max_step * step_fraction([stage.name for stage in fitted]),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
@@ -313,7 +322,7 @@ class _Runner:
             instance.save(temporary)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         if position.finished:
-            names = [stage.name for stage in position.stages]
+            names = [stage.name for stage in fitted]
             certainties(self.context, self.parameters, position.best, names, instance).write(self.directory)
         result.history = list(position.history)
         for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
@@ -371,6 +380,7 @@ class _Runner:
                 (name, i, seconds, loss.hex(), tuple(x.hex() for x in constants))
                 for name, i, seconds, loss, constants in position.history
             ),
+            best_stages=position.best_stages,
         )
         files.write_tensors(self.directory / files.CHECKPOINT, arrays, encode(remarks))
         best = {"theta": position.best}
@@ -416,6 +426,7 @@ def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
         ),
         theta=arrays["theta"],
         best=arrays["best"],
+        best_stages=remarks.best_stages,
         best_score=float.fromhex(remarks.exact.best_score),
         seconds=remarks.seconds,
         loss=float.fromhex(remarks.exact.loss),

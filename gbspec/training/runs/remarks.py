@@ -32,3 +32,4 @@ class Remarks:
     notes: tuple[str, ...]
     exact: Exact
     history: tuple[tuple[str, int, float, str, tuple[str, ...]], ...]
+    best_stages: int = 0

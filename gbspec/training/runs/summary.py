@@ -88,7 +88,7 @@ def summarise(
         context.seed,
         mean_loss(measured_only(problem, residuals_of(problem, solution.mean))),
         mean_loss(residual_vector(context.engine(parameters, 1.0, fraction), theta)),
-        _channels(context, parameters, theta, problem, solution.mean),
+        _channels(context, parameters, theta, problem, solution.mean, fraction),
         rmse,
         noise,
         dict(zip(names, map(float, values), strict=True)),
@@ -105,11 +105,11 @@ def summarise(
 
 
 def _channels(
-    context: Context, parameters: Parameters, theta: Array, problem: Problem, mean: Array
+    context: Context, parameters: Parameters, theta: Array, problem: Problem, mean: Array, fraction: float
 ) -> dict[str, ChannelRecord]:
     """How whole solutions follow each channel's data, and those of held-out trajectories."""
     naive = naive_predictors(context.model, context.trajectories)
-    held = held_out_solutions(context, parameters, theta)
+    held = held_out_solutions(context, parameters, theta, fraction)
     estimated, scales = context.estimated, context.scaled(context.estimated)
     out = {}
     for i, channel in enumerate(context.model.channels):

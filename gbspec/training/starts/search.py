@@ -103,7 +103,7 @@ class Search:
         losses = np.array([self._loss(candidate) for candidate in candidates])
         if not np.isfinite(losses).any():
             raise self._none_survived(theta, len(losses))
-        order = [i for i in (0, 1, *(2 + np.argsort(losses[2:], kind="stable")).tolist()) if np.isfinite(losses[i])]
+        order = [i for i in self._order(losses) if np.isfinite(losses[i])]
         best = int(np.argmin(losses))
         return {
             "theta": candidates[best],
@@ -113,6 +113,16 @@ class Search:
             "survived": np.array(float(np.isfinite(losses).sum())),
             "drawn": np.array(float(len(losses))),
         }
+
+    def _order(self, losses: Array) -> list[int]:
+        """The order of the starts: the first two, and the draws from the best one on.
+
+        At effort high those come first that effort normal has, in its order: what normal finds is found too.
+        """
+        first = min(PATIENCE["normal"].draws, len(losses) - 2)
+        known = [0, 1, *(2 + np.argsort(losses[2 : 2 + first], kind="stable")).tolist()]
+        known = [i for i in known if np.isfinite(losses[i])][: PATIENCE["normal"].improved]
+        return [*known, *(i for i in (2 + np.argsort(losses[2:], kind="stable")).tolist() if i not in known)]
 
     def step(self, state: State, iteration: int) -> Outcome:
         """Improves one start."""

@@ -1,0 +1,78 @@
+"""Whether the solver's step is short enough for a fit: whether half of it would move a solution or a constant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.training.engines import Engine, residual_table
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, moved
+from gbspec.training.problem import Parameters, mean_loss, measured_only
+from gbspec.training.stages import Effort, StageName
+
+HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
+"""How often the step may be halved where all forms are known."""
+NETWORK_HALVINGS: Mapping[Effort, int] = {"low": 2, "normal": 4, "high": 6}
+"""How often it may be halved with networks, whose fits take longer."""
+SHOWS, LEAST_ERROR = 0.1, 1e-5
+"""A step's error shows where it moves a solution by more than this share of the noise, or a constant by more than this
+many of its standard deviations, and where it is larger than this fraction of a channel's scale."""
+
+
+@dataclass(frozen=True)
+class LastFit:
+    """The fit that is continued: layout of the vector, strength of teacher forcing and options.
+
+    `seen` is the strength with which the step's error is looked at; `constants`: whether constants have intervals.
+    """
+
+    layout: Parameters
+    blend: float
+    seen: float
+    options: Callable[[Array], LevenbergOptions]
+    constants: bool
+
+
+def step_shows(now: Engine, half: Engine, theta: Array, constants: bool) -> bool:
+    """Whether halving the step changes solutions by more than a share of the noise, or, with `constants`, moves a
+    constant.
+
+    A change d of the residuals moves a constant by at most |d| / sigma of its standard deviations (the length of the
+    projection of d on one direction, in units of the noise). With networks most of a change is in other directions
+    than that of a constant; where this bound is not kept, a Gauss-Newton step tells how far the constants move.
+    """
+    parameters, seen = now.parameters, now.problem.seen
+    before, after = residual_table(now, theta), residual_table(half, theta)
+    suspect = False
+    for i in range(before.shape[1]):
+        rows = seen[:, i]
+        if not (rows.any() and np.isfinite(after[rows, i]).all() and np.isfinite(before[rows, i]).all()):
+            continue
+        change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
+        if change <= LEAST_ERROR:
+            continue
+        if change > SHOWS * noise:
+            return True
+        suspect = suspect or bool(change > SHOWS * noise / np.sqrt(rows.sum()))
+    if not (suspect and constants and parameters.shared):
+        return False
+    if not parameters.n_weights:
+        return True
+    change = np.where(np.isfinite(after - before), after - before, 0.0)
+    return moved(now, theta, measured_only(now.problem, change)) > SHOWS
+
+
+class FinerStep(LevenbergMarquardt):
+    """Levenberg-Marquardt with a finer step, which it shows."""
+
+    def __init__(self, of: LevenbergMarquardt, step: float) -> None:
+        super().__init__(StageName.FINER.value, of.total, of.engine_at, of.options)
+        self.remark = f"largest step {step:.3g}"
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One iteration, with the step in its remark."""
+        outcome = super().step(state, iteration)
+        return Outcome(outcome.state, outcome.loss, outcome.done, outcome.note, self.remark)
