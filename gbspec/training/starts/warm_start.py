@@ -228,10 +228,8 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
     seen: dict[int, list[tuple[Array, Array]]] = {}
     for (which, known), (_, spread) in zip(eliminated.arguments, eliminated.spread, strict=True):
         # Where states without curves matter, nothing but their declared ranges tells the size of an argument.
-        declared = [
-            argument.range is not None and argument.range.bounded for argument in model.networks[which].arguments
-        ]
-        arguments = np.where(declared | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
+        given = np.array([a.range is not None and a.range.bounded for a in model.networks[which].arguments], dtype=bool)
+        arguments = np.where(given | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
         width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
         columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
         seen.setdefault(which, []).append(
