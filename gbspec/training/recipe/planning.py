@@ -20,7 +20,7 @@ from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
-from gbspec.training.recipe.weighing import REWEIGHTINGS, reweighed
+from gbspec.training.recipe.weighing import REWEIGHTINGS, noise_table, reweighed
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
@@ -135,7 +135,7 @@ class _Planner:
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
             *(self._finer(number, known) for number in range(1, HALVINGS[self.options.effort] + 1)),
-            *(self._weights(number, plain, blend == 0.0) for number in range(1 + REWEIGHTINGS)),
+            *(self._weights(plain, blend == 0.0) for _ in range(REWEIGHTINGS)),
         ]
 
     def _finer(self, number: int, last: Callable[[Reached], LastFit | None]) -> Planned:
@@ -161,9 +161,7 @@ class _Planner:
 
         return Planned(StageName.FINER, most, make, possible=shows)
 
-    def _weights(
-        self, number: int, options: LevenbergOptions | Callable[[Array], LevenbergOptions], whole: bool = True
-    ) -> Planned:
+    def _weights(self, options: LevenbergOptions | Callable[[Array], LevenbergOptions], whole: bool = True) -> Planned:
         """Continues `whole` solutions with channels weighed by their noise."""
 
         def layout(reached: Reached) -> Parameters:
@@ -179,7 +177,7 @@ class _Planner:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
             return replace(chosen, damping=STEADY)
 
-        return reweighed(self.context, number, layout, settings, noisy)
+        return reweighed(self.context, layout, settings, noisy)
 
     def _last_of_networks(self, reached: Reached) -> LastFit | None:
         """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
@@ -221,7 +219,7 @@ class _Planner:
             self._newton(StageName.BLEND, self._at(0.3), self._regular, self._blended),
             self._starts(StageName.WHOLE_STARTS, 0.0, self._whole_next, self.released),
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
-            *(self._weights(number, self._regular) for number in range(1 + REWEIGHTINGS)),
+            *(self._weights(self._regular) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
             *self._continued(),
         ]
@@ -290,13 +288,13 @@ class _Planner:
     def _noisy(self, reached: Reached) -> bool:
         """Whether a channel's typical residual of intervals exceeds `NOISE`."""
         engine = self.context.engine(self.parameters)
-        table, seen = residual_table(engine, reached.theta), engine.problem.seen
+        table, seen = noise_table(engine, reached.theta), engine.problem.seen
         return any(typical(table[seen[:, i], i]) > NOISE for i in range(table.shape[1]))
 
     def _whole_error(self, reached: Reached) -> float:
         """The root mean square residual of whole solutions, of the channel in which it is largest."""
         engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
-        table, seen = residual_table(engine, reached.theta), engine.problem.seen
+        table, seen = noise_table(engine, reached.theta), engine.problem.seen
         losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
         return float(np.sqrt(2 * max(losses, default=0.0)))
 

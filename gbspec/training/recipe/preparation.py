@@ -16,6 +16,7 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, typical
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.stages import imputed_forcing
+from gbspec.training.recipe.weighing import first as first_weights
 from gbspec.training.starts import eliminate, network_scales, regress_slopes
 
 SUSPECT = 0.03
@@ -36,13 +37,19 @@ def prepare(
     model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
 ) -> Prepared:
     """The context and the initial vector, from interpolating curves, or smoothing ones if these give a better fit."""
-    first = _attempt(build_context(model, module, trajectories, options, seed))
+    first = _attempt(_weighed(build_context(model, module, trajectories, options, seed)))
     if not options.warm_start or not first.context.points.equations:
         return first
     if _misfit(first) <= SUSPECT:
         return first
-    second = _attempt(build_context(model, module, trajectories, options, seed, smooth=True))
+    second = _attempt(_weighed(build_context(model, module, trajectories, options, seed, smooth=True)))
     return min(first, second, key=_misfit)
+
+
+def _weighed(context: Context) -> Context:
+    """The context with first weights of channels that have very different numbers of values."""
+    context.estimated = first_weights(context)
+    return context
 
 
 def _misfit(prepared: Prepared) -> float:

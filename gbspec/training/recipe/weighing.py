@@ -6,7 +6,7 @@ squared residuals over the number of its values less the degrees of freedom that
 that follow one another count less: of n values with a correlation c of successive residuals, n (1 - c) / (1 + c) count.
 
 A dense channel that the model cannot follow exactly would bend a fit away from all others, whose noise would then be
-overestimated. So where numbers of values differ much, a fit in which all channels count equally comes first.
+overestimated. So where numbers of values differ much, channels have other weights until then (see `first`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CLEAN = 1e-3
 """The least standard deviation of noise that is estimated, relative to that of the data: channels that are fitted this
 closely count as exact, and weigh equally."""
 UNEQUAL = 5.0
-"""Above this ratio of the channels' numbers of values all of them first count equally."""
+"""Above this ratio of the channels' numbers of values they are weighed from the beginning."""
 NOTICED, SETTLED = 0.25, 0.1
 """Weights are introduced where the ratio of two scales changes by more than `NOTICED` (of its logarithm), and changed
 while it changes by more than `SETTLED`."""
@@ -39,6 +39,7 @@ LEAST_LEFT = 0.25
 """The least share of a channel's values that is taken to be left by a fit."""
 OUTLYING = 4.0
 """Residuals beyond this many robust standard deviations do not count in full."""
+MAD_TO_SD = 1.4826
 WEAK = 1e-2
 """Precision of a prior on all entries in the count of degrees of freedom, relative to the noise."""
 PROBES, ROUNDS = 24, 6
@@ -47,21 +48,18 @@ PROBES, ROUNDS = 24, 6
 
 def reweighed(
     context: Context,
-    number: int,
     layout: Callable[[Reached], Parameters],
     options: Callable[[Reached], LevenbergOptions],
     wanted: Decision,
 ) -> Planned:
-    """The stage that continues whole solutions with channels weighed by their noise, for the `number`-th time; number 0
-    lets all channels count equally."""
+    """The stage that continues whole solutions with channels weighed by their noise."""
     most = most_iterations(StageName.WEIGHTS, context.options.effort)
 
     def engine_of(reached: Reached) -> Engine:
         return context.engine(layout(reached), 0.0, step_fraction(reached.begun))
 
     def found(reached: Reached) -> Estimated | None:
-        noise = estimated(context, engine_of(reached), reached.theta, options(reached).ridge)
-        return noise if noise is None or number else equal(context)
+        return estimated(context, engine_of(reached), reached.theta, options(reached).ridge)
 
     def make(reached: Reached) -> Stage:
         engine = engine_of(reached)
@@ -74,6 +72,12 @@ def reweighed(
     return Planned(StageName.WEIGHTS, most, make, possible=differ, weigh=found)
 
 
+def noise_table(engine: Engine, theta: Array) -> Array:
+    """Residuals [R, C] with the standard deviation of the noise, however much the channels count."""
+    table, share = residual_table(engine, theta), engine.problem.scaling.share
+    return table if share is None else np.asarray(table / np.sqrt(share), dtype=np.float64)
+
+
 def weighable(context: Context) -> Mask:
     """The channels [C] whose noise is estimated: those that do not state it, if there is another one to weigh them
     against."""
@@ -82,13 +86,41 @@ def weighable(context: Context) -> Mask:
     return free if measured.sum() > 1 else np.zeros_like(free)
 
 
-def equal(context: Context) -> Estimated | None:
-    """Shares by which all channels count equally; None if their numbers of values differ little."""
+def first(context: Context) -> Estimated | None:
+    """The weights until residuals are known; None if the numbers of the channels' values differ little, or if the
+    channel with most of them is exact.
+
+    Channels count equally if all functions are known. Networks need the information of every value from the first stage
+    on: the noise is then that of the differences of successive values, which where these are far apart is too large,
+    but is not taken to be more than that of the channel with most values.
+    """
     count, free = context.problem().seen.sum(axis=0), weighable(context)
     if free.sum() < 2 or count[free].max() <= UNEQUAL * count[free].min():
         return None
+    deviation = deviations(context.model, context.trajectories)
+    rough = np.array([_of_differences(context, i) for i in range(len(count))]) / deviation
+    dense = float(rough[np.argmax(np.where(free, count, 0))])
+    if not dense > CLEAN:
+        return None
+    if context.model.networks:
+        noise = np.where(free, np.clip(np.where(np.isfinite(rough), rough, dense), CLEAN, dense) * deviation, np.nan)
+        return Estimated(noise, np.ones(len(count)))
     share = np.where(free, count[free].min() / np.maximum(count, 1), 1.0)
     return Estimated(np.full(len(count), np.nan), share)
+
+
+def _of_differences(context: Context, channel: int) -> float:
+    """The standard deviation of noise from the distances of values to the lines between their neighbours (Gasser, Sroka
+    and Jennen-Steinmetz 1986), from their median; NaN if there are none."""
+    found = [np.zeros(0)]
+    for item in context.trajectories.items:
+        seen = np.isfinite(item.values[:, channel])
+        t, y = item.times[seen], item.values[seen, channel]
+        if len(t) > 2:
+            left = (t[2:] - t[1:-1]) / (t[2:] - t[:-2])
+            found.append((left * y[:-2] + (1 - left) * y[2:] - y[1:-1]) / np.sqrt(left**2 + (1 - left) ** 2 + 1))
+    distances = np.concatenate(found)
+    return MAD_TO_SD * float(np.median(np.abs(distances))) if len(distances) else float("nan")
 
 
 def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> Estimated | None:
@@ -103,7 +135,7 @@ def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> E
     for i in np.flatnonzero(free):
         rows = _in_time(problem, int(i))
         column = table[rows, i]
-        robust = 1.4826 * float(np.median(np.abs(column)))
+        robust = MAD_TO_SD * float(np.median(np.abs(column)))
         inside = np.minimum(np.abs(column), OUTLYING * robust) if robust > 0 else np.abs(column)
         left = max(len(column) - used[i], LEAST_LEFT * len(column), 1.0)
         noise[i] = scale[i] * float(np.sqrt(np.sum(inside**2) / left))

@@ -95,7 +95,7 @@ def fit_member(
             runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
         else:
             ready = prepare(model, module, trajectories, options, seed)
-            position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss)
+            position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
             runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)
             runner.record_preparation(time.monotonic() - began)
             runner.save()

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
+from gbspec.data import sobol
 from gbspec.ir import NN, Model
 from gbspec.training.optimise import AdamMoments, one_cycle, prior_sd
 from gbspec.training.problem import Bijections, Parameters, Weights
@@ -35,11 +36,15 @@ PRIOR = 0.5
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Constants (trainable values [n_learnables]), and free outputs [M, Q] with the arguments of each application."""
+    """Constants (trainable values [n_learnables]), and free outputs [M, Q] with the arguments of each application.
+
+    `spread` are the arguments with states that have no curve spread over their declared ranges.
+    """
 
     constants: Array
     outputs: Array
     arguments: tuple[tuple[int, Array], ...]
+    spread: tuple[tuple[int, Array], ...]
 
 
 def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
@@ -154,7 +159,17 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
             damping *= 4
             if damping > 1e6:
                 break
-    return Eliminated(u, outputs, tuple(mismatch.free.arguments)), undetermined
+    spread = _free_outputs(model, mismatch.module, _spread(model, points), u).arguments
+    return Eliminated(u, outputs, tuple(mismatch.free.arguments), tuple(spread)), undetermined
+
+
+def _spread(model: Model, points: Points) -> Points:
+    """The points with states that have no curve spread over their declared ranges."""
+    x, draws = points.x.copy(), sobol(len(points), len(model.states), 0)
+    for i, state in enumerate(model.states):
+        if i not in points.rough and state.range is not None and state.range.bounded:
+            x[:, i] = state.range.low + (state.range.high - state.range.low) * draws[:, i]
+    return replace(points, x=x)
 
 
 def _prior_of_constants(model: Model, start: Array) -> tuple[Array, Array]:
@@ -211,7 +226,10 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
     out: Weights = {}
     position = 0
     seen: dict[int, list[tuple[Array, Array]]] = {}
-    for which, arguments in eliminated.arguments:
+    for (which, known), (_, spread) in zip(eliminated.arguments, eliminated.spread, strict=True):
+        # Where states without curves matter, nothing but their declared ranges tells the size of an argument.
+        given = np.array([a.range is not None and a.range.bounded for a in model.networks[which].arguments], dtype=bool)
+        arguments = np.where(given | ~np.isfinite(spread).all(axis=(0, 1)), known, spread)
         width, (count, each, n_arguments) = len(model.networks[which].outputs), arguments.shape
         columns = eliminated.outputs[:, position : position + width * each].reshape(count, width, each)
         seen.setdefault(which, []).append(

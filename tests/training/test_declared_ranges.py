@@ -1,0 +1,44 @@
+"""The declared range of a state that nothing else gives a size scales the inputs of unknown functions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gbspec.backends import load_module
+from gbspec.data import Trajectories
+from gbspec.training import TrainOptions
+from gbspec.training.recipe import build_context
+from gbspec.training.starts import eliminate, network_scales
+from tests.training.conftest import model_of, trajectory
+
+HIDDEN = """
+model hidden
+time t
+state x
+state w{state}
+unknown f(x, w{argument})
+x' = -x + f(x, w)
+w' = x - w
+observe x
+"""
+
+
+@pytest.mark.parametrize(
+    ("state", "argument", "low", "high"),
+    [(" in [-15, 25]", "", -15, 25), (" in [-15, 25]", " in [2, 4]", 2, 4), ("", "", -1, 1)],
+)
+def test_a_hidden_state_is_scaled_by_its_range(state: str, argument: str, low: float, high: float) -> None:
+    model = model_of(HIDDEN.format(state=state, argument=argument))
+    t = np.linspace(0.0, 5.0, 60)
+    data = Trajectories((trajectory("1", 0.0, t, (3 + np.sin(t))[:, None], []),), ("x",))
+    context = build_context(model, load_module(model), data, TrainOptions(), 0)
+    found = network_scales(model, eliminate(model, context.module, context.points, np.zeros(0)))
+    center, scale, least, largest = (
+        found[f"network.{model.networks[0].name}.input_{name}"] for name in ("center", "scale", "low", "high")
+    )
+    assert scale[1] == pytest.approx((high - low) / np.sqrt(12), rel=0.05)
+    if state and not argument:
+        assert center[1] == pytest.approx((low + high) / 2, abs=0.05 * (high - low))
+        assert (least[1], largest[1]) == pytest.approx((low, high), abs=0.05 * (high - low))
+    assert scale[0] == pytest.approx(np.sin(t).std(), rel=0.1), "that of a measured state is its data's"
