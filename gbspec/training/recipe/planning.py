@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.diagnostics import Diagnostic, UserError
-from gbspec.training.engines import Engine, residual_table, residual_vector
+from gbspec.training.engines import Engine, residual_vector
 from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions, LimitedMemory, Stage
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
