@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.arrays import Array, Mask
+from gbspec.runs import ProfileRecord
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,8 @@ class Plane:
 
 @dataclass(frozen=True)
 class LearnedConstant:
-    """A learned constant: its value, an interval, one value per member, its starting value, and the truth."""
+    """A learned constant: its value, an interval, one value per member, its starting value, the truth, and the result
+    of a profile, if one was made."""
 
     name: str
     value: float
@@ -95,6 +97,7 @@ class LearnedConstant:
     members: tuple[float, ...]
     start: float | None = None
     truth: float | None = None
+    profile: ProfileRecord | None = None
 
 
 @dataclass(frozen=True)
