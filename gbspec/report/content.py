@@ -75,7 +75,10 @@ class Slice:
 
 @dataclass(frozen=True)
 class Plane:
-    """A function of its two leading arguments on a grid: `learned` [Y, X], `truth` [Y, X] or None, the rest fixed."""
+    """A function of its two leading arguments on a grid: `learned` [Y, X], `truth` [Y, X] or None, the rest fixed.
+
+    `half` [Y, X] is half the width of the 90 % band, None if that is not known.
+    """
 
     x_name: str
     y_name: str
@@ -84,6 +87,7 @@ class Plane:
     learned: Array
     truth: Array | None
     label: str
+    half: Array | None = None
 
 
 @dataclass(frozen=True)

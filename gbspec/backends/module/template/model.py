@@ -23,7 +23,7 @@ import numpy as np
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
-from gbspec.backends.module.template.slopes import _function_slopes
+from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
@@ -318,6 +318,10 @@ class Template:  # {{class}}
     def function_slopes(self, name: str, arguments: Any) -> dict[str, Any]:
         """Derivatives of an unknown's values at points [P, n_arguments] by weights and constants: arrays [P, ...]."""
         return _function_slopes(self, name, arguments)
+
+    def rhs_slopes(self, x: Any, by: Any, t: float, condition: Any, inputs: Any, constants: Any) -> dict[str, Any]:
+        """Derivatives of `by` times dx/dt, both [P, n_states], by weights and constants: arrays [P, ...]."""
+        return _rhs_slopes(self, x, by, t, condition, inputs, constants)
 
     def _function(self, name: str, *arguments: Any, constants: Any = None) -> Any:
         index, output, method = self.equations.unknowns[name]
