@@ -95,13 +95,16 @@ class ChannelRecord:
 
     `r2` is 1 minus the mean squared error over the variance of the data (of logarithms, if the noise is log-normal),
     `naive` that of the best predictor that knows no model, which `predictor` names; None where they are undefined (the
-    solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded.
+    solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded. `succession` is
+    the correlation of residuals with the next ones of the same trajectory, from `pairs` of them.
     """
 
     r2: float | None
     naive: float | None
     predictor: str = ""
     held: float | None = None
+    succession: float | None = field(default=None, metadata=OMITTED)
+    pairs: int = 0
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -16,6 +16,7 @@ from gbspec.runs import ChannelRecord, StageRecord
 from gbspec.training.engines import predicted, residual_table, residual_vector
 from gbspec.training.problem import Parameters, Problem, mean_loss, measured_only, residuals_of
 from gbspec.training.recipe import Context, held_out_solutions, step_fraction
+from gbspec.training.runs.succession import successive
 from gbspec.training.stages import StageName
 
 
@@ -106,6 +107,7 @@ def _channels(
     """How whole solutions follow each channel's data, and those of held-out trajectories."""
     naive = naive_predictors(context.model, context.trajectories)
     held = held_out_solutions(context, parameters, theta)
+    residuals = residuals_of(problem, mean)
     out = {}
     for i, channel in enumerate(context.model.channels):
         known = naive.get(channel.name)
@@ -114,6 +116,7 @@ def _channels(
             finite(known.r2) if known is not None else None,
             known.predictor if known is not None else "",
             _r2(*held, i) if held is not None else None,
+            *successive(residuals, problem, i),
         )
     return out
 

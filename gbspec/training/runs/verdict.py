@@ -1,13 +1,21 @@
-"""The verdict on a fit: whether whole solutions follow the data better than predictors that know no model."""
+"""The verdict on a fit: whether whole solutions follow the data better than predictors that know no model, and whether
+what is left looks like the noise of measurements."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from gbspec.runs import ChannelRecord
 
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
+
+SUCCESSION = 0.5
+"""Residuals whose correlation with the next ones is above this, by twice its standard error, are no noise of
+measurement."""
+EXACT = 1e-6
+"""A fit that leaves a smaller fraction of the variance than this leaves nothing that has to be explained."""
 
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
@@ -25,3 +33,25 @@ def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
         measured = f"R² {found.r2:.3g}, naive {found.naive:.3g}"
         out.append(f"whole solutions follow `{name}` {compared} {found.predictor} ({measured}): {REMEDIES}")
     return out
+
+
+def successions(channels: Mapping[str, ChannelRecord]) -> list[str]:
+    """A warning for the channels whose residuals follow one another: intervals take each row for new information."""
+    found = {
+        name: one.succession
+        for name, one in channels.items()
+        if one.succession is not None
+        and one.r2 is not None
+        and 1 - one.r2 > EXACT
+        and one.succession > SUCCESSION + 2 / math.sqrt(max(one.pairs, 1))
+    }
+    if not found:
+        return []
+    listed = ", ".join(f"`{name}` (correlation {value:.3g} with the next row's)" for name, value in found.items())
+    largest = min(max(found.values()), 1 - 1e-4)
+    factor = math.sqrt((1 + largest) / (1 - largest))
+    return [
+        f"the residuals of {listed} follow one another: they are disturbances or errors of the model, not noise of "
+        "measurement. Intervals take each row for new information, and may be "
+        f"{factor:.2g} times too narrow: compare fits of several trajectories, or of parts of the data"
+    ]
