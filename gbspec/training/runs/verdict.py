@@ -35,23 +35,35 @@ def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
     return out
 
 
+def widening(channels: Mapping[str, ChannelRecord]) -> float:
+    """The factor by which intervals of constants and functions are widened where residuals follow one another.
+
+    n values with the correlation r between successive ones, which falls geometrically, count like n (1 - r) / (1 + r).
+    """
+    largest = max((min(value, 1 - 2 / pairs) for value, pairs in _following(channels).values()), default=0.0)
+    return math.sqrt((1 + largest) / (1 - largest))
+
+
 def successions(channels: Mapping[str, ChannelRecord]) -> list[str]:
-    """A warning for the channels whose residuals follow one another: intervals take each row for new information."""
-    found = {
-        name: one.succession
+    """A warning for the channels whose residuals follow one another."""
+    found = _following(channels)
+    if not found:
+        return []
+    listed = ", ".join(f"`{name}` (correlation {value:.3g} with the next row's)" for name, (value, _) in found.items())
+    return [
+        f"the residuals of {listed} follow one another: they are disturbances or errors of the model, not noise of "
+        f"measurement. Each row tells less than a new one would: intervals are {widening(channels):.2g} times as wide "
+        "as if they were independent"
+    ]
+
+
+def _following(channels: Mapping[str, ChannelRecord]) -> dict[str, tuple[float, int]]:
+    """The channels whose residuals are correlated with the next ones: the correlation, and the number of pairs."""
+    return {
+        name: (one.succession, one.pairs)
         for name, one in channels.items()
         if one.succession is not None
         and one.r2 is not None
         and 1 - one.r2 > EXACT
         and one.succession > SUCCESSION + 2 / math.sqrt(max(one.pairs, 1))
     }
-    if not found:
-        return []
-    listed = ", ".join(f"`{name}` (correlation {value:.3g} with the next row's)" for name, value in found.items())
-    largest = min(max(found.values()), 1 - 1e-4)
-    factor = math.sqrt((1 + largest) / (1 - largest))
-    return [
-        f"the residuals of {listed} follow one another: they are disturbances or errors of the model, not noise of "
-        "measurement. Intervals take each row for new information, and may be "
-        f"{factor:.2g} times too narrow: compare fits of several trajectories, or of parts of the data"
-    ]
