@@ -407,8 +407,7 @@ class Template:  # {{class}}
         return value
 
     # ------------------------------------------------------------------ casadi
-    # Vectors are columns. With symbolic_constants the last input is the vector of constants in the order of
-    # `constants`; otherwise their values are numbers in the function.
+    # Vectors are columns. With symbolic_constants the last input is the vector of `constants`, else they are numbers.
 
     def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function rhs(t, x, condition, inputs) -> dx, including the networks."""
@@ -435,9 +434,7 @@ class Template:  # {{class}}
         value = method(m, m.unpack(k), self.casadi_networks(), *m.unpack(arguments["arguments"]))[output]
         return ca.Function(_casadi_name(name), [*arguments.values()], [value], [*arguments], ["value"])
 
-    def _casadi(
-        self, name: str, result: str, equations: Any, symbolic_constants: bool, derivative: bool = False
-    ) -> Any:
+    def _casadi(self, name: str, result: str, equations: Any, symbolic: bool, derivative: bool = False) -> Any:
         import casadi as ca
 
         # Networks are products of matrices, which casadi keeps whole in MX; in SX each multiplication is a node.
@@ -445,10 +442,9 @@ class Template:  # {{class}}
         sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
         arguments = {key: kind.sym(key, size) for key, size in sizes.items()}
         values, k = [*arguments.values()], kind(ca.DM(self.weights["constants"]))
-        if symbolic_constants:
+        if symbolic:
             k = arguments["constants"] = kind.sym("constants", len(self.constants))
         m = _arithmetic("casadi")
         vector = equations(m, *values, m.unpack(k), self.casadi_networks())
-        if derivative:
-            vector = ca.jacobian(vector, arguments["x"])
+        vector = ca.jacobian(vector, arguments["x"]) if derivative else vector
         return ca.Function(name, [*arguments.values()], [ca.densify(vector)], [*arguments], [result])
