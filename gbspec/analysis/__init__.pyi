@@ -10,6 +10,8 @@ from .bifurcation.plane import PlaneCurve as PlaneCurve
 from .bifurcation.plane_diagram import KINDS as KINDS
 from .bifurcation.plane_diagram import PlaneDiagram as PlaneDiagram
 from .bifurcation.plane_diagram import bifurcation_plane as bifurcation_plane
+from .bifurcation.uncertainty import Certainty as Certainty
+from .bifurcation.uncertainty import with_uncertainty as with_uncertainty
 from .prediction.estimate import Estimator as Estimator
 from .prediction.estimate import predictions as predictions
 from .prediction.forecast import Forecast as Forecast

@@ -142,6 +142,12 @@ class GeneratedModule(Protocol):
         """Derivatives of an unknown's values at points [P, n_arguments] with respect to its network's trained weights
         and the constants: arrays [P, ...] by name."""
 
+    def rhs_slopes(
+        self, x: Array, by: Array, t: float, condition: Array, inputs: Array, constants: Array
+    ) -> dict[str, Array]:
+        """Derivatives of `by` [P, n_states] times dx/dt at states [P, n_states] with respect to the trained weights and
+        the constants: arrays [P, ...] by name."""
+
     def rhs(self, t: Value, x: Value, condition: Value = None, inputs: Value = None, constants: Value = None) -> Value:
         """dx/dt [..., n_states], torch."""
 

@@ -62,13 +62,19 @@ def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] |
 def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
-    """The bifurcation diagram of a subject over one parameter, with at most `doublings` period doublings followed."""
-    from gbspec.analysis import BifurcationOptions, CycleOptions
+    """The bifurcation diagram of a subject over one parameter, with at most `doublings` period doublings followed; for
+    a run with the uncertainty of folds and Hopf points, if its covariance is known."""
+    from gbspec.analysis import BifurcationOptions, Certainty, CycleOptions, with_uncertainty
     from gbspec.analysis import bifurcate as run
 
-    return run(
-        system(source), over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings))
-    )
+    subject = system(source)
+    found = run(subject, over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings)))
+    if source.run is None or source.member is None:
+        return found
+    covariance = source.run.certainties(source.member).covariance
+    if covariance is None:
+        return found
+    return with_uncertainty(found, subject, Certainty(source.evaluator.instance, covariance, tuple(source.values)))
 
 
 def true_diagram(

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Subject:
-    """A model at its truth (already substituted in `model`), or a run at its learned parameters, for evaluation.
+    """A model at its truth (already substituted in `model`), or a `member` of a run at its learned parameters, for
+    evaluation.
 
     `values` are those set by the user; `model` and the evaluator already have them.
     """
@@ -29,6 +30,7 @@ class Subject:
     evaluator: Evaluator
     run: Run | None = None
     values: Mapping[str, float] = field(default_factory=dict)
+    member: int | None = None
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,8 @@ def learned(run: Run, values: Mapping[str, float] | None = None, member: int | N
     from gbspec.backends import Evaluator
 
     run = set_values(run, values)
-    instance = run.member(run.best if member is None else member)
-    return Subject(run.model, Evaluator(instance), run, run.values)
+    number = run.best if member is None else member
+    return Subject(run.model, Evaluator(run.member(number)), run, run.values, number)
 
 
 def reference(model: Model, values: Mapping[str, float] | None = None, method: Method = RK4) -> Subject:

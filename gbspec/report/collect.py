@@ -189,7 +189,9 @@ def constants(run: Run) -> tuple[LearnedConstant, ...]:
     """The learned constants of `fit.json` and their true values."""
     truths = {t.name: t.value for t in run.model.truth_constants}
     return tuple(
-        LearnedConstant(name, entry.value, entry.interval, entry.per_member, entry.start, truths.get(name))
+        LearnedConstant(
+            name, entry.value, entry.interval, entry.per_member, entry.start, truths.get(name), run.profiled(name)
+        )
         for name, entry in run.fit.constants.items()
     )
 

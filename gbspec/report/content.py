@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gbspec.arrays import Array, Mask
+from gbspec.runs import ProfileRecord
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,10 @@ class Slice:
 
 @dataclass(frozen=True)
 class Plane:
-    """A function of its two leading arguments on a grid: `learned` [Y, X], `truth` [Y, X] or None, the rest fixed."""
+    """A function of its two leading arguments on a grid: `learned` [Y, X], `truth` [Y, X] or None, the rest fixed.
+
+    `half` [Y, X] is half the width of the 90 % band, None if that is not known.
+    """
 
     x_name: str
     y_name: str
@@ -83,11 +87,13 @@ class Plane:
     learned: Array
     truth: Array | None
     label: str
+    half: Array | None = None
 
 
 @dataclass(frozen=True)
 class LearnedConstant:
-    """A learned constant: its value, an interval, one value per member, its starting value, and the truth."""
+    """A learned constant: its value, an interval, one value per member, its starting value, the truth, and the result
+    of a profile, if one was made."""
 
     name: str
     value: float
@@ -95,6 +101,7 @@ class LearnedConstant:
     members: tuple[float, ...]
     start: float | None = None
     truth: float | None = None
+    profile: ProfileRecord | None = None
 
 
 @dataclass(frozen=True)

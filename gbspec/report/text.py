@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from gbspec.ir import Family, Initial, Learnable, Model, Range, State
-    from gbspec.runs import MemberRecord, Run
+    from gbspec.runs import MemberRecord, ProfileRecord, Run
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -157,6 +157,20 @@ def _own_constants(run: Run) -> list[str]:
     return [table(header, lines)] + (left_out if more > 0 else [])
 
 
+def interval_of(profile: ProfileRecord | None) -> str:
+    """The interval of a profile; a dash where none was made or some fit has not converged."""
+    if profile is None or (all(end is None for end in profile.interval) and profile.trust in ("fit", "neither")):
+        return "-"
+    low, high = ("open" if end is None else number(end) for end in profile.interval)
+    return f"{low} to {high}"
+
+
+def profile_verdicts(run: Run) -> list[str]:
+    """What profiles of constants say of the intervals of the fit, where they disagree."""
+    made = ((name, run.profiled(name)) for name in run.fit.constants)
+    return [f"`{name}`: {one.verdict}" for name, one in made if one is not None and one.verdict]
+
+
 def run_summary(run: Run) -> str:
     """A run in a few lines: constants with their standard deviation and interval, errors of each member, warnings."""
     parts = [f"{run.model.name}: {run.model.title}" if run.model.title else run.model.name]
@@ -164,11 +178,12 @@ def run_summary(run: Run) -> str:
     rows = []
     for name, entry in run.fit.constants.items():
         between = f"{number(entry.interval[0])} to {number(entry.interval[1])}" if entry.interval else "-"
-        rows.append([name, number(entry.value, 6), number(entry.sd, 2), between, number(truths.get(name), 6)])
+        profile, truth = interval_of(run.profiled(name)), number(truths.get(name), 6)
+        rows.append([name, number(entry.value, 6), number(entry.sd, 2), between, profile, truth])
     if rows:
-        header = ["constant", "value", "sd", "interval", "truth"]
-        keep = header if truths else header[:-1]
-        parts.append(table(keep, [row[: len(keep)] for row in rows]))
+        header = ["constant", "value", "sd", "interval", "profile", "truth"]
+        keep = [i for i in range(len(header)) if i < 4 or any(row[i] != "-" for row in rows)]
+        parts.append(table([header[i] for i in keep], [[row[i] for i in keep] for row in rows]))
     parts += _own_constants(run)
     members = run.fit.members
     if members:
@@ -181,7 +196,7 @@ def run_summary(run: Run) -> str:
         for stage in m.stages
         if stage.remark
     ]
-    parts += [f"warning: {warning}" for warning in run.fit.warnings]
+    parts += [f"warning: {warning}" for warning in (*run.fit.warnings, *profile_verdicts(run))]
     return "\n\n".join(parts)
 
 

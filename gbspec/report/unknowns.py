@@ -182,7 +182,19 @@ class _Drawn:
         far = self._far(points[:, [i, j]], [i, j])
         learned = np.where(far, np.nan, self.members(points).mean(axis=0)).reshape(GRID, GRID)
         reference = None if true is None else np.where(far, np.nan, true).reshape(GRID, GRID)
-        return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}))
+        half = self._half_width(points, far)
+        return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}), half)
+
+    def _half_width(self, points: Array, far: NDArray[np.bool_]) -> Array | None:
+        """Half the width of the 90 % band [Y, X] over the points of a plane, blank where they are `far`."""
+        if far.all():
+            return None
+        ends = self.band(points[~far])
+        if ends is None:
+            return None
+        half = np.full(GRID * GRID, np.nan)
+        half[~far] = (ends[1] - ends[0]) / 2
+        return half.reshape(GRID, GRID)
 
     def _far(self, places: Array, columns: list[int]) -> NDArray[np.bool_]:
         """The mask of points `places` [P, 2] in the plane of two arguments that are far from every visited point."""

@@ -5,6 +5,9 @@ from .covariance import Covariance as Covariance
 from .covariance import Support as Support
 from .covariance import read_certainties as read_certainties
 from .locks import locked as locked
+from .profiles import ProfileRecord as ProfileRecord
+from .profiles import Trust as Trust
+from .profiles import write_profile as write_profile
 from .record import DAMAGED as DAMAGED
 from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord

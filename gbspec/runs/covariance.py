@@ -12,7 +12,7 @@ few hundred vectors. The derivative g of any result with respect to (w, k) gives
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +60,12 @@ class Covariance:
         of_constants = np.einsum("pi,ij,pj->p", constants, self.conditional, constants)
         return np.asarray(np.sqrt(of_weights + np.maximum(of_constants, 0.0)), dtype=np.float64)
 
+    def widened(self, factor: float) -> Covariance:
+        """The covariance if the data have noise with a standard deviation `factor` times as large."""
+        shares = np.maximum(self.shares, 1e-300)
+        weaker = 1.0 / (1.0 + (1.0 / shares - 1.0) / factor**2)
+        return replace(self, shares=weaker, conditional=self.conditional * factor**2)
+
     def draw(self, rng: np.random.Generator) -> tuple[Array, Array]:
         """A random displacement of the weights [n] and of the constants [k]."""
         normal = rng.standard_normal(self.vectors.shape[1])
@@ -76,6 +82,10 @@ class Certainties:
 
     covariance: Covariance | None = None
     support: Mapping[str, Support] = field(default_factory=dict)
+
+    def widened(self, factor: float) -> Certainties:
+        """The same with the covariance for noise with a standard deviation `factor` times as large."""
+        return self if self.covariance is None else replace(self, covariance=self.covariance.widened(factor))
 
     def write(self, directory: Path) -> None:
         """Writes it into a member's directory."""

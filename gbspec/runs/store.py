@@ -16,6 +16,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, read_certainties
+from gbspec.runs.profiles import ProfileRecord, read_profile
 from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, MemberRecord, read_record
 
 
@@ -90,6 +91,11 @@ class Run:
     @cached_property
     def _certainties(self) -> dict[int, Certainties]:
         return {}
+
+    def profiled(self, constant: str) -> ProfileRecord | None:
+        """The result of a profile of a constant: of the best member, else of another; None if none was made."""
+        numbers = (self.best, *(number for number in self.numbers if number != self.best))
+        return next((one for number in numbers if (one := read_profile(self.path, number, constant))), None)
 
     def amended(self, fit: FitRecord) -> Run:
         """The same run with another `fit.json`, which is also written."""

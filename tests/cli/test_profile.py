@@ -154,3 +154,47 @@ def test_fits_are_stored_and_reused(place: Path, here: Path, monkeypatch: pytest
     # A damaged stored file is not used
     Path("run/members/0/profile.b.safetensors").write_bytes(b"nothing")
     assert json.loads(call("profile", "run", "b", *data).stdout) == whole
+
+
+def amended(run: Path, interval: list[float]) -> None:
+    """Replaces the recorded interval of `b`."""
+    content = json.loads((run / "fit.json").read_text())
+    content["constants"]["b"]["interval"] = interval
+    (run / "fit.json").write_text(json.dumps(content))
+
+
+def test_the_fit_s_interval_is_compared_and_the_verdict_shown_with_the_constants(place: Path, here: Path) -> None:
+    from gbspec.report import run_summary
+    from gbspec.report.html import tables
+    from gbspec.runs import open_run
+
+    shutil.copytree(place / "run", "run")
+    shutil.copy(place / "fall.csv", "fall.csv")
+    found = json.loads(call("profile", "run", "b", "--json").stdout)
+    assert (found["trust"], found["verdict"]) == ("both", None)
+    assert found["fit_interval"] == pytest.approx(found["interval"], abs=0.1)
+    assert "warning: `b`" not in run_summary(open_run("run"))
+    low, high = found["interval"]
+    amended(Path("run"), [low - 2 * (high - low), high])
+    found = json.loads(call("profile", "run", "b", "-o", "b.png", "--json").stdout)
+    assert found["trust"] == "profile" and "trust the profile" in found["verdict"]
+    assert "trust the profile" in call("profile", "run", "b").stdout
+    run = open_run("run")
+    assert "profile" in run_summary(run) and f"warning: `b`: {found['verdict']}" in run_summary(run)
+    table = tables.constants(run)
+    place_of = table.header.index("profile")
+    assert [row[place_of] != "-" for row in table.rows] == [False, True]
+    assert call("plot", "run", "constants", "-o", "constants.png").exit_code == 0
+
+
+def test_a_profile_of_other_weights_is_not_shown(place: Path, here: Path) -> None:
+    from gbspec.runs import open_run
+
+    shutil.copytree(place / "run", "run")
+    path = Path("run/members/0/profile.b.json")
+    assert call("profile", "run", "b", "--data", place / "fall.csv", "--points", 2).exit_code == 0
+    assert open_run("run").profiled("b") is not None
+    path.write_text(path.read_text().replace('"weights": "', '"weights": "0'))
+    assert open_run("run").profiled("b") is None
+    path.write_text("{")
+    assert open_run("run").profiled("b") is None

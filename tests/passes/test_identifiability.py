@@ -26,6 +26,9 @@ TANKS = "input F held\nstate h1\nstate h2\nlearn k = 1\nunknown q(h)\nobserve h1
 CASES: dict[str, tuple[str, int, set[str], set[str]]] = {
     # name: (text, number of directions, constants in them, unknowns that absorb)
     "decay": ("state x\nlearn k = 1\nx' = -k*x\nobserve x\n", 0, set(), set()),
+    "decay from a known start, each with its own rate": (
+        "state x\nlearn k = 1 per trajectory\ninitial x = 1\nx' = -k*x\nobserve x\n", 0, set(), set()
+    ),
     "product of constants": ("state x\nlearn a = 1\nlearn b = 1\nx' = -a*b*x\nobserve x\n", 1, {"a", "b"}, set()),
     "sum of constants": ("state x\nlearn a = 1\nlearn b = 2\nx' = -(a + b)*x\nobserve x\n", 1, {"a", "b"}, set()),
     "factor of an unknown": (TWO + "learn k = 1\nunknown mu(y)\nx' = k*mu(y)*x\n" + PAIR, 1, {"k"}, {"mu"}),

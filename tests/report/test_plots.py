@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,17 @@ def test_functions_have_slices_planes_and_parity(truth: bool, plane: bool, panel
     bars = 0 if not plane else 2 if truth else 1
     assert sum(axes.axison for axes in made.axes) == panels + bars
     assert {line.get_label() for line in made.axes[0].lines} >= {"learned", "postulate"}
+
+
+def test_a_plane_has_the_band_s_half_width_beside_it() -> None:
+    plain = function(truth=False)
+    assert plain.plane is not None
+    half = np.full((30, len(GRID)), 0.1)
+    half[0] = np.nan  # far from the data
+    panels = functions.planes("f", replace(plain.plane, half=half))
+    assert [panel.title for panel in panels] == ["f, learned", "f, half the 90 % band"]
+    made = drawn(functions.figure([replace(plain, plane=replace(plain.plane, half=half))]))
+    assert sum(axes.axison for axes in made.axes) == 4 + 2
 
 
 def test_parity_says_the_median_error() -> None:

@@ -68,6 +68,24 @@ def test_displacements_are_drawn_from_it() -> None:
         assert np.sqrt(sample @ derivative @ derivative) == pytest.approx(deviation, rel=0.1)
 
 
+def test_weaker_data_leave_more_of_the_prior() -> None:
+    rng = np.random.default_rng(0)
+    design = rng.standard_normal((3, 5))
+    spread = 0.5
+
+    def posterior(noise: float) -> tuple[Covariance, np.ndarray]:
+        data = design.T @ design / noise**2
+        values, vectors = np.linalg.eigh(data)
+        shares = 1 / (1 + spread**2 * values[2:])
+        known = Covariance(("w",), (), spread, vectors[:, 2:].T, shares, np.zeros((0, 5)), np.zeros((0, 0)))
+        return known, np.linalg.inv(data + np.eye(5) / spread**2)
+
+    known, _ = posterior(0.1)
+    _, weaker = posterior(0.7)
+    found = known.widened(7.0).deviations(np.eye(5), np.zeros((5, 0)))
+    np.testing.assert_allclose(found, np.sqrt(np.diag(weaker)), rtol=1e-8)
+
+
 def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
     assert read_certainties(tmp_path) == Certainties()
     known = Covariance(("w",), ("k",), 0.5, np.eye(2, 5), np.ones(2), np.ones((1, 5)), np.eye(1))

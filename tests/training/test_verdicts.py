@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import ComputationError
 from gbspec.runs import ChannelRecord
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
-from gbspec.training.runs.verdict import verdicts
-from tests.training.conftest import URP, model_of, urp_data
+from gbspec.training.runs.succession import successive
+from gbspec.training.runs.verdict import successions, verdicts, widening
+from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
 
@@ -32,6 +35,70 @@ def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive
     found = verdicts({"x": ChannelRecord(r2, naive, "the mean of each trajectory")})
     assert len(found) == bool(said)
     assert all(said in text and "`x`" in text and "postulate" in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "pairs", "r2", "said"),
+    [
+        (0.99, 1000, 0.99, "14 times as wide"),
+        (0.6, 1000, 0.9, "2 times as wide"),
+        (0.4, 1000, 0.9, ""),
+        (0.7, 20, 0.9, ""),
+        (0.99, 1000, 1 - 1e-8, ""),
+        (None, 0, 0.9, ""),
+    ],
+)
+def test_residuals_that_follow_one_another_are_told(
+    correlation: float | None, pairs: int, r2: float, said: str
+) -> None:
+    found = successions({"x": ChannelRecord(r2, 0.0, "", None, correlation, pairs)})
+    assert len(found) == bool(said)
+    assert all(said in text and "`x`" in text for text in found)
+
+
+FALL = """model fall
+time t from 0
+state x in [0, 2] = 1
+learn k = 0.5 in [0.1, 3]
+x' = -k*x
+initial x = 1
+observe x
+"""
+
+
+def test_intervals_of_disturbed_data_are_wider(tmp_path: Path) -> None:
+    rng, times = np.random.default_rng(3), np.linspace(0.02, 3, 150)
+    noise = 0.02 * rng.standard_normal((2, 150))
+    for i in range(1, 150):
+        noise[1, i] = 0.9 * noise[1, i - 1] + np.sqrt(1 - 0.9**2) * noise[1, i]
+    widths = []
+    for number, each in enumerate(noise):
+        data = Trajectories((trajectory("1", 0.0, times, (np.exp(-times) + each)[:, None], []),), ("x",))
+        run = train(model_of(FALL), data, TrainOptions(effort="low", max_step=0.1), tmp_path / str(number))
+        low, high = run.fit.constants["k"].interval or (np.nan, np.nan)
+        widths.append(high - low)
+        channels = run.fit.members[0].channels or {}
+        assert any("follow one another" in warning for warning in run.fit.warnings) == (number == 1)
+        assert (widening(channels) > 2) == (number == 1)
+        covariance = run.certainties().covariance
+        assert covariance is not None
+        (sd,) = covariance.deviations(np.zeros((1, 0)), np.ones((1, 1)))
+        assert (high - low) / 2 == pytest.approx(1.645 * sd, rel=0.25)
+    assert widths[1] > 2 * widths[0]
+
+
+def test_successive_residuals_are_those_of_one_trajectory() -> None:
+    problem, _, _ = problem_of(model_of(URP), urp_data(3, 2.0, 6), 0.2)
+    packed, rng = problem.packed, np.random.default_rng(0)
+    rows = len(packed.row_trajectory)
+    white = rng.standard_normal((rows, 2))
+    found, pairs = successive(white, problem, 0)
+    assert found is not None and abs(found) < 4 / np.sqrt(pairs)
+    assert pairs == int(problem.seen[:, 0].sum()) - 3
+    level = rng.standard_normal(3)[packed.row_trajectory]  # the same within a trajectory, unrelated between them
+    same, _ = successive(np.stack([level, level], axis=1), problem, 0)
+    assert same == pytest.approx(1.0, abs=0.1)
+    assert successive(0 * white, problem, 0) == (None, pairs)
 
 
 def test_every_method_says_so(tmp_path: Path) -> None:

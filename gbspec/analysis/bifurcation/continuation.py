@@ -43,7 +43,8 @@ class SpecialPoint:
     """A bifurcation point located on its branch; `state` is [n] (for a cycle: a point on it).
 
     For a Hopf point: `frequency` (the critical eigenvalue's imaginary part), `period` of the cycles born there, the
-    first Lyapunov coefficient `l1` and the criticality that follows from it. `branch` is the index of its branch.
+    first Lyapunov coefficient `l1` and the criticality that follows from it. `branch` is the index of its branch. `sd`
+    and the 90 % `interval` of `value` follow from the uncertainty of the fit; None where that is not known.
     """
 
     kind: Kind
@@ -55,6 +56,7 @@ class SpecialPoint:
     criticality: Literal["super", "sub"] | None = None
     period: float | None = None
     interval: tuple[float, float] | None = None
+    sd: float | None = None
 
 
 @dataclass(frozen=True)

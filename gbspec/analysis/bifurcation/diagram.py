@@ -79,6 +79,7 @@ class Diagram:
             "criticality": point.criticality,
             "period": point.period,
             "interval": None if point.interval is None else list(point.interval),
+            "sd": point.sd,
             "frequency": point.frequency,
             "l1": point.l1,
             "branch": point.branch,

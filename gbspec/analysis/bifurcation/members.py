@@ -5,23 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
+from gbspec.analysis.bifurcation.continuation import SpecialPoint
 from gbspec.analysis.bifurcation.diagram import Diagram
+from gbspec.analysis.systems import QUANTILE
 
 
 def with_intervals(diagrams: Sequence[Diagram]) -> Diagram:
-    """The first diagram with an interval for each fold and Hopf point: the range of the closest points of all members.
+    """The first diagram with an interval for each fold and Hopf point, from the closest points of all members.
 
-    The interval stays None if some member has no such point: the members then disagree on its existence.
+    It is a 90 % interval around the mean, from the variances within and between members, where all members have a
+    standard deviation; the range of the values otherwise. It is None if some member has no such point: the members then
+    disagree on its existence.
     """
     first, others = diagrams[0], diagrams[1:]
     special = []
     for point in first.special:
-        values = [point.value]
+        alike = [point]
         order = sorted(one.value for one in first.special if one.kind == point.kind)
         for other in others:
-            same = sorted(one.value for one in other.special if one.kind == point.kind)
+            same = sorted((one for one in other.special if one.kind == point.kind), key=lambda one: one.value)
             if len(same) == len(order):
-                values.append(same[order.index(point.value)])
-        complete = bool(others) and len(values) == len(diagrams)
-        special.append(replace(point, interval=(min(values), max(values)) if complete else None))
+                alike.append(same[order.index(point.value)])
+        complete = bool(others) and len(alike) == len(diagrams)
+        special.append(_together(alike) if complete else replace(point, interval=None, sd=None))
     return replace(first, special=tuple(special))
+
+
+def _together(alike: Sequence[SpecialPoint]) -> SpecialPoint:
+    """The first of the members' points, with the interval of all."""
+    values = np.array([one.value for one in alike])
+    low, high = float(values.min()), float(values.max())
+    within = [one.sd for one in alike if one.sd is not None]
+    if len(within) < len(alike):
+        return replace(alike[0], interval=(low, high), sd=None)
+    sd = float(np.sqrt(np.mean(np.square(within)) + values.var(ddof=1)))
+    mean = float(values.mean())
+    return replace(alike[0], interval=(min(mean - QUANTILE * sd, low), max(mean + QUANTILE * sd, high)), sd=sd)

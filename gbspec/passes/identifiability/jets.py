@@ -288,7 +288,7 @@ class Jet:
 
     @staticmethod
     def _flat(change: Array) -> Array:
-        return change.reshape(change.shape[0], -1)
+        return change.reshape(change.shape[0], math.prod(change.shape[1:]))  # none may have been sought yet
 
     def _zero(self) -> Array:
         return np.zeros((self._columns.count, self._lines, self._algebra.size))

@@ -10,7 +10,7 @@ from gbspec.report import collect
 from gbspec.report.content import LearnedConstant
 from gbspec.report.description import Axis, Block, Figure, Line, Mark, Panel, Points, Row, Rule
 from gbspec.report.source import MissingError, Source
-from gbspec.report.style import LEARNED, MUTED, TRUTH
+from gbspec.report.style import LEARNED, MEASURED, MUTED, TRUTH
 
 
 def build(source: Source) -> Figure:
@@ -31,6 +31,9 @@ def panel(constant: LearnedConstant, *, height: float = 0.95) -> Panel:
     marks: list[Mark] = []
     if constant.interval is not None:
         marks.append(Line(np.array(constant.interval), np.zeros(2), "interval", width=4.0, alpha=0.35, layer=2))
+    if constant.profile is not None and all(end is not None for end in constant.profile.interval):
+        ends = np.array(constant.profile.interval, dtype=np.float64)
+        marks.append(Line(ends, np.full(2, -0.5), "profile", MEASURED, 2.0, layer=2))
     if len(constant.members) > 1:
         at = np.zeros(len(constant.members))
         marks.append(Points(np.array(constant.members), at, "members", LEARNED, 11, "bar", layer=3))

@@ -83,14 +83,17 @@ def slice_panel(name: str, piece: Slice, *, legend: bool = True) -> Panel:
 
 
 def planes(name: str, plane: Plane) -> list[Panel]:
-    """A function over the plane of two arguments, and its truth in the same colours."""
+    """A function over the plane of two arguments, its truth in the same colours, and half the width of its band."""
     shown = [("learned", plane.learned)] + ([("truth", plane.truth)] if plane.truth is not None else [])
     low = min(float(np.nanmin(values)) for _, values in shown)
     high = max(float(np.nanmax(values)) for _, values in shown)
+    scaled = [(word, values, low, high) for word, values in shown]
+    if plane.half is not None:
+        scaled.append(("half the 90 % band", plane.half, 0.0, float(np.nanmax(plane.half))))
     return [
-        Panel((Heat(plane.x, plane.y, values, low, high),), Axis(plane.x_name), Axis(plane.y_name),
+        Panel((Heat(plane.x, plane.y, values, *ends),), Axis(plane.x_name), Axis(plane.y_name),
               _at(f"{name}, {word}", plane.label))
-        for word, values in shown
+        for word, values, *ends in scaled
     ]  # fmt: skip
 
 

@@ -29,6 +29,10 @@ def _deviance(found: Profile, truth: float | None, values: Array, x: Axis) -> Pa
     if found.settled and len(values):
         low, high = (end if end is not None else float(values[k]) for end, k in ((found.low, 0), (found.high, -1)))
         marks.append(Span("x", low, high, "interval", LEARNED, 0.1))
+    if found.fitted is not None:
+        marks.append(
+            Line(np.array(found.fitted), np.zeros(2), "interval of the fit", LEARNED, 4.0, alpha=0.35, layer=2)
+        )
     marks.append(Rule("y", found.threshold, "90 %", MEASURED, 1.2))
     marks += _followed(values, np.array([point.deviance for point in found.points]), "deviance", 4.0)
     slow = [p for p in found.points if not p.converged]

@@ -17,7 +17,7 @@ from gbspec.report.figures import diagram
 from gbspec.report.html import charts, mathml, tables
 from gbspec.report.kinds import KINDS, Kind
 from gbspec.report.source import MissingError, Source
-from gbspec.report.text import number
+from gbspec.report.text import number, profile_verdicts
 from gbspec.runs import Run
 from gbspec.version import __version__
 
@@ -144,7 +144,7 @@ def _content(fitted: collect.Fitted | None, run: Run, found: Findings, store: _C
         "equations": _equations(model),
         "declared": tables.declared(model),
         "summary": _summary(run, found),
-        "warnings": found.validation.warnings_after(run.fit.warnings),
+        "warnings": [*found.validation.warnings_after(run.fit.warnings), *profile_verdicts(run)],
         "sections": _sections(source, store),
         "total": len(fitted.data) if fitted else 0,
         "constants": tables.constants(run),

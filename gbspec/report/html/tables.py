@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.report import collect
-from gbspec.report.text import number
+from gbspec.report.text import interval_of, number
 from gbspec.runs import Run
 
 
@@ -20,13 +20,17 @@ class Table:
 
 
 def constants(run: Run) -> Table:
-    """Learned constants with intervals, starting values and truths."""
+    """Learned constants with intervals, starting values and truths; with the intervals of profiles if there are any."""
     rows = []
-    for one in collect.constants(run):
+    known = collect.constants(run)
+    profiled = any(one.profile is not None for one in known)
+    for one in known:
         between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
         error = f"{100 * abs(one.value / one.truth - 1):.2g} %" if one.truth else "-"
-        rows.append((one.name, number(one.value, 6), between, number(one.start), number(one.truth, 6), error))
-    return Table(("constant", "value", "90 % interval", "start", "truth", "off by"), tuple(rows))
+        made = (interval_of(one.profile),) if profiled else ()
+        rows.append((one.name, number(one.value, 6), between, *made, number(one.start), number(one.truth, 6), error))
+    header = ("constant", "value", "90 % interval", *(["profile"] if profiled else []), "start", "truth", "off by")
+    return Table(header, tuple(rows))
 
 
 def own_constants(run: Run) -> Table:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,7 +26,7 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
-from gbspec.runs import Run
+from gbspec.runs import ProfileRecord, Run, write_profile
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import (
     Anchor,
@@ -40,6 +40,7 @@ from gbspec.training.optimise import (
 )
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, Problem, typical
+from gbspec.training.profile.agreement import Comparison, Found, compared
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 
@@ -85,7 +86,8 @@ class ProfilePoint:
 @dataclass(frozen=True)
 class Profile:
     """A profile, ordered by value. `low` and `high` are the ends of the 90 % interval; None if the threshold was not
-    reached on that side, or if some fit has not converged."""
+    reached on that side, or if some fit has not converged. `fitted` is the fit's interval; `comparison` says
+    which of both to trust."""
 
     name: str
     member: int
@@ -96,6 +98,8 @@ class Profile:
     noise: float
     notes: tuple[str, ...] = ()
     threshold: float = THRESHOLD
+    fitted: tuple[float, float] | None = None
+    comparison: Comparison = field(default_factory=lambda: Comparison("both"))
 
     @property
     def settled(self) -> bool:
@@ -109,6 +113,9 @@ class Profile:
             "member": self.member,
             "estimate": self.estimate,
             "interval": [self.low, self.high],
+            "fit_interval": None if self.fitted is None else list(self.fitted),
+            "trust": self.comparison.trust,
+            "verdict": self.comparison.words or None,
             "threshold": self.threshold,
             "noise": self.noise,
             "points": [
@@ -128,7 +135,11 @@ class Profile:
             lines.append(
                 f"  {self.name} = {point.value:<12.6g} deviance {point.deviance:<10.4g} {inside}{rest}".rstrip()
             )
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+        if self.fitted is not None:
+            agree = ", which agrees" if self.comparison.trust == "both" else ""
+            lines.append(f"interval of the fit: {self.fitted[0]:.6g} to {self.fitted[1]:.6g}{agree}")
+        notes = [*self.notes, *([self.comparison.words] if self.comparison.words else [])]
+        return "\n".join([*lines, *(f"note: {note}" for note in notes)])
 
 
 def profile_constant(
@@ -152,7 +163,20 @@ def profile_constant(
     found = [best]
     for direction in (-1.0, 1.0):
         found += _side(profiler, best, direction, points, progress)
-    return _assembled(name, number, sorted(found, key=lambda one: one.value), profiler)
+    return _judged(run, _assembled(name, number, sorted(found, key=lambda one: one.value), profiler))
+
+
+def _judged(run: Run, found: Profile) -> Profile:
+    """The profile beside the fit's interval, recorded in the run."""
+    known = run.fit.constants[found.name]
+    place = Found(found.estimate, found.low, found.high, found.settled)
+    verdict = compared(place, known.value, known.interval, len(run.numbers))
+    ends = (found.low, found.high)
+    write_profile(
+        run.path,
+        ProfileRecord(found.name, found.member, found.estimate, ends, verdict.trust, verdict.words or None),
+    )
+    return replace(found, fitted=known.interval, comparison=verdict)
 
 
 def _check(model: Model, name: str) -> None:

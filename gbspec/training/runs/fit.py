@@ -45,7 +45,7 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import verdicts
+from gbspec.training.runs.verdict import successions, verdicts
 from gbspec.version import __version__
 
 OWN = frozenset(
@@ -344,7 +344,9 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
                 f"member {member}: the solution from the initial state blows up in trajectory {names}{more}; "
                 "these trajectories do not count as fitted"
             )
-        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *result.notes)]
+        known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
+        left = successions(result.channels) if known else []
+        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)

@@ -27,6 +27,7 @@ from gbspec.training.runs.certainties import certainties
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.summary import MemberResult, summarise
+from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
 
 SAVE_EVERY = 5.0
@@ -321,15 +322,17 @@ class _Runner:
             instance = type(self.context.module)(weights, sealed(info, weights, self._summary(result)))
             instance.save(temporary)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
+        factor = widening(result.channels)
         if position.finished:
             names = [stage.name for stage in fitted]
-            certainties(self.context, self.parameters, position.best, names, instance).write(self.directory)
+            known = certainties(self.context, self.parameters, position.best, names, instance)
+            known.widened(factor).write(self.directory)
         result.history = list(position.history)
         for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
-            result.sd[name] = float(deviation)
+            result.sd[name] = factor * float(deviation)
         result.correlations = position.certainty.correlations
         if position.certainty.own.shape == result.own_sd.shape:
-            result.own_sd = position.certainty.own
+            result.own_sd = factor * position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
         return result
 

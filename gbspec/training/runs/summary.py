@@ -16,6 +16,7 @@ from gbspec.runs import ChannelRecord, StageRecord
 from gbspec.training.engines import predicted, residual_table, residual_vector
 from gbspec.training.problem import Parameters, Problem, mean_loss, measured_only, residuals_of
 from gbspec.training.recipe import Context, held_out_solutions, step_fraction
+from gbspec.training.runs.succession import successive
 from gbspec.training.stages import StageName
 
 
@@ -111,6 +112,7 @@ def _channels(
     naive = naive_predictors(context.model, context.trajectories)
     held = held_out_solutions(context, parameters, theta, fraction)
     estimated, scales = context.estimated, context.scaled(context.estimated)
+    residuals = residuals_of(problem, mean)
     out = {}
     for i, channel in enumerate(context.model.channels):
         known = naive.get(channel.name)
@@ -123,6 +125,7 @@ def _channels(
             finite(float(scales.value_weights[i])),
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
+            *successive(residuals, problem, i),
         )
     return out
 

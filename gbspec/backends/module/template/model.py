@@ -23,7 +23,7 @@ import numpy as np
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
-from gbspec.backends.module.template.slopes import _function_slopes
+from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
@@ -319,6 +319,10 @@ class Template:  # {{class}}
         """Derivatives of an unknown's values at points [P, n_arguments] by weights and constants: arrays [P, ...]."""
         return _function_slopes(self, name, arguments)
 
+    def rhs_slopes(self, x: Any, by: Any, t: float, condition: Any, inputs: Any, constants: Any) -> dict[str, Any]:
+        """Derivatives of `by` times dx/dt, both [P, n_states], by weights and constants: arrays [P, ...]."""
+        return _rhs_slopes(self, x, by, t, condition, inputs, constants)
+
     def _function(self, name: str, *arguments: Any, constants: Any = None) -> Any:
         index, output, method = self.equations.unknowns[name]
         count = len(self.networks[index]["arguments"])
@@ -403,8 +407,7 @@ class Template:  # {{class}}
         return value
 
     # ------------------------------------------------------------------ casadi
-    # Vectors are columns. With symbolic_constants the last input is the vector of constants in the order of
-    # `constants`; otherwise their values are numbers in the function.
+    # Vectors are columns. With symbolic_constants the last input is the vector of `constants`, else they are numbers.
 
     def casadi_rhs(self, symbolic_constants: bool = False) -> Any:
         """casadi.Function rhs(t, x, condition, inputs) -> dx, including the networks."""
@@ -431,9 +434,7 @@ class Template:  # {{class}}
         value = method(m, m.unpack(k), self.casadi_networks(), *m.unpack(arguments["arguments"]))[output]
         return ca.Function(_casadi_name(name), [*arguments.values()], [value], [*arguments], ["value"])
 
-    def _casadi(
-        self, name: str, result: str, equations: Any, symbolic_constants: bool, derivative: bool = False
-    ) -> Any:
+    def _casadi(self, name: str, result: str, equations: Any, symbolic: bool, derivative: bool = False) -> Any:
         import casadi as ca
 
         # Networks are products of matrices, which casadi keeps whole in MX; in SX each multiplication is a node.
@@ -441,10 +442,9 @@ class Template:  # {{class}}
         sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
         arguments = {key: kind.sym(key, size) for key, size in sizes.items()}
         values, k = [*arguments.values()], kind(ca.DM(self.weights["constants"]))
-        if symbolic_constants:
+        if symbolic:
             k = arguments["constants"] = kind.sym("constants", len(self.constants))
         m = _arithmetic("casadi")
         vector = equations(m, *values, m.unpack(k), self.casadi_networks())
-        if derivative:
-            vector = ca.jacobian(vector, arguments["x"])
+        vector = ca.jacobian(vector, arguments["x"]) if derivative else vector
         return ca.Function(name, [*arguments.values()], [ca.densify(vector)], [*arguments], [result])

@@ -30,3 +30,24 @@ def _function_slopes(module: Any, name: str, arguments: Any) -> dict[str, Any]:
         {**trained, "constants": weights["constants"]}, torch.as_tensor(arguments, dtype=torch.float64)
     )
     return {key: each.numpy() for key, each in found.items()}
+
+
+def _rhs_slopes(module: Any, x: Any, by: Any, t: float, condition: Any, inputs: Any, constants: Any) -> dict[str, Any]:
+    """Derivatives of `by` [P, n_states] times dx/dt at states [P, n_states] with respect to the trained weights and the
+    constants: arrays [P, ...] by name."""
+    import torch
+
+    weights = {key: torch.as_tensor(np.asarray(value)) for key, value in module.weights.items()}
+    trained = {key: value for key, value in weights.items() if key.endswith((".weight", ".bias"))}
+    time, given, held, known, states, directions = (
+        torch.as_tensor(np.asarray(value, dtype=np.float64)) for value in (t, condition, inputs, constants, x, by)
+    )
+
+    def value(varied: Any, state: Any, direction: Any) -> Any:
+        networks = module.torch_networks({**weights, **varied})
+        own = varied["constants"].unbind()
+        return (module.equations.rhs(_torch_arithmetic(), time, state, given, held, own, networks) * direction).sum()
+
+    slopes = torch.func.vmap(torch.func.grad(value), in_dims=(None, 0, 0))
+    found = slopes({**trained, "constants": known}, states, directions)
+    return {key: each.numpy() for key, each in found.items()}
