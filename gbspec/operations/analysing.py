@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Literal
 from gbspec.operations.models import Subject, truth_of
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gbspec.analysis import (
         Box,
         Diagram,
@@ -113,5 +115,30 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
 
     found = forecast(run, data, window=window)
     if path is not None:
-        write(path, found, run.model.time.name)
+        write(path, found)
     return found
+
+
+def function_frame(run: Run, name: str, points: object) -> pl.DataFrame:
+    """A learned function and its 90 % band at points, a table with a column for each argument.
+
+    Raises ValueError if there is no such function, or if an argument has no column.
+    """
+    import numpy as np
+    import polars as pl
+
+    from gbspec.analysis import function_bands
+    from gbspec.data import frame_columns
+
+    networks = {output: network for network in run.model.networks for output in network.outputs}
+    if name not in networks:
+        raise ValueError(f"there is no function `{name}`; there are {', '.join(networks) or 'none'}")
+    arguments = [argument.name for argument in networks[name].arguments]
+    columns = frame_columns(points)
+    lacking = [argument for argument in arguments if argument not in columns]
+    if lacking:
+        raise ValueError(f"`{name}` is a function of {', '.join(arguments)}: no column is named {', '.join(lacking)}")
+    at = np.stack([columns[argument] for argument in arguments], axis=-1)
+    value, low, high = function_bands(run, name, at)
+    found = {**{argument: columns[argument] for argument in arguments}, "value": value, "low": low, "high": high}
+    return pl.DataFrame(found, nan_to_null=True)

@@ -28,6 +28,9 @@ def fit(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
     """Like `train` but without the check of steps, for studies, which have their own checks."""
+    if progress is not None:  # before torch is imported, which takes seconds
+        size = f"{data.measurements:,} values in {len(data):,} trajector{'y' if len(data) == 1 else 'ies'}"
+        progress.message(f"preparing: {model.name}, {size}")
     from gbspec.training import train as run
 
     return run(model, data, options, directory, progress)

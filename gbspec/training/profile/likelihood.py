@@ -20,11 +20,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import polars as pl
 import torch
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.frames import Shown, of_rows
 from gbspec.ir import Model
 from gbspec.runs import Run
 from gbspec.training.engines import residual_vector
@@ -82,8 +84,8 @@ class ProfilePoint:
     converged: bool
 
 
-@dataclass(frozen=True)
-class Profile:
+@dataclass(frozen=True, repr=False)
+class Profile(Shown):
     """A profile, ordered by value. `low` and `high` are the ends of the 90 % interval; None if the threshold was not
     reached on that side, or if some fit has not converged."""
 
@@ -96,6 +98,13 @@ class Profile:
     noise: float
     notes: tuple[str, ...] = ()
     threshold: float = THRESHOLD
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each value: the constant, `deviance`, `converged`, and the other constants fitted there."""
+        return of_rows(
+            {self.name: point.value, "deviance": point.deviance, "converged": point.converged, **point.others}
+            for point in self.points
+        )
 
     @property
     def settled(self) -> bool:
