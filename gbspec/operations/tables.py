@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.diagnostics import Diagnostic, Findings, UserError, packages
 
 if TYPE_CHECKING:
     from gbspec.data import Frame, SimulateOptions, Trajectories
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 
+@packages()
 def simulate(
     source: Subject,
     options: SimulateOptions,
