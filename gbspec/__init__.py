@@ -11,7 +11,6 @@ from gbspec.version import __version__
 
 if TYPE_CHECKING:
     from gbspec.api import (
-        FittedRun,
         Specification,
         bifurcate,
         check,
@@ -23,10 +22,15 @@ if TYPE_CHECKING:
         train,
         validate,
     )
+    from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+    from gbspec.fitted import FittedRun
 
 __all__ = [
+    "ComputationError",
+    "Diagnostic",
     "FittedRun",
     "Specification",
+    "UserError",
     "__version__",
     "bifurcate",
     "check",
@@ -42,6 +46,10 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Imports `gbspec.api` when one of its names is first used: `import gbspec` alone stays light."""
+    if name in ("ComputationError", "Diagnostic", "UserError"):
+        from gbspec import diagnostics
+
+        return getattr(diagnostics, name)
     if name in __all__:
         from gbspec import api
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import codecs
 import gc
 import importlib
+import io
 import sys
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -113,8 +115,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # process ends, saves a fifth of the time of `gbspec check` (benchmarks/check_time.py).
     gc.set_threshold(50_000, 20, 20)
     atexit.register(gc.freeze)
+    _readable_elsewhere()
     try:
         build(needed(given))(args=given, prog_name="gbspec")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         raise SystemExit(130) from None
+
+
+def _readable_elsewhere() -> None:
+    """Output into files and pipes is UTF-8, as gbspec reads it; what a terminal cannot show is written as its number.
+
+    Windows would choose an encoding of the country, which lacks most characters of a formula.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and codecs.lookup(stream.encoding).name != "utf-8":
+            if stream.isatty():
+                stream.reconfigure(errors="backslashreplace")
+            else:
+                stream.reconfigure(encoding="utf-8")

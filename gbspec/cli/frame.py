@@ -20,7 +20,7 @@ import typer
 
 from gbspec.cli.flags import expand
 from gbspec.cli.output import Output
-from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.diagnostics import ComputationError, Diagnostic, UserError, missing_package
 
 OK, WRONG_INPUT, USAGE, FAILED, DEFECT, INTERRUPTED = 0, 1, 2, 3, 70, 130
 
@@ -103,6 +103,9 @@ def guarded(work: Callable[[], None], output: Output) -> int:
     except OSError as error:
         known = file_trouble(error)
         return _wrong_input((known,), output) if known else _defect(error, output)
+    except ImportError as error:
+        lacking = missing_package(error)
+        return _wrong_input((lacking,), output) if lacking else _defect(error, output)
     except Exception as error:  # the last line of defence, which keeps tracebacks from users
         return _defect(error, output)
     return OK

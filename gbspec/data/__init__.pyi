@@ -6,12 +6,16 @@ from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
 from .checks import far_outside as far_outside
 from .columns import TRAJECTORY as TRAJECTORY
+from .columns import form_of as form_of
 from .draws import sobol as sobol
 from .draws import spread_over_ranges as spread_over_ranges
 from .fingerprints import fingerprint as fingerprint
 from .keeping import content_digest as content_digest
 from .keeping import from_arrays as from_arrays
 from .keeping import to_arrays as to_arrays
+from .memory import Frame as Frame
+from .memory import frame_columns as frame_columns
+from .memory import is_frame as is_frame
 from .naive import Naive as Naive
 from .naive import naive_predictors as naive_predictors
 from .naive import variance_of as variance_of
@@ -43,6 +47,7 @@ from .statistics import deviations as deviations
 from .statistics import evenly_spaced as evenly_spaced
 from .statistics import measured_scale as measured_scale
 from .table import read as read
+from .table import read_frame as read_frame
 from .table import write as write
 from .trajectories import DoseEvents as DoseEvents
 from .trajectories import Signal as Signal

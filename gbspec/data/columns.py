@@ -94,6 +94,21 @@ def recognise(sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], findings
     return Layout(False, time, trajectory, columns)
 
 
+@dataclass(frozen=True)
+class Form:
+    """The columns of a model's tables: the time, whether trajectories start at a time that the model gives, and the
+    quantities."""
+
+    time: str
+    starts: bool
+    quantities: tuple[Quantity, ...]
+
+
+def form_of(model: Model) -> Form:
+    """The columns of the tables for a model."""
+    return Form(model.time.name, model.time.start is not None, quantities(model))
+
+
 def describe(quantity: Quantity) -> str:
     """The description of a quantity for a message."""
     match quantity.role:
@@ -131,7 +146,7 @@ def _missing(
     findings.error(
         "GB710",
         f"the table has no column `{column}` for {what}",
-        Cell(sheet.path, 1, column),
+        Cell(sheet.path, sheet.header, column),
         help=f"rename the column `{meant}`" if meant else f"its columns are {_list(sheet.names)}",
         notes=notes,
     )
@@ -147,7 +162,7 @@ def _surplus(sheet: Sheet, names: Iterable[str], optional: Iterable[str], findin
         findings.warning(
             "GB711",
             f"column `{name}` is not used: the model declares nothing of that name",
-            Cell(sheet.path, 1, name),
+            Cell(sheet.path, sheet.header, name),
             help=f"is `{meant}` meant?" if meant else "",
             notes=(f"and {further:,} more columns are not used",) if further > 0 else (),
             subject=name,

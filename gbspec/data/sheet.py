@@ -41,6 +41,7 @@ class Sheet:
     """The content of a table's file: `columns` of equal length, unique names, and `rows`, the row number of each.
 
     Rows are counted as in a spreadsheet: comments and blank rows count, and without them the header is row 1.
+    Those of a table in memory, which has no row for the `header`, are counted from 0.
     `decimal_comma`: numbers may be written `0,5`.
     """
 
@@ -49,6 +50,7 @@ class Sheet:
     rows: NDArray[np.int64]
     sha256: str
     decimal_comma: bool = False
+    header: int | None = 1
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -259,11 +261,11 @@ def _header_ok(path: str, names: list[str], separator: str, findings: Findings) 
         findings.error(
             "GB706", "the first row has numbers where names are expected", Cell(path, 1), help="name the columns"
         )
-    _unique(path, [name for name in names if name], findings)
+    unique(path, [name for name in names if name], findings)
     return len(findings.errors) == before
 
 
-def _unique(path: str, names: list[str], findings: Findings) -> None:
+def unique(path: str, names: list[str], findings: Findings) -> None:
     """Reports the names that several columns have."""
     counts = Counter(names)
     again = sorted(name for name, count in counts.items() if count > 1)
@@ -335,7 +337,7 @@ def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet |
         return None
     names = [cell_name(name) for name in frame.columns]
     before = len(findings.errors)
-    _unique(path, names, findings)
+    unique(path, names, findings)
     if not names or not frame.height:
         findings.error("GB704", "the table is empty", Cell(path), help="each row is one time")
     if len(findings.errors) > before:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +14,17 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
 from gbspec.data.checks import check, first_times
-from gbspec.data.columns import quantities, recognise
+from gbspec.data.columns import form_of, quantities, recognise
+from gbspec.data.keeping import content_digest
+from gbspec.data.memory import Frame, sheet_of
 from gbspec.data.records import Records, records
-from gbspec.data.sheet import read_sheet
+from gbspec.data.sheet import Sheet, read_sheet
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import Model
 
-__all__ = ["read", "write"]
+__all__ = ["read", "read_frame", "write"]
 
 
 def read(path: str | Path, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
@@ -32,7 +35,19 @@ def read(path: str | Path, model: Model, findings: Findings, require_channels: b
 
     Warnings go into `findings`. Raises UserError with all diagnostics if the table has errors.
     """
-    sheet = read_sheet(path, findings)
+    return _read(read_sheet(path, findings), model, findings, require_channels)
+
+
+def read_frame(data: Frame, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
+    """A table in memory as trajectories, like `read`; they are identified by their content.
+
+    `data` is a data frame of polars, pandas or pyarrow, or a mapping of names to columns (arrays, lists, tensors).
+    """
+    found = _read(sheet_of(data, findings), model, findings, require_channels)
+    return replace(found, path="", sha256=content_digest(found))
+
+
+def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channels: bool) -> Trajectories:
     if sheet is None:
         raise UserError(tuple(findings))
     wanted = quantities(model, require_channels)
@@ -45,7 +60,7 @@ def read(path: str | Path, model: Model, findings: Findings, require_channels: b
     items = _cut(table, model, require_channels)
     channels = tuple(channel.name for channel in model.channels)
     kind = {"layout": "long" if layout.long else "wide"}
-    return Trajectories(items, channels, sheet.path, sheet.sha256, len(sheet.rows), kind)
+    return Trajectories(items, channels, sheet.path, sheet.sha256, len(sheet.rows), kind, form_of(model))
 
 
 def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory, ...]:

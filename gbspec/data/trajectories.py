@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import polars as pl
 
 from gbspec.arrays import Array
+from gbspec.data.columns import TRAJECTORY, Form
+from gbspec.frames import Tabled
 
 
 @dataclass(frozen=True)
@@ -53,9 +56,12 @@ class Trajectory:
         return float(self.times[-1]) if len(self.times) else self.start
 
 
-@dataclass(frozen=True)
-class Trajectories:
-    """A data set for one model. `channels` names the columns of `values`; `path`, `sha256` identify the file."""
+@dataclass(frozen=True, repr=False)
+class Trajectories(Tabled):
+    """A data set for one model. `channels` names the columns of `values`; `path`, `sha256` identify the file.
+
+    `form` names the columns of `to_frame`.
+    """
 
     items: tuple[Trajectory, ...]
     channels: tuple[str, ...]
@@ -63,6 +69,7 @@ class Trajectories:
     sha256: str = ""
     rows: int = 0
     meta: dict[str, str] = field(default_factory=dict)
+    form: Form | None = field(default=None, compare=False)
 
     def __len__(self) -> int:
         return len(self.items)
@@ -77,4 +84,62 @@ class Trajectories:
         items = tuple(self.items[i] for i in indices)
         if len(items) == len(self.items) and list(indices) == list(range(len(items))):
             return self
-        return Trajectories(items, self.channels, meta=dict(self.meta))
+        return Trajectories(items, self.channels, meta=dict(self.meta), form=self.form)
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each trajectory and time, as in a table of the wide layout; null where nothing was measured.
+
+        Columns: `trajectory`, the time, channels, `sd_…` if there is any, conditions, inputs, doses.
+        """
+        if self.form is None:
+            raise ValueError("these trajectories do not know the names of their columns; read or simulate them")
+        return frame_of(self, self.form)
+
+    def summary(self) -> str:
+        """The numbers of trajectories and of measured values, and the channels."""
+        count = f"{len(self)} trajector{'y' if len(self) == 1 else 'ies'}"
+        return f"{count}, {self.measurements} values of {', '.join(self.channels)}"
+
+
+def frame_of(trajectories: Trajectories, form: Form) -> pl.DataFrame:
+    """The trajectories as a data frame of the wide layout; null where nothing was measured."""
+    blocks = [_block(item, form) for item in trajectories.items]
+    names = [form.time, *(q.column for q in form.quantities)]
+    width = len(names)
+    stacked = np.concatenate(blocks) if blocks else np.zeros((0, width))
+    labels = [item.label for item, block in zip(trajectories.items, blocks, strict=True) for _ in range(len(block))]
+    columns = {TRAJECTORY: pl.Series(labels, dtype=pl.String)}
+    for name, values in zip(names, stacked.T, strict=True):
+        if name.startswith("sd_") and np.isnan(values).all():
+            continue
+        columns[name] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
+    return pl.DataFrame(columns)
+
+
+def _block(item: Trajectory, form: Form) -> Array:
+    """One trajectory's rows [R, 1 + quantities]; NaN where a cell is empty."""
+    moments = [item.times, *(s.times for s in item.inputs), *(d.times for d in item.doses)]
+    first = min((float(times[0]) for times in moments if len(times)), default=np.inf)
+    if not form.starts and item.start < first:
+        moments.append(np.array([item.start]))
+    times = np.unique(np.concatenate(moments))
+    columns = [times]
+    at = np.searchsorted(times, item.times)
+    for quantity in form.quantities:
+        cells = np.full(len(times), np.nan)
+        match quantity.role:
+            case "channel":
+                cells[at] = item.values[:, quantity.index]
+            case "sd":
+                cells[at] = item.sd[:, quantity.index]
+            case "condition":
+                cells[:] = item.condition[quantity.index]
+            case "input":
+                signal = item.inputs[quantity.index]
+                cells[np.searchsorted(times, signal.times)] = signal.values
+            case "dose":
+                events = item.doses[quantity.index]
+                cells[np.searchsorted(times, events.times)] = 0.0
+                np.add.at(cells, np.searchsorted(times, events.times), events.amounts)
+        columns.append(cells)
+    return np.stack(columns, axis=1)

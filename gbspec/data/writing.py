@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 
-from gbspec.arrays import Array
-from gbspec.data.columns import TRAJECTORY, quantities
+from gbspec.data.columns import TRAJECTORY, form_of
 from gbspec.data.names import for_spreadsheets
 from gbspec.data.sheet import FORMATS, PARQUET, SEPARATORS
-from gbspec.data.trajectories import Trajectories, Trajectory
+from gbspec.data.trajectories import Trajectories, frame_of
 from gbspec.diagnostics import Cell, Diagnostic, UserError
 from gbspec.files import aside
 from gbspec.ir import Model
@@ -30,7 +28,7 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
         raise UserError(
             [Diagnostic("GB812", f"cannot write a table to `{path}`", Cell(str(path)), help=f"name it as {FORMATS}")]
         )
-    frame = table(trajectories, model)
+    frame = frame_of(trajectories, form_of(model))
     safe = frame.with_columns(pl.Series(TRAJECTORY, map(for_spreadsheets, frame[TRAJECTORY]), dtype=pl.String))
     try:
         with aside(path) as temporary:
@@ -41,47 +39,3 @@ def write(path: str | Path, trajectories: Trajectories, model: Model) -> None:
     except OSError as error:
         reason = error.strerror or str(error)
         raise UserError([Diagnostic("GB701", f"cannot write `{path}`: {reason}", Cell(str(path)))]) from error
-
-
-def table(trajectories: Trajectories, model: Model) -> pl.DataFrame:
-    """The trajectories as a data frame of the wide layout; null where nothing was measured."""
-    blocks = [_block(item, model) for item in trajectories.items]
-    names = [model.time.name, *(q.column for q in quantities(model))]
-    width = len(names)
-    stacked = np.concatenate(blocks) if blocks else np.zeros((0, width))
-    labels = [item.label for item, block in zip(trajectories.items, blocks, strict=True) for _ in range(len(block))]
-    columns = {TRAJECTORY: pl.Series(labels, dtype=pl.String)}
-    for name, values in zip(names, stacked.T, strict=True):
-        if name.startswith("sd_") and np.isnan(values).all():
-            continue
-        columns[name] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
-    return pl.DataFrame(columns)
-
-
-def _block(item: Trajectory, model: Model) -> Array:
-    """One trajectory's rows [R, 1 + quantities]; NaN where a cell is empty."""
-    moments = [item.times, *(s.times for s in item.inputs), *(d.times for d in item.doses)]
-    first = min((float(times[0]) for times in moments if len(times)), default=np.inf)
-    if model.time.start is None and item.start < first:
-        moments.append(np.array([item.start]))
-    times = np.unique(np.concatenate(moments))
-    columns = [times]
-    at = np.searchsorted(times, item.times)
-    for quantity in quantities(model):
-        cells = np.full(len(times), np.nan)
-        match quantity.role:
-            case "channel":
-                cells[at] = item.values[:, quantity.index]
-            case "sd":
-                cells[at] = item.sd[:, quantity.index]
-            case "condition":
-                cells[:] = item.condition[quantity.index]
-            case "input":
-                signal = item.inputs[quantity.index]
-                cells[np.searchsorted(times, signal.times)] = signal.values
-            case "dose":
-                events = item.doses[quantity.index]
-                cells[np.searchsorted(times, events.times)] = 0.0
-                np.add.at(cells, np.searchsorted(times, events.times), events.amounts)
-        columns.append(cells)
-    return np.stack(columns, axis=1)

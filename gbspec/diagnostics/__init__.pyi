@@ -7,6 +7,8 @@ from .diagnostic import Findings as Findings
 from .diagnostic import Label as Label
 from .diagnostic import Severity as Severity
 from .diagnostic import UserError as UserError
+from .installed import missing_package as missing_package
+from .installed import packages as packages
 from .render import render_text as render_text
 from .render import to_json as to_json
 from .span import Cell as Cell

@@ -32,6 +32,7 @@ from .methods import listed as listed
 from .methods import method_named as method_named
 from .methods import unknown_method as unknown_method
 from .model import NN as NN
+from .model import Argument as Argument
 from .model import Channel as Channel
 from .model import Claim as Claim
 from .model import Condition as Condition

@@ -6,9 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from gbspec.diagnostics import packages
 from gbspec.operations.models import Subject, truth_of
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gbspec.analysis import (
         Box,
         Diagram,
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
     from gbspec.runs import Run
 
 
+@packages()
 def system(source: Subject) -> System:
     """A subject as a dynamical system to analyse."""
     from gbspec.analysis import extrapolation_of, system_of
@@ -32,6 +36,7 @@ def system(source: Subject) -> System:
     return system_of(source.evaluator, source.model, extrapolation)
 
 
+@packages()
 def eigen(
     source: Subject, *, at: Sequence[Mapping[str, float]] = (), along: Trajectories | None = None, steady: bool = False
 ) -> Eigen:
@@ -49,6 +54,7 @@ def eigen(
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
 
 
+@packages()
 def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] | None = None) -> InitialStates:
     """Learned, bred and true initial states of a run's trajectories, side by side."""
     from gbspec.analysis import initial_states as run
@@ -59,6 +65,7 @@ def initial_states(source: Subject, data: Trajectories, indices: Sequence[int] |
     return run(source.evaluator, source.model, data, known, system(source), truth, indices)
 
 
+@packages()
 def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
@@ -92,6 +99,7 @@ def joined(diagrams: Sequence[Diagram]) -> Diagram:
     return with_intervals(diagrams) if len(diagrams) > 1 else diagrams[0]
 
 
+@packages()
 def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) -> PlaneDiagram:
     """The Hopf and fold curves of a subject in a box of the plane of two of its parameters."""
     from gbspec.analysis import bifurcation_plane as run
@@ -105,6 +113,7 @@ def true_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box, Box]) 
     return None if truth is None else bifurcation_plane(truth, names, boxes)
 
 
+@packages()
 def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] = "mean") -> Validation:
     """Errors of a run on data, at half its step, by an adaptive solver, and against the truth."""
     from gbspec.analysis import validate as check
@@ -112,6 +121,7 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
     return check(run, data, member=member)
 
 
+@packages()
 def predict(run: Run, data: Trajectories, *, window: int | None = None, path: str | Path | None = None) -> Forecast:
     """Predictions of a run for a table, from the first `window` measured rows; also written to `path`, if given."""
     from gbspec.analysis import forecast
@@ -119,5 +129,31 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
 
     found = forecast(run, data, window=window)
     if path is not None:
-        write(path, found, run.model.time.name)
+        write(path, found)
     return found
+
+
+@packages()
+def function_frame(run: Run, name: str, points: object) -> pl.DataFrame:
+    """A learned function and its 90 % band at points, a table with a column for each argument.
+
+    Raises ValueError if there is no such function, or if an argument has no column.
+    """
+    import numpy as np
+    import polars as pl
+
+    from gbspec.analysis import function_bands
+    from gbspec.data import frame_columns
+
+    networks = {output: network for network in run.model.networks for output in network.outputs}
+    if name not in networks:
+        raise ValueError(f"there is no function `{name}`; there are {', '.join(networks) or 'none'}")
+    arguments = [argument.name for argument in networks[name].arguments]
+    columns = frame_columns(points)
+    lacking = [argument for argument in arguments if argument not in columns]
+    if lacking:
+        raise ValueError(f"`{name}` is a function of {', '.join(arguments)}: no column is named {', '.join(lacking)}")
+    at = np.stack([columns[argument] for argument in arguments], axis=-1)
+    value, low, high = function_bands(run, name, at)
+    found = {**{argument: columns[argument] for argument in arguments}, "value": value, "low": low, "high": high}
+    return pl.DataFrame(found, nan_to_null=True)

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gbspec.diagnostics import packages
+
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
     from gbspec.ir import Model
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from gbspec.training import Point, Profile, Progress, Row, TrainOptions
 
 
+@packages()
 def train(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
@@ -24,15 +27,20 @@ def train(
         return with_step_checks(fit(model, data, directory, options, progress), data, options)
 
 
+@packages()
 def fit(
     model: Model, data: Trajectories, directory: Path, options: TrainOptions, progress: Progress | None = None
 ) -> Run:
     """Like `train` but without the check of steps, for studies, which have their own checks."""
+    if progress is not None:  # before torch is imported, which takes seconds
+        size = f"{data.measurements:,} values in {len(data):,} trajector{'y' if len(data) == 1 else 'ies'}"
+        progress.message(f"preparing: {model.name}, {size}")
     from gbspec.training import train as run
 
     return run(model, data, options, directory, progress)
 
 
+@packages()
 def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run:
     """The run fitted to `data`, with the check of each member's step and warnings for those that depend on it."""
     from gbspec.analysis import check_fit
@@ -46,6 +54,7 @@ def with_step_checks(run: Run, data: Trajectories, options: TrainOptions) -> Run
     return run.amended(replace(run.fit, step_checks=records, warnings=(*run.fit.warnings, *warnings)))
 
 
+@packages()
 def sweep(
     model: Model,
     data: Trajectories,
@@ -72,6 +81,7 @@ def sweep(
     return rows
 
 
+@packages()
 def profile(
     run: Run,
     name: str,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gbspec import frontend
-from gbspec.diagnostics import Defect, Findings, Source
+from gbspec.diagnostics import Defect, Findings, Source, packages
 from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ def subject(path: str | Path, values: Mapping[str, float], findings: Findings, m
     return reference(frontend.load_model(path, findings), values)
 
 
+@packages()
 def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
     """A run at the learned parameters of a member (default: the best one). Raises `UserError` (GB804, GB854)."""
     from gbspec.backends import Evaluator
@@ -101,6 +102,7 @@ def learned(run: Run, values: Mapping[str, float] | None = None, member: int | N
     return Subject(run.model, Evaluator(run.member(number)), run, run.values, number)
 
 
+@packages()
 def reference(model: Model, values: Mapping[str, float] | None = None, method: Method = RK4) -> Subject:
     """A model at its truth, stepped by a method.
 
@@ -219,6 +221,7 @@ def compile_model(model: Model, form: str, solver: str = "rk4") -> Compiled:
     return _emitted(reference(model, method=method) if backends()[form].numbers else model, form, method)
 
 
+@packages()
 def _emitted(source: Model | Subject, form: str, method: Method) -> Compiled:
     from gbspec.backends import backends, class_name
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gbspec.diagnostics import packages
 from gbspec.operations import analysing
 from gbspec.operations.models import learned
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from gbspec.training import Profile
 
 
+@packages()
 def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) -> Figure:
     """The figure of one or several members' diagrams, together with the truth's."""
     from gbspec.report import diagram
@@ -25,6 +27,7 @@ def diagram_figure(diagrams: Sequence[Diagram], truth: Diagram | None = None) ->
     return diagram(analysing.joined(diagrams), diagrams[1:], truth)
 
 
+@packages()
 def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = None) -> Figure:
     """The figure of one or several members' curves, together with the truth's."""
     from gbspec.report import plane
@@ -32,6 +35,7 @@ def plane_figure(diagrams: Sequence[PlaneDiagram], truth: PlaneDiagram | None = 
     return plane(diagrams[0], diagrams[1:], truth)
 
 
+@packages()
 def profile_figure(run: Run, found: Profile) -> Figure:
     """The figure of a profile, with the truth if the model has one."""
     from gbspec.report import profile as draw
@@ -40,6 +44,7 @@ def profile_figure(run: Run, found: Profile) -> Figure:
     return draw(found, truths.get(found.name))
 
 
+@packages()
 def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] = ()) -> Figure:
     """A figure of a run: one of `gbspec.report.kinds`."""
     from gbspec.report import draw
@@ -47,6 +52,7 @@ def figure(kind: str, run: Run, data: Trajectories | None, show: Sequence[str] =
     return draw(kind, run, data, show)
 
 
+@packages()
 def report(
     run: Run,
     data: Trajectories | None,

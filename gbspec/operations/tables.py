@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.diagnostics import Diagnostic, Findings, UserError
+from gbspec.diagnostics import Diagnostic, Findings, UserError, packages
 
 if TYPE_CHECKING:
-    from gbspec.data import SimulateOptions, Trajectories
+    from gbspec.data import Frame, SimulateOptions, Trajectories
     from gbspec.ir import Model
     from gbspec.operations.models import Subject
     from gbspec.runs import Run
 
 
+@packages()
 def simulate(
     source: Subject,
     options: SimulateOptions,
@@ -38,11 +39,18 @@ def far_outside(data: Trajectories, model: Model) -> list[str]:
     return judged(model, np.concatenate([item.values for item in data.items]))
 
 
-def read_data(path: str | Path, model: Model, findings: Findings, *, require_channels: bool = True) -> Trajectories:
-    """A table of measurements for a model. Raises `UserError` with all errors in it."""
-    from gbspec.data import read
+def read_data(
+    data: str | Path | Frame, model: Model, findings: Findings, *, require_channels: bool = True
+) -> Trajectories:
+    """A table of measurements for a model, in a file or in memory. Raises `UserError` with all errors in it."""
+    from gbspec.data import is_frame, read, read_frame
 
-    return read(path, model, findings, require_channels)
+    if isinstance(data, str | Path):
+        return read(data, model, findings, require_channels)
+    if not is_frame(data):
+        kinds = "a path, a data frame of polars, pandas or pyarrow, or a mapping of names to columns"
+        raise TypeError(f"data are {kinds}, not {type(data).__name__}")
+    return read_frame(data, model, findings, require_channels)
 
 
 def training_data(run: Run, findings: Findings, *, required: bool = True) -> Trajectories | None:
@@ -90,7 +98,7 @@ def _trouble(run: Run, changed: list[Path]) -> tuple[str, str]:
 
 def _kept(run: Run) -> Trajectories | None:
     """The data that the run itself keeps; None if there are none. Raises `UserError` (GB852) if they are damaged."""
-    from gbspec.data import from_arrays
+    from gbspec.data import form_of, from_arrays
     from gbspec.runs import DAMAGED, files
 
     path = run.path / files.DATA
@@ -104,7 +112,7 @@ def _kept(run: Run) -> Trajectories | None:
             raise ValueError(f"`{path}` is damaged: it has other channels than the model")
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise UserError([Diagnostic("GB852", f"`{path}` cannot be read: {error}", None, help=DAMAGED)]) from None
-    return replace(found, sha256=run.fit.data.sha256)
+    return replace(found, sha256=run.fit.data.sha256, form=form_of(run.model))
 
 
 def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Trajectories:

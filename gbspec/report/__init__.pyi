@@ -11,6 +11,10 @@ from .notebook import figure as figure
 from .notebook import register as register
 from .predictions import target as target
 from .predictions import write as write
+from .progress import progress_of as progress_of
+from .progress import progress_on as progress_on
+from .rows import constant_rows as constant_rows
+from .rows import declared_rows as declared_rows
 from .style import form_of as form_of
 from .style import save as save
 from .text import listing as listing

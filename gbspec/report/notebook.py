@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 TEXTS = (
     ("gbspec.api", "Specification"),
-    ("gbspec.api", "FittedRun"),
+    ("gbspec.fitted", "FittedRun"),
     ("gbspec.analysis.bifurcation.diagram", "Diagram"),
     ("gbspec.analysis.bifurcation.plane_diagram", "PlaneDiagram"),
     ("gbspec.analysis.bifurcation.eigen", "Eigen"),

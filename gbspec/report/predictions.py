@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import polars as pl
 
 from gbspec.analysis import Forecast
@@ -22,30 +21,10 @@ def target(path: str | Path) -> Path:
     return writable(found)
 
 
-def frame(forecast: Forecast, time: str) -> pl.DataFrame:
-    """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
-
-    `used` is `training`, `window` (the initial state was estimated from this row) or `predicted`; `outside` names the
-    states and conditions that lie beyond the range in which the model was trained.
-    """
-    items = forecast.items
-    columns: dict[str, pl.Series] = {
-        TRAJECTORY: pl.Series([item.label for item in items for _ in item.times], dtype=pl.String),
-        time: pl.Series(np.concatenate([np.zeros(0), *(item.times for item in items)]), dtype=pl.Float64),
-    }
-    for j, name in enumerate(forecast.variables):
-        for suffix, which in (("", "mean"), ("_low", "low"), ("_high", "high")):
-            values = np.concatenate([np.zeros(0), *(getattr(item, which)[:, j] for item in items)])
-            columns[name + suffix] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
-    columns["used"] = pl.Series([use for item in items for use in item.used], dtype=pl.String)
-    columns["outside"] = pl.Series([" ".join(names) for item in items for names in item.outside], dtype=pl.String)
-    return pl.DataFrame(columns)
-
-
-def write(path: str | Path, forecast: Forecast, time: str) -> None:
+def write(path: str | Path, forecast: Forecast) -> None:
     """Writes the table in the format given by the path's suffix."""
     to = target(path)
-    made = frame(forecast, time)
+    made = forecast.to_frame()
     if to.suffix.lower() in PARQUET:
         with aside(to) as temporary:
             made.write_parquet(temporary)

@@ -16,9 +16,12 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from gbspec.data import Trajectories, fingerprint, for_spreadsheets
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import clear, finite, write_text
+from gbspec.frames import Tabled, of_rows
 from gbspec.json_values import JsonObject
 from gbspec.runs import OMITTED, JsonError, decode, encode, files, locked, read_object
 from gbspec.studies.folds import Fold, Over, folds, way
@@ -63,8 +66,8 @@ class CrossOptions:
                 raise UserError([Diagnostic("GB814", message, None)])
 
 
-@dataclass(frozen=True)
-class CrossValidation:
+@dataclass(frozen=True, repr=False)
+class CrossValidation(Tabled):
     """Errors of each fold and of all held-out measurements together; `failures`: the reason for each failed fold."""
 
     model: str
@@ -74,6 +77,17 @@ class CrossValidation:
     total: Mapping[str, Errors]
     failures: Mapping[int, str]
     points: tuple[Point, ...] = field(repr=False, default=())
+
+    def to_frame(self) -> pl.DataFrame:
+        """The errors of each fold and channel, in the channel's unit; those of all folds together have no `fold`."""
+        parts: list[tuple[int | None, Mapping[str, Errors]]] = [*self.folds.items(), (None, self.total)]
+        return of_rows(
+            {"fold": fold, "channel": name, **one.to_json()} for fold, errors in parts for name, one in errors.items()
+        )
+
+    def summary(self) -> str:
+        """What was held out."""
+        return f"{self.model}, {self.count} folds over {self.over}"
 
     def to_json(self) -> dict[str, object]:
         """The content of `crossvalidate --json`."""

@@ -199,6 +199,9 @@ def _end_with_parent() -> None:
 @contextmanager
 def _terminable() -> Iterator[None]:
     """A context in which SIGTERM and SIGHUP, which end jobs of a batch system, have the effect of Ctrl-C."""
+    if threading.current_thread() is not threading.main_thread():  # only there signals can be asked for
+        yield
+        return
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     asking = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
     before = {number: signal.signal(number, _raise_interrupt) for number in asking}

@@ -87,7 +87,7 @@ def close(found: Any, wanted: Any, bound: float = 1e-12) -> None:
 def test_the_module_names_its_method(name: str) -> None:
     model = model_of(EVERYTHING)
     text = generate(model, METHODS[name])
-    assert f'    solver = "{name}"  # the method that takes the steps\n' in text
+    assert f'    solver: ClassVar[str] = "{name}"  # the method that takes the steps\n' in text
     assert f"\nSolver      {name}: {METHODS[name].help}\n" in text
     assert f"One step ({name.upper()}) of state'" in text and f"a step of size h from t ({name.upper()})" in text
     assert load_module(model, METHODS[name]).solver == name

@@ -110,6 +110,26 @@ def test_check_reads_standard_input(here: Path) -> None:
     assert "long" in right.stdout
 
 
+def test_fmt_writes_what_it_reads_from_standard_input(here: Path) -> None:
+    def fmt(text: str, *flags: str) -> Any:
+        return CliRunner().invoke(build(("check", "fmt")), ["fmt", "-", *flags], input=text)
+
+    untidy = "model decay\r\nstate  x=1 # how much\nx' = -x\nobserve x\n"
+    formatted = fmt(untidy)
+    assert (formatted.exit_code, formatted.stderr) == (0, "")
+    assert "# how much\n" in formatted.stdout
+    again = fmt(formatted.stdout)
+    assert again.stdout == formatted.stdout
+    assert fmt(formatted.stdout, "--check").exit_code == 0
+    assert fmt(untidy, "--check").exit_code == 1
+    assert "<stdin>" in fmt(untidy, "--diff").stdout
+    assert json.loads(fmt(untidy, "--json").stdout)["formatted"] == formatted.stdout
+    wrong = fmt("model decay\nstate x = = 1\n")
+    assert (wrong.exit_code, wrong.stdout) == (1, "")
+    assert "<stdin>:2" in wrong.stderr
+    assert not list(here.iterdir())
+
+
 @pytest.mark.parametrize("command", [("check",), ("compile", "-o", "x.py"), ("fmt",)])
 def test_a_missing_model_is_wrong_input(gbspec: Run, here: Path, command: tuple[str, ...]) -> None:
     result = gbspec(command[0], "absent.gb", *command[1:])

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import polars as pl
+
 from gbspec.analysis.bifurcation.continuation import Branch, SpecialPoint
 from gbspec.analysis.bifurcation.cycles import CycleBranch
 from gbspec.analysis.bifurcation.limit_cycle import Cycle
 from gbspec.arrays import Array
+from gbspec.frames import Shown, of_rows
 
 
-@dataclass(frozen=True)
-class Diagram:
+@dataclass(frozen=True, repr=False)
+class Diagram(Shown):
     """A bifurcation diagram of `states` over `parameter` in `low`..`high`.
 
     `trained` is the parameter's trained (else plausible) range, None if unknown.
@@ -27,6 +30,23 @@ class Diagram:
     special: tuple[SpecialPoint, ...]
     cycles: tuple[CycleBranch, ...]
     trained: tuple[float, float] | None = None
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each steady state, then for each cycle: `kind`, `branch`, the parameter, states, `stable`.
+
+        A state of a cycle has its largest value there, and its smallest in NAME_min; `period` is the cycle's.
+        """
+        rows: list[dict[str, object]] = []
+        for i, branch in enumerate(self.branches):
+            for point in branch.points:
+                at = {"kind": "steady", "branch": i, self.parameter: point.value}
+                rows.append({**at, **self._named(point.state), "stable": point.stable})
+        for i, family in enumerate(self.cycles):
+            for one in family.cycles:
+                low = {f"{name}_min": value for name, value in self._named(one.minimum).items()}
+                extent = {**self._named(one.maximum), "stable": one.stable, **low, "period": one.period}
+                rows.append({"kind": "cycle", "branch": i, self.parameter: one.value, **extent})
+        return of_rows(rows)
 
     def of_kind(self, *kinds: str) -> tuple[SpecialPoint, ...]:
         """The special points of the given kinds, ordered by the parameter."""

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from gbspec.analysis.systems import System, ordered_eigenvalues, ordered_modes, state_at, steady_states
 from gbspec.arrays import Array, ComplexArray
 from gbspec.diagnostics import Findings
+from gbspec.frames import Tabled, of_rows
 
 if TYPE_CHECKING:
     from gbspec.analysis.prediction import Prediction
@@ -112,12 +114,40 @@ class FastMode:
         return f"mode {self.rank + 1}" + (f", of {', '.join(self.states)}" if self.states else "")
 
 
-@dataclass(frozen=True)
-class Eigen:
+@dataclass(frozen=True, repr=False)
+class Eigen(Tabled):
     """Eigenvalues at several points; `interval` is the median time between measurements, if there are data."""
 
     points: tuple[EigenPoint, ...] = field(default=())
     interval: float | None = None
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each point and eigenvalue: `point`, its origin, states and conditions, `real` and `imaginary`.
+
+        Eigenvalues are in 1 over the unit of time, by decreasing real part; `true_real` and `true_imaginary` are those
+        of the truth.
+        """
+        return of_rows(
+            {
+                "point": number,
+                "kind": point.kind,
+                "trajectory": point.trajectory,
+                "time": point.time,
+                **point.state,
+                **point.condition,
+                "mode": mode,
+                "real": float(value.real),
+                "imaginary": float(value.imag),
+                "true_real": None if point.truth is None else float(point.truth[mode].real),
+                "true_imaginary": None if point.truth is None else float(point.truth[mode].imag),
+            }
+            for number, point in enumerate(self.points)
+            for mode, value in enumerate(point.eigenvalues)
+        )
+
+    def summary(self) -> str:
+        """The number of points."""
+        return f"eigenvalues at {len(self.points)} point{'s' * (len(self.points) != 1)}"
 
     @property
     def fast_modes(self) -> tuple[FastMode, ...]:

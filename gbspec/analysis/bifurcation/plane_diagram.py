@@ -10,11 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import polars as pl
 
 from gbspec.analysis.bifurcation.bifurcate import BifurcationOptions, bifurcate, require_range
 from gbspec.analysis.bifurcation.plane import PlaneCurve, PlaneFamily, PlanePoint, fold_curve, hopf_curve
 from gbspec.analysis.systems import Box, System
 from gbspec.arrays import Array
+from gbspec.frames import Shown, of_rows
 
 LINES = 5
 """The number of values of either parameter at which diagrams over the other are computed."""
@@ -27,8 +29,8 @@ are at most 0.02 long and rotate the tangent by at most 0.2, so the error of cho
 KINDS = {"bautin": "Bautin point", "bogdanov_takens": "Bogdanov-Takens point", "cusp": "cusp"}
 
 
-@dataclass(frozen=True)
-class PlaneDiagram:
+@dataclass(frozen=True, repr=False)
+class PlaneDiagram(Shown):
     """The Hopf and fold curves of a system in a box of the plane of two parameters.
 
     `trained` holds both parameters' trained (else plausible) ranges, None for an unknown one.
@@ -39,6 +41,19 @@ class PlaneDiagram:
     boxes: tuple[Box, Box]
     curves: tuple[PlaneCurve, ...]
     trained: tuple[Box | None, Box | None] = (None, None)
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each point: `curve`, `kind`, both parameters, and the states."""
+        return of_rows(
+            {
+                "curve": number,
+                "kind": curve.kind,
+                **dict(zip(self.parameters, point.values, strict=True)),
+                **{name: float(value) for name, value in zip(curve.states, point.state, strict=True)},
+            }
+            for number, curve in enumerate(self.curves)
+            for point in curve.points
+        )
 
     def to_json(self) -> dict[str, object]:
         """The document of `bifurcate --and --json`."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import polars as pl
 
 from gbspec.analysis.prediction.displaced import Displaced
 from gbspec.analysis.prediction.estimate import Estimator
@@ -26,8 +27,10 @@ from gbspec.analysis.prediction.solutions import (
 )
 from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
+from gbspec.data import TRAJECTORY
 from gbspec.diagnostics import ComputationError
 from gbspec.files import finite
+from gbspec.frames import Tabled
 from gbspec.ir import logarithmic, slopes
 
 if TYPE_CHECKING:
@@ -91,8 +94,8 @@ class Errors:
         return {"n": self.n, **{name: finite(getattr(self, name)) for name in ("rmse", "nrmse", "covered")}}
 
 
-@dataclass(frozen=True)
-class Forecast:
+@dataclass(frozen=True, repr=False)
+class Forecast(Tabled):
     """The predictions of a run for a table. `variables` are the channels, then the states that are not channels."""
 
     variables: tuple[str, ...]
@@ -101,6 +104,34 @@ class Forecast:
     items: tuple[PredictedTrajectory, ...]
     members: int
     warnings: tuple[str, ...] = ()
+    time: str = "t"
+
+    def to_frame(self) -> pl.DataFrame:
+        """Columns `trajectory`, the time, NAME, NAME_low and NAME_high of each variable, `used` and `outside`.
+
+        `used` is `training`, `window` (the initial state was estimated from this row) or `predicted`; `outside` names
+        the states and conditions that lie beyond the range in which the model was trained.
+        """
+        times = np.concatenate([np.zeros(0), *(item.times for item in self.items)])
+        columns: dict[str, pl.Series] = {
+            TRAJECTORY: pl.Series([item.label for item in self.items for _ in item.times], dtype=pl.String),
+            self.time: pl.Series(times, dtype=pl.Float64),
+        }
+        for j, name in enumerate(self.variables):
+            for suffix, which in (("", "mean"), ("_low", "low"), ("_high", "high")):
+                values = np.concatenate([np.zeros(0), *(getattr(item, which)[:, j] for item in self.items)])
+                columns[name + suffix] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
+        columns["used"] = pl.Series([use for item in self.items for use in item.used], dtype=pl.String)
+        outside = [" ".join(names) for item in self.items for names in item.outside]
+        return pl.DataFrame({**columns, "outside": pl.Series(outside, dtype=pl.String)})
+
+    def summary(self) -> str:
+        """What was predicted, and by how many members."""
+        return f"{_count(len(self.items))}, {', '.join(self.variables)}, members: {self.members}"
+
+    def notes(self) -> Sequence[str]:
+        """The errors and remarks of the text."""
+        return str(self).split("\n")
 
     def errors(self) -> dict[str, Errors]:
         """The errors of each channel with measurements in rows that were not used."""
@@ -204,6 +235,7 @@ def forecast(run: Run, trajectories: Trajectories, *, window: int | None = None)
         states=tuple(state.name for state in run.model.states),
         items=items,
         members=len(each),
+        time=run.model.time.name,
         warnings=(*_warnings(items, len(each) == 1 and known[0] is None), *_without_effect(items, window)),
     )
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
@@ -20,6 +21,7 @@ from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
 from gbspec.data import scales_of
 from gbspec.diagnostics import Findings
+from gbspec.frames import Shown, of_rows
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
@@ -64,12 +66,27 @@ class InitialState:
         }
 
 
-@dataclass(frozen=True)
-class InitialStates:
+@dataclass(frozen=True, repr=False)
+class InitialStates(Shown):
     """The initial states of several trajectories, in the `states` of a model."""
 
     states: tuple[str, ...]
     items: tuple[InitialState, ...]
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each trajectory and state: `trajectory`, `time`, `state`, `learned`, `bred`, `true`."""
+        return of_rows(
+            {
+                "trajectory": item.trajectory,
+                "time": item.time,
+                "state": name,
+                "learned": float(item.learned[i]),
+                "bred": float(item.bred[i]),
+                "true": None if item.true is None else float(item.true[i]),
+            }
+            for item in self.items
+            for i, name in enumerate(self.states)
+        )
 
     @property
     def reference(self) -> str:

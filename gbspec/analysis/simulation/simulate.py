@@ -15,7 +15,7 @@ import numpy as np
 from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan, plan_like
 from gbspec.analysis.simulation.region import Region, regions
 from gbspec.arrays import Array
-from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate
+from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate, form_of
 from gbspec.diagnostics import ComputationError, Findings
 from gbspec.ir import Model
 
@@ -113,7 +113,7 @@ def simulate(
     channels = tuple(channel.name for channel in model.channels)
     meta = {"rejected": str(tally.rejected), "failed": str(tally.failed)}
     rows = sum(len(item.times) for item in items)
-    return Trajectories(items, channels, rows=rows, meta=meta)
+    return Trajectories(items, channels, rows=rows, meta=meta, form=form_of(model))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import polars as pl
 
 from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction, predictions
 from gbspec.analysis.systems import extrapolation_of
@@ -17,6 +18,7 @@ from gbspec.arrays import Array
 from gbspec.data import channel_scales, far_outside
 from gbspec.diagnostics import ComputationError, UserError
 from gbspec.files import finite
+from gbspec.frames import Tabled, of_rows
 from gbspec.runs import encode
 
 if TYPE_CHECKING:
@@ -72,8 +74,8 @@ class WorstRow:
         )
 
 
-@dataclass(frozen=True)
-class Validation:
+@dataclass(frozen=True, repr=False)
+class Validation(Tabled):
     """The result of `gbspec validate`. `channels` are errors of autoregressive predictions from the initial states.
 
     Failed trajectories are named in `trajectories` and `warnings`, and excluded from all errors; `worst` is the
@@ -88,6 +90,20 @@ class Validation:
     warnings: tuple[str, ...] = ()
     predictions: tuple[Prediction, ...] = field(default=(), repr=False)
     worst: WorstRow | None = None
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each channel: `channel`, `n`, `rmse`, `nrmse`, `mae`, `r2`; errors in the channel's unit."""
+        return of_rows({"channel": name, **errors.to_json()} for name, errors in self.channels.items())
+
+    def summary(self) -> str:
+        """Which prediction was compared with how many trajectories."""
+        who = "mean of the members" if self.member == "mean" else f"member {self.member}"
+        parts = ", ".join(f"R² {one.r2:.5g} of {name}" for name, one in self.channels.items())
+        return f"{who}, {len(self.trajectories)} trajectories" + (f", {parts}" if parts else "")
+
+    def notes(self) -> Sequence[str]:
+        """The lines of the text after its table."""
+        return str(self).split("\n")[len(self.channels) + bool(self.channels) :]
 
     @property
     def failed(self) -> tuple[str, ...]:

@@ -12,6 +12,20 @@ from gbspec.ir import Condition, Declared, Input, Learnable, Method, Model, Netw
 WIDTH = 120
 """Line length of the generated text."""
 
+NAMES = "tuple[str, ...]"
+TYPES = {
+    **dict.fromkeys(("title", "solver", "time"), "str"),
+    **dict.fromkeys(("states", "conditions", "inputs", "channels", "unknowns", "constants", "learnables"), NAMES),
+    **dict.fromkeys(("per_trajectory", "doses", "interpolation"), NAMES),
+    "channel_states": "tuple[int | None, ...]",
+    "defaults": "dict[str, tuple[float | None, ...]]",
+    "ranges": "dict[str, tuple[float, float]]",
+    "units": "dict[str, str]",
+    "descriptions": "dict[str, str]",
+    "networks": "tuple[dict[str, Any], ...]",
+}
+"""The types of the attributes, for type checkers; those of the protocol."""
+
 
 def sizes(network: Network) -> tuple[int, ...]:
     """Numbers of arguments, of hidden units in each layer, and of outputs."""
@@ -68,7 +82,9 @@ def attributes(model: Model, method: Method) -> str:
         "interpolation": "of the inputs between their values",
         "channel_states": "the state that a channel is, None where it is an expression",
     }
-    return "\n".join(_attribute(name, value, comments.get(name)) for name, value in values.items())
+    return "\n".join(
+        _attribute(f"{name}: ClassVar[{TYPES[name]}]", v, comments.get(name)) for name, v in values.items()
+    )
 
 
 def _network(model: Model, network: Network) -> dict[str, object]:

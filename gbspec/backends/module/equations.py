@@ -31,6 +31,8 @@ from gbspec.backends.printing import (
 from gbspec.diagnostics import Defect
 from gbspec.ir import NN, Explicit, Expr, Method, Model, Network, Unknown, Vector
 
+WIDTH = 120 - 8
+"""The length of a line of a method, whose class stands in the model's."""
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
 
@@ -385,7 +387,11 @@ def _comma(names: Iterable[str]) -> str:
 
 
 def _method(decorator: str, name: str, parameters: Sequence[str], document: str, body: Iterable[str]) -> str:
-    lines = [decorator, f"def {name}({', '.join(parameters)}):"]
+    typed = [parameter if parameter == "cls" else f"{parameter}: Any" for parameter in parameters]
+    head = f"def {name}({', '.join(typed)}) -> Any:"
+    if len(head) > WIDTH:
+        head = f"def {name}(\n    {', '.join(typed)}\n) -> Any:"
+    lines = [decorator, head]
     if document:
         lines.append(f"    {docstring(document)}")
     return "\n".join([*lines, *(f"    {line}" for line in body)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import hashlib
 import importlib.util
 import linecache
@@ -19,13 +20,25 @@ def load_module(model: Model, method: Method = RK4) -> type[GeneratedModule]:
     """The class of the module generated for a method; models whose modules have the same text share it.
 
     The text is executed as if from a file: it is registered as a module and with `linecache`, so that tracebacks show
-    it and its objects can be pickled within the process.
+    it; its objects can be pickled, and loaded in another process.
     """
     text = generate(model, method)
+    return _class(text, class_name(model))
+
+
+def _class(text: str, name: str) -> type[GeneratedModule]:
     digest = hashlib.sha256(text.encode("utf-8")).hexdigest()
     if digest not in _loaded:
-        _loaded[digest] = _execute(text, f"gbspec_generated_{digest[:16]}", class_name(model))
+        made = _execute(text, f"gbspec_generated_{digest[:16]}", name)
+        # Another process does not have the module, so that a pickled instance takes the text along.
+        copyreg.pickle(made, lambda instance: (_restored, (text, name), instance.__getstate__()))
+        _loaded[digest] = made
     return _loaded[digest]
+
+
+def _restored(text: str, name: str) -> GeneratedModule:
+    """An instance without weights, of the class of a text, for `pickle`, which then sets what was kept of it."""
+    return object.__new__(_class(text, name))
 
 
 def _execute(text: str, name: str, class_name: str) -> type[GeneratedModule]:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import builtins
 import json
 import keyword
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Literal
 
 from gbspec.backends.module import attributes, equations
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
-from gbspec.ir import NN, RK4, Declared, Method, Model, Network, Range, Vector
+from gbspec.ir import NN, RK4, Argument, Channel, Declared, Method, Model, Network, Range, Vector
 from gbspec.version import __version__
 
 INTERFACE = 2
@@ -32,7 +32,7 @@ def class_name(model: Model) -> str:
     return f"{name}_" if keyword.iskeyword(name) or hasattr(builtins, name) or name in _MODULE_NAMES else name
 
 
-_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "Mapping", "Path", "SimpleNamespace"})
+_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "ClassVar", "Mapping", "Path", "SimpleNamespace"})
 """Names in the generated module that a class could have."""
 
 
@@ -48,7 +48,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
     ]
     return {
         "docstring": docstring(_module_document(model, method)),
-        "typing": "from typing import Any",
+        "typing": "from typing import Any, ClassVar",
         "interface": f"INTERFACE = {INTERFACE}",
         "class": f"class {class_name}:",
         "class docstring": docstring(_class_document(model)),
@@ -121,14 +121,53 @@ def _class_document(model: Model) -> str:
         lines += [form.format(printer.print(left), printer.print(right)) for left, right in model.equations(vector)]
     postulated = [unknown for unknown in model.unknowns if unknown.postulate != NN]
     lines += [f"{unknown.name} = {printer.print(unknown.postulate)}" for unknown in postulated]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *_shapes(model)])
+
+
+def _shapes(model: Model) -> list[str]:
+    """The vectors that methods take and return: shape, components and their units."""
+    vectors: tuple[tuple[str, Sequence[Declared]], ...] = (
+        ("x, the state", model.states),
+        ("condition", model.conditions),
+        ("inputs", model.inputs),
+        ("channels", [_of_state(model, channel) for channel in model.channels]),
+    )
+    lines = [f"t [...]: time{_unit(model.time)}"]
+    for name, items in vectors:
+        table = {item.name: item for item in items}
+        parts = [
+            run + _unit(table[run]) if isinstance(run, str) else run.range + _unit(table[run.names[0]])
+            for run in runs_of(model, tuple(table))
+        ]
+        if parts:
+            lines.append(f"{name} [..., {len(items)}]: {', '.join(parts)}")
+    constants = [item.name + _unit(item) for item in (*model.constants, *model.learnables)]
+    units = {item.name: _unit(item) for item in model.unknowns}
+    functions = [
+        f"{output}{units[output]}({', '.join(argument.name + _unit(argument) for argument in network.arguments)})"
+        for network in model.networks
+        for output in network.outputs
+    ]
+    lines += [f"constants [{len(constants)}]: {', '.join(constants)}"] * bool(constants)
+    return lines + [f"functions [..., arguments] -> [...]: {', '.join(functions)}"] * bool(functions)
+
+
+def _of_state(model: Model, channel: Channel) -> Declared:
+    """The state that a channel is, which has its unit; else the channel itself."""
+    same = channel.state is not None and not channel.unit and model.states[channel.state].name == channel.name
+    return model.states[channel.state] if same and channel.state is not None else channel
+
+
+def _unit(item: Declared | Argument) -> str:
+    return f" ({item.unit})" if item.unit and item.unit != "1" else ""
 
 
 def _unknown_table(model: Model) -> str:
     """The table of unknowns: index of the network, index of the output, method of the network."""
+    head = "unknowns: ClassVar[dict[str, tuple[int, int, Any]]] = "
     if not model.unknowns:
-        return "unknowns = {}"
-    lines = ["unknowns = {  # name: (index of the network, index of its output, method)"]
+        return f"{head}{{}}"
+    lines = ["# name: (index of the network, index of its output, method)", f"{head}{{"]
     for unknown in model.unknowns:
         method = equations.method_name(model.networks[unknown.network])
         lines.append(

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gbspec.cli.frame import WRONG_INPUT, ExitWith, command
 from gbspec.cli.output import Output
-from gbspec.diagnostics import Findings, Severity, Source, UserError
+from gbspec.cli.standard_input import read
+from gbspec.diagnostics import Findings, Severity, UserError
 
 if TYPE_CHECKING:
     from gbspec.ir import Model
     from gbspec.passes import Examination
-
-
-STANDARD_INPUT = "-"
-"""The name of the model that stands for standard input."""
 
 
 @command(
@@ -43,7 +38,7 @@ def run(
         model: Model | None = None
         examination: Examination | None = None
         try:
-            model = frontend.load_model(name, findings, _read)
+            model = frontend.load_model(name, findings, read)
         except UserError as error:
             findings.extend(error.diagnostics)
         if model is not None:
@@ -58,14 +53,6 @@ def run(
         counts = f"{_count(len(everything.errors), 'error')}, {_count(len(warnings), 'warning')}"
         output.say(counts + (" (--strict counts warnings as errors)" if not everything.failed else ""))
         raise ExitWith(WRONG_INPUT)
-
-
-def _read(path: str | Path) -> Source:
-    """The text of a model; that of `-` comes from standard input, and what it extends is in the current folder."""
-    from gbspec import frontend
-    from gbspec.syntax import decode
-
-    return decode("<stdin>", sys.stdin.buffer.read()) if path == STANDARD_INPUT else frontend.read_source(path)
 
 
 def describe(

@@ -162,4 +162,8 @@ def typed(called: str) -> str:
     path = Path(called)
     if path.stem != "gbspec" or not path.is_file():
         return "python -m gbspec"
-    return shlex.quote(min(os.path.relpath(path), str(path), key=len))
+    try:
+        near = os.path.relpath(path)
+    except ValueError:  # on another drive
+        near = str(path)
+    return shlex.quote(min(near, str(path), key=len))

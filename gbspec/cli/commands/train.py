@@ -39,7 +39,9 @@ def run(
     directory = target(to, resume=options.resume)
     options.check(findings)
     findings.raise_if_failed()
+    output.say(f"reading {model}")
     specified = models.specified(frontend.load_model(model, findings), settings(set_values))
+    output.say(f"reading {data}")
     measured = tables.read_data(data, specified, findings)
     output.findings(findings)
     with continued(directory), shown(output) as progress:

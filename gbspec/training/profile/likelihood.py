@@ -20,11 +20,13 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+import polars as pl
 import torch
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.frames import Shown, of_rows
 from gbspec.ir import Model
 from gbspec.runs import ProfileRecord, Run, write_profile
 from gbspec.training.engines import residual_vector
@@ -83,8 +85,8 @@ class ProfilePoint:
     converged: bool
 
 
-@dataclass(frozen=True)
-class Profile:
+@dataclass(frozen=True, repr=False)
+class Profile(Shown):
     """A profile, ordered by value. `low` and `high` are the ends of the 90 % interval; None if the threshold was not
     reached on that side, or if some fit has not converged. `fitted` is the fit's interval; `comparison` says
     which of both to trust."""
@@ -100,6 +102,13 @@ class Profile:
     threshold: float = THRESHOLD
     fitted: tuple[float, float] | None = None
     comparison: Comparison = field(default_factory=lambda: Comparison("both"))
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each value: the constant, `deviance`, `converged`, and the other constants fitted there."""
+        return of_rows(
+            {self.name: point.value, "deviance": point.deviance, "converged": point.converged, **point.others}
+            for point in self.points
+        )
 
     @property
     def settled(self) -> bool:

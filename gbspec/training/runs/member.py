@@ -95,6 +95,7 @@ def fit_member(
             fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
             runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
         else:
+            progress.message(f"member {member}: curves through the data, first values of functions and constants")
             ready = prepare(model, module, trajectories, options, seed)
             position = Position(theta=ready.theta, best=ready.theta, loss=ready.loss, estimated=ready.context.estimated)
             runner = _Runner(ready.context, ready.parameters, position, member, directory, progress)

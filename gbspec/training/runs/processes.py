@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
-from multiprocessing import resource_tracker
 from multiprocessing.managers import SyncManager
 from queue import Queue
 from threading import Event
@@ -20,7 +19,7 @@ from gbspec.training.optimise import use_threads
 from gbspec.training.progress import Update
 from gbspec.training.runs.jobs import Job, Pending, Sender, Workers, fit
 from gbspec.training.runs.member import Interrupted
-from gbspec.training.runs.signals import end_unless, held_back, serve_parent, serve_parent_unasked
+from gbspec.training.runs.signals import end_unless, held_back, serve_parent, serve_parent_unasked, start_tracker
 from gbspec.training.runs.summary import MemberResult
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -33,7 +32,7 @@ def processes(workers: int, threads: int) -> Iterator[Workers]:
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     try:
-        resource_tracker.ensure_running()  # which would let waiting signals through if it were started later
+        start_tracker()
         with _without_main(), ExitStack() as stack:
             manager = SyncManager(ctx=spawn)
             with held_back():

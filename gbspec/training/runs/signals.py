@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 """Signals by which a process is asked to end; not every system has all."""
@@ -44,6 +45,15 @@ class uninterrupted:  # noqa: N801 - a context manager, named like a phrase
 
 def _signals() -> list[signal.Signals]:
     return [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+
+
+def start_tracker() -> None:
+    """Starts the process that `multiprocessing` keeps for shared resources, where there is one, before signals wait.
+
+    Begun later it would let them through. Windows has neither waiting signals nor such a process.
+    """
+    if hasattr(signal, "pthread_sigmask"):
+        resource_tracker.ensure_running()
 
 
 @contextmanager

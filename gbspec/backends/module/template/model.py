@@ -25,6 +25,8 @@ from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
+from gbspec.backends.module.template.vectors import _by_name, _tensor, _vector
+from gbspec.backends.module.template.weights import _array, _described, _misfits, _random_weights, _required_shapes
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
 INTERFACE = 0
@@ -122,11 +124,30 @@ class Template:  # {{class}}
         if weights is None:
             if self.networks:
                 raise ValueError(f"{type(self).__name__} has unknown functions: use load(path) or random(seed)")
-            weights = {"constants": self._default_constants()}
-        self.weights: dict[str, Any] = {name: np.asarray(value, dtype=np.float64) for name, value in weights.items()}
+            weights = {"constants": self.defaults["constants"]}
+        self.weights: dict[str, Any] = {name: _array(value) for name, value in weights.items()}
         self.info: dict[str, Any] = dict(info or {})
+        self._tensors: dict[str, Any] = {}
         self._ready: dict[Any, Any] = {}
-        self._check()
+        wrong = _misfits(self, self.weights)
+        if wrong:
+            raise ValueError(f"the weights do not fit {type(self).__name__}: {'; '.join(wrong)}")
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({_described(self)})"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickle and copy keep: all but what is computed again when it is used."""
+        return {name: value for name, value in self.__dict__.items() if name != "functions"} | {"_ready": {}}
+
+    def with_weights(self, weights: Mapping[str, Any]) -> Template:
+        """This model with torch tensors in place of some of its weights, by the names of `weights`.
+
+        Gradients of `rhs`, `observe`, `step`, `simulate` and `functions` reach these tensors.
+        """
+        made = type(self)({**self.weights, **weights}, self.info)
+        made._tensors = dict(weights)
+        return made
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], member: int = 0) -> Template:
@@ -153,60 +174,12 @@ class Template:  # {{class}}
 
         Inputs are scaled by the arguments' ranges if these are bounded; outputs are close to the neutral value.
         """
-        generator = np.random.default_rng(seed)
-        weights: dict[str, Any] = {"constants": cls._default_constants()}
-        for network in cls.networks:
-            prefix, sizes = f"network.{network['name']}.", network["sizes"]
-            for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
-                bound = (0.1 if i == len(sizes) - 2 else 1.0) / n_in**0.5
-                weights[f"{prefix}{i}.weight"] = generator.uniform(-bound, bound, (n_out, n_in))
-                weights[f"{prefix}{i}.bias"] = generator.uniform(-bound, bound, n_out)
-            ranges = [r if r is not None and np.all(np.isfinite(r)) else (-1.0, 1.0) for r in network["ranges"]]
-            low, high = np.array(ranges, dtype=np.float64).reshape(-1, 2).T
-            weights[prefix + "input_center"] = (low + high) / 2
-            weights[prefix + "input_scale"] = np.where(high > low, (high - low) / 2, 1.0)
-            weights[prefix + "output_center"] = np.array(network["neutral"], dtype=np.float64)
-            weights[prefix + "output_scale"] = np.ones(sizes[-1])
-        return cls(weights)
-
-    @classmethod
-    def _default_constants(cls) -> Any:
-        return np.array(cls.defaults["constants"], dtype=np.float64)
+        return cls(_random_weights(cls, np.random.default_rng(seed)))
 
     @classmethod
     def shapes(cls) -> dict[str, tuple[int, ...]]:
         """The names and shapes of the required weights."""
-        table: dict[str, tuple[int, ...]] = {"constants": (len(cls.constants),)}
-        for network in cls.networks:
-            prefix, sizes = f"network.{network['name']}.", network["sizes"]
-            for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
-                table[f"{prefix}{i}.weight"], table[f"{prefix}{i}.bias"] = (n_out, n_in), (n_out,)
-            for side, size in (("input", sizes[0]), ("output", sizes[-1])):
-                table[f"{prefix}{side}_center"] = table[f"{prefix}{side}_scale"] = (size,)
-        return table
-
-    def _check(self) -> None:
-        required = self.shapes()
-        optional = {
-            f"network.{n['name']}.input_{end}": (n["sizes"][0],) for n in self.networks for end in ("low", "high")
-        }
-        wrong = [f"`{name}` is missing" for name in required if name not in self.weights]
-        for name, value in self.weights.items():
-            shape = required.get(name, optional.get(name))
-            if name == "initial":
-                shape = (*value.shape[:1], len(self.states))
-            elif name.startswith("per_trajectory.") and name.partition(".")[2] in self.per_trajectory:
-                shape = value.shape[:1]
-            elif name.startswith("recognition."):
-                shape = value.shape
-            if shape is None:
-                wrong.append(f"`{name}` is not a weight of this model")
-            elif value.shape != shape:
-                wrong.append(f"`{name}` has the shape {list(value.shape)} instead of {list(shape)}")
-            elif name in required and not np.all(np.isfinite(value)):
-                wrong.append(f"`{name}` has entries that are not finite")
-        if wrong:
-            raise ValueError(f"the weights do not fit {type(self).__name__}: {'; '.join(wrong)}")
+        return _required_shapes(cls)
 
     @staticmethod
     def arithmetic(library: str) -> Any:
@@ -243,19 +216,35 @@ class Template:  # {{class}}
     # ------------------------------------------------------------------ torch
     # Shapes: [...] is any batch, the same for all arguments up to broadcasting. Numbers, lists and arrays become
     # float64 tensors; tensors keep their type and device. `condition` and `inputs` may be omitted if the model has
-    # none, or has defaults for all. `constants` replaces values by name (numbers, or tensors of the batch's shape).
+    # none, or has defaults for all; they and the state may also be given as {name: value}. `constants` replaces values
+    # by name (numbers, or tensors of the batch's shape, which gradients reach).
+
+    @classmethod
+    def state(cls, values: Mapping[str, Any] | None = None, **named: Any) -> Any:
+        """A state [..., n_states] from the value [...] of each state by name: state(x1=0.5, x2=1.5)."""
+        return _by_name(cls, "states", {**(values or {}), **named})
+
+    @classmethod
+    def condition(cls, values: Mapping[str, Any] | None = None, **named: Any) -> Any:
+        """Conditions [..., n_conditions] by name; those that are left out have their defaults."""
+        return _by_name(cls, "conditions", {**(values or {}), **named})
+
+    @classmethod
+    def input(cls, values: Mapping[str, Any] | None = None, **named: Any) -> Any:
+        """Inputs [..., n_inputs] by name; those that are left out have their defaults."""
+        return _by_name(cls, "inputs", {**(values or {}), **named})
 
     def rhs(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """dx/dt [..., n_states] at time t (a number or [...]), state x [..., n_states]; see above for the rest."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
-        return self.equations.rhs(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
+        return self.equations.rhs(_torch_arithmetic(), _tensor(t, x), x, condition, inputs, k, f)
 
     def observe(self, t: Any, x: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """The channels [..., n_channels] at time t, state x [..., n_states]."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         k, f = self._parameters(x, constants)
-        return self.equations.observe(_torch_arithmetic(), self._like(t, x), x, condition, inputs, k, f)
+        return self.equations.observe(_torch_arithmetic(), _tensor(t, x), x, condition, inputs, k, f)
 
     def initial(self, x0: Any, condition: Any = None, constants: Any = None) -> Any:
         """The initial state [..., n_states]: x0, with the initial values that the model gives inserted."""
@@ -267,7 +256,7 @@ class Template:  # {{class}}
         """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t, with constant `inputs`."""
         x, condition, inputs = self._arguments(x, condition, inputs)
         (k, f), m = self._parameters(x, constants), _torch_arithmetic()
-        grid = self.equations.grid(m, self._like(t, x), self._like(h, x))
+        grid = self.equations.grid(m, _tensor(t, x), _tensor(h, x))
         return self.equations.step(m, self.equations.field(m, condition, k, f), grid, x, (inputs,) * len(grid[0]))
 
     def simulate(
@@ -296,7 +285,9 @@ class Template:  # {{class}}
         if limit is not None and not limit > 0:
             raise ValueError(f"max_step must be positive, not {limit}")
         signal = self._signal(inputs, grid, x)
-        batch = np.broadcast_shapes(x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1])
+        batch = np.broadcast_shapes(
+            x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1], *(value.shape for value in k)
+        )
         x = x.expand(*batch, x.shape[-1])
         path, m = [x], _torch_arithmetic()
         rhs = self.equations.field(m, condition, k, f)
@@ -306,7 +297,7 @@ class Template:  # {{class}}
             for j in range(count):
                 nodes, sizes = self.equations.grid(m, start + j * h, h)
                 u = tuple(signal(i, t) for t in nodes)
-                x = self.equations.step(m, rhs, ([self._like(t, x) for t in nodes], sizes), x, u)
+                x = self.equations.step(m, rhs, ([_tensor(t, x) for t in nodes], sizes), x, u)
             path.append(x)
         return torch.stack(path, -2)
 
@@ -327,11 +318,11 @@ class Template:  # {{class}}
         index, output, method = self.equations.unknowns[name]
         count = len(self.networks[index]["arguments"])
         if len(arguments) == 1 and count != 1:
-            arguments = (self._vector(arguments[0], count, f"the arguments of {name}"),)
+            arguments = (_vector(arguments[0], count, f"the arguments of {name}"),)
         parts = arguments[0].unbind(-1) if len(arguments) == 1 and count != 1 else arguments
         if len(parts) != count:
             raise ValueError(f"{name} takes {count} arguments, not {len(parts)}")
-        values = [self._like(part, None) for part in parts]
+        values = [_tensor(part) for part in parts]
         if count == 1 and values[0].ndim and values[0].shape[-1] == 1:
             values = [values[0][..., 0]]
         k, f = self._parameters(values[0], constants)
@@ -339,50 +330,37 @@ class Template:  # {{class}}
 
     def _arguments(self, x: Any, condition: Any, inputs: Any, need_inputs: bool = True) -> tuple[Any, Any, Any]:
         """State, condition and inputs as tensors of the right length and of the state's type."""
-        x = self._vector(x, len(self.states), "the state")
+        x = _vector(self.state(x) if isinstance(x, Mapping) else x, len(self.states), "the state")
         condition = self._defaulted(condition, "conditions", x)
         return x, condition, self._defaulted(inputs, "inputs", x) if need_inputs else None
 
     def _defaulted(self, value: Any, kind: str, x: Any) -> Any:
         names, defaults = getattr(self, kind), self.defaults[kind]
+        if isinstance(value, Mapping):
+            value = _by_name(self, kind, value)
         if value is None:
             lacking = [name for name, default in zip(names, defaults, strict=True) if default is None]
             if lacking:
                 raise ValueError(f"{kind} must be given: {', '.join(lacking)} has no default")
             value = defaults
-        return self._vector(value, len(names), kind, x)
-
-    def _vector(self, value: Any, size: int, what: str, like: Any = None) -> Any:
-        tensor = self._like(value, like)
-        if size and tensor.ndim == 0 and size == 1:
-            tensor = tensor[None]
-        if size and (tensor.ndim == 0 or tensor.shape[-1] != size):
-            raise ValueError(f"{what} must have {size} numbers on the last axis, not the shape {list(tensor.shape)}")
-        return tensor
-
-    @staticmethod
-    def _like(value: Any, like: Any) -> Any:
-        """A tensor of the type and device of another; without another, its own or float64."""
-        import torch
-
-        if like is not None:
-            return torch.as_tensor(value, dtype=like.dtype, device=like.device)
-        tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(np.asarray(value, dtype=np.float64))
-        return tensor if tensor.is_floating_point() else tensor.double()
+        return _vector(value, len(names), kind, x)
 
     def _parameters(self, like: Any, constants: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Constants and networks in the type and on the device of a tensor."""
         key = (like.dtype, like.device)
-        if key not in self._ready:
-            weights = {name: self._like(value, like) for name, value in self.weights.items()}
-            self._ready[key] = tuple(weights["constants"].unbind()), self.torch_networks(weights)
-        k, f = self._ready[key]
+        found = self._ready.get(key)
+        if found is None:
+            weights = {name: _tensor(value, like) for name, value in {**self.weights, **self._tensors}.items()}
+            found = tuple(weights["constants"].unbind()), self.torch_networks(weights)
+            if not self._tensors:  # their graph is needed once for each backward pass
+                self._ready[key] = found
+        k, f = found
         if constants:
             surplus = set(constants) - set(self.constants)
             if surplus:
                 raise ValueError(f"there is no constant {', '.join(sorted(surplus))}")
             k = tuple(
-                self._like(constants[name], like) if name in constants else value
+                _tensor(constants[name], like) if name in constants else value
                 for name, value in zip(self.constants, k, strict=True)
             )
         return k, f
@@ -390,13 +368,13 @@ class Template:  # {{class}}
     def _signal(self, inputs: Any, grid: list[float], x: Any) -> Callable[[int, float], Any]:
         """Inputs as a function of the index of an interval and a time in it."""
         if callable(inputs):
-            return lambda i, t: self._vector(inputs(t), len(self.inputs), "inputs", x)
+            return lambda i, t: _vector(inputs(t), len(self.inputs), "inputs", x)
         table = self._defaulted(inputs, "inputs", x)
         if inputs is None or not self.inputs:
             return lambda i, t: table
         if table.ndim < 2 or table.shape[-2] != len(grid):
             raise ValueError(f"inputs must have the shape [..., {len(grid)}, {len(self.inputs)}]: one row per time")
-        linear = self._like([float(kind == "linear") for kind in self.interpolation], x)
+        linear = _tensor([float(kind == "linear") for kind in self.interpolation], x)
 
         def value(i: int, t: float) -> Any:
             if len(grid) == 1:

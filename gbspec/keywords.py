@@ -1,0 +1,106 @@
+"""The options of functions of the Python interface as typed keyword arguments.
+
+`TrainKeywords` and the others list, for type checkers and editors, the fields of the dataclasses that hold the options
+(a test compares them); `options_of` adds these to the signature and the help of a function at run time.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, fields
+from typing import Any, Literal, TypedDict, TypeVar
+
+from gbspec.data import Box
+from gbspec.training import Effort
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+class TrainKeywords(TypedDict, total=False):
+    """The fields of `TrainOptions`, whose help `help(gbspec.train)` shows."""
+
+    members: int
+    seed: int
+    max_step: float | None
+    solver: str
+    method: Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
+    stages: str | None
+    effort: Effort
+    epochs: int | None
+    holdout: float
+    workers: int | None
+    device: Literal["cpu", "cuda", "auto"]
+    backend: Literal["auto", "native", "torch"]
+    scheduler: str | None
+    resume: bool
+    forcing: str
+    initial: Literal["learned", "bred", "recognition"]
+    random_substeps: bool
+    batch_size: int
+    learning_rate: float
+    warm_start: bool
+    output_scale: float
+    half_step: bool
+    ridge: float | None
+    threads: int | None
+
+
+class SimulateKeywords(TypedDict, total=False):
+    """The fields of `SimulateOptions`, whose help `help(gbspec.simulate)` shows."""
+
+    trajectories: int
+    span: float
+    dt: float
+    sampling: Literal["regular", "gamma"]
+    channels: str
+    keep_start: bool
+    noise: float
+    seed: int
+    initial: Mapping[str, Box]
+    condition: Mapping[str, Box]
+    dose: Mapping[str, str]
+    clock: Mapping[str, float]
+    reject: tuple[str, ...]
+
+
+class StudyKeywords(TypedDict, total=False):
+    """The fields of `StudyOptions`, whose help `help(gbspec.study)` shows."""
+
+    case: tuple[str, ...]
+    members: int | None
+    seed: int
+    effort: Effort | None
+    noise: float | None
+    workers: int
+    threads: int
+    keep_runs: bool
+    table_only: bool
+
+
+def options_of(options: type) -> Callable[[Function], Function]:
+    """Replaces `**options` of a function by the fields of a dataclass, in its signature and its help."""
+
+    def described(function: Function) -> Function:
+        signature = inspect.signature(function)
+        before = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        taken = {parameter.name for parameter in before}
+        lines = []
+        for item in fields(options):
+            if item.name in taken:
+                continue
+            default = item.default if item.default is not MISSING else _made(item.default_factory)
+            before.append(
+                inspect.Parameter(item.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=item.type)
+            )
+            lines += [f"    {item.name}: {item.type} = {default!r}", f"        {item.metadata.get('help', '')}"]
+        function.__signature__ = signature.replace(parameters=before)  # type: ignore[attr-defined]  # documented by inspect
+        text = inspect.cleandoc(function.__doc__ or "")
+        function.__doc__ = "\n".join([text, "", "Options:", *lines])
+        return function
+
+    return described
+
+
+def _made(factory: Any) -> object:
+    return factory() if callable(factory) else inspect.Parameter.empty
