@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from gbspec.analysis import Diagram, Eigen, Validation
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
+PLOTLY = Path(__file__).with_name("plotly-basic.min.js")
+"""The basic build of plotly.js 4.1.1 (npm: plotly.js-basic-dist-min), unchanged; its licence is beside it."""
 HARMLESS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026", "\u2028": "\\u2028", "\u2029": "\\u2029"}
 """Characters that could end a script element, as JSON writes them within strings."""
 
@@ -42,7 +45,6 @@ def page(fitted: collect.Fitted | None, run: Run, found: Findings) -> str:
     """The report as HTML. `fitted` is None if the training data are no longer available; sections that need them say
     so."""
     import jinja2
-    from plotly.offline import get_plotlyjs
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True)  # fmt: skip
@@ -50,7 +52,7 @@ def page(fitted: collect.Fitted | None, run: Run, found: Findings) -> str:
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     store = _Charts()
     content = _content(fitted, run, found, store)
-    return template.render(**content, charts=store.script(), plotly=get_plotlyjs())
+    return template.render(**content, charts=store.script(), plotly=PLOTLY.read_text(encoding="utf-8"))
 
 
 class _Charts:
@@ -61,13 +63,23 @@ class _Charts:
 
     def add(self, panel: Panel) -> int:
         """Stores the chart of a panel and returns its number."""
-        self.all.append(charts.chart(panel))
+        return self.stack([panel])
+
+    def stack(self, panels: Sequence[Panel]) -> int:
+        """Stores one chart of panels below each other over one x axis, and returns its number."""
+        self.all.append(charts.stack(panels))
         return len(self.all) - 1
 
     def groups(self, figure: Figure) -> list[Group]:
-        """The panels of a figure, grouped by the headings of its rows."""
+        """The panels of a figure, grouped by the headings of its rows; a column that shares its axis is one chart."""
         found: list[Group] = []
         for block in (block for row in figure.rows for block in row):
+            if block.shared == "column":
+                first = block.rows[0]
+                column = [row.panels[0] for row in block.rows]
+                number = self.stack([panel for panel in column if panel is not None])
+                found.append(Group(first.heading, first.note, [number], block.chosen))
+                continue
             for row in block.rows:
                 numbers = [self.add(panel) for panel in row.panels if panel is not None]
                 if row.heading or not found or block.chosen:
