@@ -48,7 +48,8 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
         doubt.append("The table that it was trained on was not found, so that nothing is compared with data here.")
         do.append("Give the table's path: `gbspec report RUN --data DATA`.")
     _channels(run, found, good, doubt)
-    _constants(collect.constants(run), good, doubt)
+    shared = [one for one in collect.constants(run) if not run.fit.constants[one.name].per_trajectory]
+    _constants(shared, good, doubt)
     for function in functions:
         _function(function, good, doubt)
     check = found.step_check
@@ -57,6 +58,8 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
         good.append(f"Smaller steps change the solutions by at most {off} % of the states' ranges.")
     warnings = found.warnings_after(run.fit.warnings)
     for warning in warnings:
+        if len(run.numbers) == 1:
+            warning = re.sub(r"^member \d+: ", "", warning)
         what, *advice = ADVICE.split(warning, maxsplit=1)
         doubt.append(_sentence(what))
         do += map(_sentence, advice)

@@ -25,8 +25,35 @@ def constants(run: Run) -> Table:
     for one in collect.constants(run):
         between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
         error = f"{100 * abs(one.value / one.truth - 1):.2g} %" if one.truth else "-"
-        rows.append((one.name, number(one.value, 6), between, number(one.start), number(one.truth, 6), error))
-    return Table(("constant", "value", "90 % interval", "start", "truth", "off by"), tuple(rows))
+        rows.append((one.name, number(one.value, 6), one.unit or "-", between, number(one.start),
+                     number(one.truth, 6), error))  # fmt: skip
+    return _without_empty(
+        Table(("constant", "value", "unit", "90 % interval", "start", "truth", "off by"), tuple(rows))
+    )
+
+
+def _without_empty(table: Table) -> Table:
+    """The table without columns in which no row says anything."""
+    kept = [k for k in range(len(table.header)) if any(row[k] != "-" for row in table.rows)]
+    return Table(tuple(table.header[k] for k in kept), tuple(tuple(row[k] for k in kept) for row in table.rows))
+
+
+def few_constants(run: Run) -> Table:
+    """Learned constants with their unit and interval, for the first screen; truths where there are any."""
+    found = collect.constants(run)
+    true = any(one.truth is not None for one in found)
+    rows = []
+    for one in found:
+        unit = f" {one.unit}" if one.unit else ""
+        between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
+        own = run.fit.constants[one.name].per_trajectory
+        if own:
+            values = [each.value for each in own.values()]
+            unit += " (mean)"
+            between = f"trajectories: {number(min(values), 3)} to {number(max(values), 3)}"
+        truth = [number(one.truth)] if true else []
+        rows.append((one.name, number(one.value, 5) + unit, between, *truth))
+    return Table(("constant", "value", "90 % interval", *(["truth"] if true else [])), tuple(rows))
 
 
 def own_constants(run: Run) -> Table:
