@@ -22,7 +22,7 @@ from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module, network_arguments
 from gbspec.data import Trajectories, Trajectory, evaluate
-from gbspec.ir import Model
+from gbspec.ir import Channel, Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
@@ -39,6 +39,8 @@ from gbspec.runs import Run
 
 DENSE, DENSEST = 240, 8000
 """Smallest and largest number of points of a curve over one trajectory; between them, twice the number of its rows."""
+TURN = 10.0
+"""Length of a path, in its extents, for which `DENSE` points are enough: about three turns."""
 FINE = 8
 """Factor on the number of solution points if evenly spaced points along the path are then selected."""
 
@@ -134,15 +136,24 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
     for j, channel in enumerate(model.channels):
         measured = np.isfinite(item.values[:, j])
         reference = None if true is None else true[1][:, j]
+        unit = _channel_unit(model, channel)
         shown.append(ChannelFit(channel.name, item.times[measured], item.values[measured, j], grid, channels[:, :, j],
-                                reference, channel.unit or ""))  # fmt: skip
+                                reference, unit))  # fmt: skip
     for i, state in enumerate(model.states):
         if hidden and all(channel.state != i for channel in model.channels):
             reference, nothing = None if true is None else true[0][:, i], np.zeros(0)
             shown.append(ChannelFit(state.name, nothing, nothing, grid, states[:, :, i], reference, state.unit or ""))
-    origin = fitted.start(0, index).origin
+    # What the model gives was not learned, whatever the rest of the run was
+    known = all(state.initial.kind == "expression" for state in model.states)
+    origin = "given by the model" if known else fitted.start(0, index).origin
     return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), origin, _given(model, item),
                          _own_text(fitted.run, item.label))  # fmt: skip
+
+
+def _channel_unit(model: Model, channel: Channel) -> str:
+    """The unit of a channel, which for a state is the state's."""
+    state = None if channel.state is None else model.states[channel.state]
+    return channel.unit or (state.unit if state is not None else None) or ""
 
 
 def _given(model: Model, item: Trajectory) -> tuple[Given, ...]:
@@ -198,7 +209,7 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     for j, channel in enumerate(model.channels):
         seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
         shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j]),
-                               channel.unit or ""))  # fmt: skip
+                               _channel_unit(model, channel)))  # fmt: skip
     return tuple(shown)
 
 
@@ -222,13 +233,14 @@ def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tu
 
 
 def _even(path: Array) -> Array:
-    """At most `DENSE` points of a path [P, 2], evenly spaced along its length relative to its extent."""
+    """Points of a path [P, 2], evenly spaced along its length relative to its extent: `DENSE`, more for many turns."""
     extent = np.ptp(path, axis=0)
     steps = np.linalg.norm(np.diff(path, axis=0) / np.where(extent > 0, extent, 1.0), axis=1)
     if len(path) <= DENSE or not np.isfinite(steps).all():
         return path
     along = np.concatenate([[0.0], np.cumsum(steps)])
-    return path[np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], DENSE)))]
+    count = int(np.clip(DENSE * along[-1] / TURN, DENSE, FINE * DENSE))
+    return path[np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], count)))]
 
 
 def _channel_of(model: Model, state: int) -> int | None:

@@ -263,7 +263,7 @@ def _summary(run: Run, found: Findings) -> list[tuple[str, str]]:
     """The few numbers at the top of the page."""
     errors = [one.nrmse for one in found.validation.channels.values()]
     cards = [
-        (str(run.fit.data.trajectories), "trajectories"),
+        (str(run.fit.data.trajectories), "trajectory" if run.fit.data.trajectories == 1 else "trajectories"),
         (str(run.fit.data.values), "measured values"),
         (str(len(run.numbers)), "members" if len(run.numbers) > 1 else "member"),
     ]

@@ -45,7 +45,7 @@ def few_constants(run: Run) -> Table:
     rows = []
     for one in found:
         unit = f" {one.unit}" if one.unit else ""
-        between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
+        between = "-" if one.interval is None else f"{number(one.interval[0], 5)} to {number(one.interval[1], 5)}"
         own = run.fit.constants[one.name].per_trajectory
         if own:
             values = [each.value for each in own.values()]
