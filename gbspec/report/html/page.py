@@ -14,9 +14,7 @@ from gbspec.diagnostics import UserError
 from gbspec.ir import Model
 from gbspec.report import collect
 from gbspec.report.description import Figure, Panel
-from gbspec.report.figures import diagram, fit
-from gbspec.report.figures.functions import slice_panel
-from gbspec.report.figures.summary import liveliest
+from gbspec.report.figures import diagram, fit, functions, summary
 from gbspec.report.html import charts, mathml, tables
 from gbspec.report.kinds import KINDS, Kind
 from gbspec.report.source import MissingError, Source
@@ -190,22 +188,22 @@ class Overview:
 
 def _overview(source: Source, found: Findings, store: _Charts, *, with_data: bool) -> Overview:
     run = source.run
-    functions = source.functions if with_data else ()
-    judged = verdict(run, found.validation, functions, with_data=with_data)
+    learned = source.functions if with_data else ()
+    judged = verdict(run, found.validation, learned, with_data=with_data)
     constants = tables.few_constants(run)
     if not with_data:
         return Overview(judged, None, "", "", None, constants)
-    index = liveliest(source.fitted.data)
+    index = summary.liveliest(source.fitted.data)
     (shown,) = collect.trajectory_fits(source.fitted, [index], hidden=True)
     time = run.model.time
     panels = [row.panels[0] for row in fit.block(shown, time.name, time.unit or "", page=True).rows]
     few = [panel for panel in panels if panel is not None][:MOST_PANELS]
     height = max(1.0, UPPER / len(few))
     chart = store.stack([replace(panel, height=height) for panel in few])
-    drawn = next((function for function in functions if function.slices), None)
+    drawn = next((function for function in learned if function.slices), None)
     function = None
     if drawn is not None:
-        panel = slice_panel(drawn.name, drawn.slices[0], drawn.unit)
+        panel = functions.slice_panel(drawn.name, drawn.slices[0], drawn.unit)
         function = store.add(replace(panel, height=UPPER))
     return Overview(judged, chart, fit.heading(shown), shown.own, function, constants)
 
