@@ -106,13 +106,13 @@ def at_times(item: Trajectory, times: Array) -> Trajectory:
 
 
 def dense_times(item: Trajectory) -> Array:
-    """Times of a curve over a trajectory; a dose, where the curve may jump, has one just before and one at its time."""
+    """Times of a curve over a trajectory; a dose, where the curve may jump, has one before it and one just after."""
     if not item.end > item.start:
         return np.array([item.start])
     grid = np.linspace(item.start, item.end, int(np.clip(2 * len(item.times), DENSE, DENSEST)))
     doses = np.concatenate([np.zeros(0), *(events.times for events in item.doses)])
-    doses = doses[(doses > item.start) & (doses < item.end)]
-    return np.unique(np.concatenate([grid, doses, doses - 1e-9 * (item.end - item.start)])) if len(doses) else grid
+    doses = doses[(doses >= item.start) & (doses < item.end)]
+    return np.unique(np.concatenate([grid, doses, doses + 1e-9 * (item.end - item.start)])) if len(doses) else grid
 
 
 def units(model: Model) -> dict[str, str]:
@@ -165,15 +165,14 @@ def _given(model: Model, item: Trajectory) -> tuple[Given, ...]:
         values = evaluate(signal, one.interpolation, times)
         if one.interpolation == "held":
             before = evaluate(signal, "held", times[1:], "left")
-            times = np.repeat(times, 2)[1:]
+            times = np.repeat(times, 2)[1:-1]
             values = np.column_stack([values[:-1], before]).ravel()
-            values = np.append(values, evaluate(signal, "held", times[-1:]))
         found.append(Given(one.name, times, values, one.unit or ""))
     for events, dose in zip(item.doses, model.doses, strict=True):
         seen = events.times <= item.end
         if seen.any():
             unit = units(model).get(dose.state, "")
-            found.append(Given(f"dose into {dose.state}", events.times[seen], events.amounts[seen], unit, doses=True))
+            found.append(Given(f"dose, {dose.state}", events.times[seen], events.amounts[seen], unit, doses=True))
     return tuple(found)
 
 

@@ -93,12 +93,12 @@ def _given(one: Given, axis: Axis) -> Panel:
     """An input over time, or doses as stems."""
     if not one.doses:
         marks: tuple[Mark, ...] = (Line(one.times, one.values, "input", MUTED, 1.5),)
-        return Panel(marks, axis, Axis(one.name, one.unit, margin=0.1), height=0.95)
+        return Panel(marks, axis, Axis(one.name, one.unit, margin=0.1), height=1.1)
     gaps = np.full(len(one.times), np.nan)
     x = np.column_stack([one.times, one.times, gaps]).ravel()
     y = np.column_stack([np.zeros(len(one.times)), one.values, gaps]).ravel()
     marks = (Line(x, y, color=MUTED, width=1.5), Points(one.times, one.values, "dose", MUTED, 4.2, "down"))
-    return Panel(marks, axis, Axis(one.name, one.unit, range=(0.0, 1.2 * float(one.values.max()) or 1.0)), height=0.95)
+    return Panel(marks, axis, Axis(one.name, one.unit, range=(0.0, 1.2 * float(one.values.max()) or 1.0)), height=1.1)
 
 
 def _excerpt(trajectory: TrajectoryFit) -> tuple[float, float]:
