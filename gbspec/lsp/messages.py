@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lsprotocol import types
@@ -12,6 +13,8 @@ from gbspec.diagnostics import Diagnostic, Severity, Source, Span
 from gbspec.lsp.completion import Candidate
 from gbspec.lsp.outline import Group
 from gbspec.lsp.positions import Encoding, to_offset, to_range
+from gbspec.lsp.semantic import MODIFIERS, TYPES, Token
+from gbspec.lsp.signatures import Signature
 
 _MEANT = re.compile(r"did you mean `(\w+)`\?")
 
@@ -38,10 +41,11 @@ def uri_of(path: str | Path) -> str:
 
 
 class Messages:
-    """Builds messages with columns in the editor's encoding."""
+    """Builds messages with columns in the editor's encoding; `link` is where the explanation of a code is."""
 
-    def __init__(self, encoding: Encoding) -> None:
+    def __init__(self, encoding: Encoding, link: Callable[[str], str | None] = lambda code: None) -> None:
         self.encoding = encoding
+        self.link = link
 
     def offset(self, source: Source, position: types.Position) -> int:
         """The offset of an editor's position."""
@@ -63,15 +67,42 @@ class Messages:
         lines += [f"help: {found.help}"] if found.help else []
         labels = [types.DiagnosticRelatedInformation(self.location(m.span), m.text) for m in found.labels]
         warning = found.severity is Severity.WARNING
+        link = self.link(found.code)
         return types.Diagnostic(
             range=self.range(found.place),
             message="\n".join(lines),
             severity=types.DiagnosticSeverity.Warning if warning else types.DiagnosticSeverity.Error,
             code=found.code,
+            code_description=None if link is None else types.CodeDescription(link),
             source="gbspec",
             related_information=labels or None,
             tags=[types.DiagnosticTag.Unnecessary] if found.code == UNUSED else None,
         )
+
+    def tokens(self, found: Sequence[Token]) -> types.SemanticTokens:
+        """Tokens in the order of the text, each relative to the one before it."""
+        data: list[int] = []
+        line = column = 0
+        for token in found:
+            place = self.range(token.span)
+            down = place.start.line - line
+            right = place.start.character - (0 if down else column)
+            line, column = place.start.line, place.start.character
+            modifiers = sum(1 << MODIFIERS.index(name) for name in token.modifiers)
+            data += [down, right, place.end.character - column, TYPES.index(token.type), modifiers]
+        return types.SemanticTokens(data)
+
+    def signature(self, found: Signature) -> types.SignatureHelp:
+        """The help on one call; the places of its parameters count UTF-16, whatever the encoding of columns is."""
+        label = found.label
+
+        def units(end: int) -> int:
+            return len(label[:end].encode("utf-16-le")) // 2
+
+        parameters = [types.ParameterInformation((units(start), units(end))) for start, end in found.parameters]
+        said = types.MarkupContent(types.MarkupKind.Markdown, found.documentation)
+        information = types.SignatureInformation(label, said, parameters, active_parameter=found.active)
+        return types.SignatureHelp([information], active_signature=0, active_parameter=found.active)
 
     def completion(self, candidate: Candidate, place: Span) -> types.CompletionItem:
         """A candidate that replaces the part of a word before the cursor."""

@@ -20,9 +20,12 @@ from gbspec.diagnostics import Source, Span, UserError
 from gbspec.lsp import references
 from gbspec.lsp.checking import Checked, affected, check
 from gbspec.lsp.completion import completions
+from gbspec.lsp.explained import Explanations
 from gbspec.lsp.hover import hover
 from gbspec.lsp.messages import Messages, path_of, uri_of
 from gbspec.lsp.outline import outline
+from gbspec.lsp.semantic import MODIFIERS, TYPES, tokens
+from gbspec.lsp.signatures import signature
 from gbspec.lsp.workspace import Workspace, key
 from gbspec.syntax import format_text
 from gbspec.version import __version__
@@ -46,13 +49,14 @@ class Session:
     checked: dict[Path, Checked] = field(default_factory=dict)
     uris: dict[Path, str] = field(default_factory=dict)
     pending: dict[Path, asyncio.Task[None]] = field(default_factory=dict)
+    explanations: Explanations = field(default_factory=Explanations)
     pool: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "check"))
 
     @property
     def messages(self) -> Messages:
         """The converter of messages in the encoding negotiated with the editor."""
         agreed = self.server.workspace.position_encoding or types.PositionEncodingKind.Utf16
-        return Messages(types.PositionEncodingKind(agreed).value)
+        return Messages(types.PositionEncodingKind(agreed).value, self.explanations.link)
 
     # ------------------------------------------------------------------------------------------------------ checking
 
@@ -113,6 +117,12 @@ class Session:
         return self.messages.location(span, self.uris.get(key(span.source.path)))
 
 
+def _not_refused(record: logging.LogRecord) -> bool:
+    """Whether a log record is about something else than a refusal, which the editor shows with its reason."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not (isinstance(error, JsonRpcException) and error.code == REQUEST_FAILED)
+
+
 def guarded(handler: Callable[P, R]) -> Callable[P, R | None]:
     """Wraps a handler: failures are logged and answered with None; a refusal is passed on."""
 
@@ -136,6 +146,8 @@ def create() -> LanguageServer:
     server = LanguageServer(
         "gbspec", __version__, text_document_sync_kind=types.TextDocumentSyncKind.Full, max_workers=2
     )
+    # pygls logs every error that answers a request, with its traceback; a refusal is an answer like any other
+    logging.getLogger("pygls.protocol.json_rpc").addFilter(_not_refused)
     session = Session(server)
     _documents(server, session)
     _names(server, session)
@@ -237,9 +249,20 @@ def _names(server: LanguageServer, session: Session) -> None:
         parsed = session.workspace.parsed(path_of(params.text_document.uri))
         return [session.messages.symbols(group) for group in outline(parsed.file)] if parsed is not None else []
 
+    @server.feature(types.TEXT_DOCUMENT_SEMANTIC_TOKENS_FULL, types.SemanticTokensLegend(list(TYPES), list(MODIFIERS)))
+    @guarded
+    def semantic_tokens(params: types.SemanticTokensParams) -> types.SemanticTokens:
+        return session.messages.tokens(tokens(session.workspace, path_of(params.text_document.uri)))
+
 
 def _writing(server: LanguageServer, session: Session) -> None:
-    """Registers the handlers for completion, formatting and quick fixes."""
+    """Registers the handlers for completion, signatures, formatting and quick fixes."""
+
+    @server.feature(types.TEXT_DOCUMENT_SIGNATURE_HELP, types.SignatureHelpOptions(trigger_characters=["(", ","]))
+    @guarded
+    def signature_help(params: types.SignatureHelpParams) -> types.SignatureHelp | None:
+        found = signature(session.workspace, *session.place(params.text_document, params.position))
+        return None if found is None else session.messages.signature(found)
 
     @server.feature(types.TEXT_DOCUMENT_COMPLETION, types.CompletionOptions(trigger_characters=['"', ":"]))
     @guarded

@@ -21,12 +21,13 @@ from gbspec.analysis import (
 from gbspec.analysis import initial_states as compare_starts
 from gbspec.arrays import Array
 from gbspec.backends import Evaluator, load_module, network_arguments
-from gbspec.data import Trajectories, Trajectory
-from gbspec.ir import Model
+from gbspec.data import Trajectories, Trajectory, evaluate
+from gbspec.ir import Channel, Model
 from gbspec.ir import residuals as residuals_of
 from gbspec.passes import with_truth
 from gbspec.report.content import (
     ChannelFit,
+    Given,
     History,
     LearnedConstant,
     Orbit,
@@ -36,8 +37,10 @@ from gbspec.report.content import (
 )
 from gbspec.runs import Run
 
-DENSE = 240
-"""Number of points of a curve over one trajectory."""
+DENSE, DENSEST = 240, 8000
+"""Smallest and largest number of points of a curve over one trajectory; between them, twice the number of its rows."""
+TURN = 10.0
+"""Length of a path, in its extents, for which `DENSE` points are enough: about three turns."""
 FINE = 8
 """Factor on the number of solution points if evenly spaced points along the path are then selected."""
 
@@ -103,8 +106,20 @@ def at_times(item: Trajectory, times: Array) -> Trajectory:
 
 
 def dense_times(item: Trajectory) -> Array:
-    """Times of a curve over a trajectory."""
-    return np.linspace(item.start, item.end, DENSE) if item.end > item.start else np.array([item.start])
+    """Times of a curve over a trajectory; a dose, where the curve may jump, has one before it and one just after."""
+    if not item.end > item.start:
+        return np.array([item.start])
+    grid = np.linspace(item.start, item.end, int(np.clip(2 * len(item.times), DENSE, DENSEST)))
+    doses = np.concatenate([np.zeros(0), *(events.times for events in item.doses)])
+    doses = doses[(doses >= item.start) & (doses < item.end)]
+    return np.unique(np.concatenate([grid, doses, doses + 1e-9 * (item.end - item.start)])) if len(doses) else grid
+
+
+def units(model: Model) -> dict[str, str]:
+    """The unit of every declared name that has one, and that of the time."""
+    groups = (model.states, model.conditions, model.inputs, model.constants, model.learnables, model.unknowns,
+              model.channels, (model.time,))  # fmt: skip
+    return {item.name: item.unit for group in groups for item in group if item.unit}
 
 
 def trajectory_fits(fitted: Fitted, indices: Sequence[int], *, hidden: bool = False) -> tuple[TrajectoryFit, ...]:
@@ -121,13 +136,57 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
     for j, channel in enumerate(model.channels):
         measured = np.isfinite(item.values[:, j])
         reference = None if true is None else true[1][:, j]
+        unit = _channel_unit(model, channel)
         shown.append(ChannelFit(channel.name, item.times[measured], item.values[measured, j], grid, channels[:, :, j],
-                                reference, channel.unit or ""))  # fmt: skip
+                                reference, unit))  # fmt: skip
     for i, state in enumerate(model.states):
         if hidden and all(channel.state != i for channel in model.channels):
             reference, nothing = None if true is None else true[0][:, i], np.zeros(0)
             shown.append(ChannelFit(state.name, nothing, nothing, grid, states[:, :, i], reference, state.unit or ""))
-    return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), fitted.start(0, index).origin)
+    # What the model gives was not learned, whatever the rest of the run was
+    known = all(state.initial.kind == "expression" for state in model.states)
+    origin = "given by the model" if known else fitted.start(0, index).origin
+    return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), origin, _given(model, item),
+                         _own_text(fitted.run, item.label))  # fmt: skip
+
+
+def _channel_unit(model: Model, channel: Channel) -> str:
+    """The unit of a channel, which for a state is the state's."""
+    state = None if channel.state is None else model.states[channel.state]
+    return channel.unit or (state.unit if state is not None else None) or ""
+
+
+def _given(model: Model, item: Trajectory) -> tuple[Given, ...]:
+    """The inputs over the trajectory's time, and the doses in it."""
+    found = []
+    for signal, one in zip(item.inputs, model.inputs, strict=True):
+        inside = signal.times[(signal.times > item.start) & (signal.times < item.end)]
+        times = np.concatenate([[item.start], inside, [item.end]])
+        values = evaluate(signal, one.interpolation, times)
+        if one.interpolation == "held":
+            before = evaluate(signal, "held", times[1:], "left")
+            times = np.repeat(times, 2)[1:-1]
+            values = np.column_stack([values[:-1], before]).ravel()
+        found.append(Given(one.name, times, values, one.unit or ""))
+    for events, dose in zip(item.doses, model.doses, strict=True):
+        seen = events.times <= item.end
+        if seen.any():
+            unit = units(model).get(dose.state, "")
+            found.append(Given(f"dose, {dose.state}", events.times[seen], events.amounts[seen], unit, doses=True))
+    return tuple(found)
+
+
+def _own_text(run: Run, label: str) -> str:
+    """The constants that a trajectory has for itself, with their intervals, in words."""
+    known = units(run.model)
+    said = []
+    for name, entry in run.fit.constants.items():
+        own = (entry.per_trajectory or {}).get(label)
+        if own is not None:
+            unit = f" {known[name]}" if name in known else ""
+            between = f" ({own.interval[0]:.3g} to {own.interval[1]:.3g})" if own.interval else ""
+            said.append(f"{name} = {own.value:.4g}{between}{unit}")
+    return ", ".join(said)
 
 
 def condition_text(model: Model, item: Trajectory) -> str:
@@ -148,7 +207,8 @@ def residuals(fitted: Fitted) -> tuple[Residuals, ...]:
     shown = []
     for j, channel in enumerate(model.channels):
         seen = (factor[:, j] > 0) & np.isfinite(found[:, j])
-        shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j])))
+        shown.append(Residuals(channel.name, times[seen], predicted[seen, j], found[seen, j], bool(scales.log[j]),
+                               _channel_unit(model, channel)))  # fmt: skip
     return tuple(shown)
 
 
@@ -172,13 +232,14 @@ def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tu
 
 
 def _even(path: Array) -> Array:
-    """At most `DENSE` points of a path [P, 2], evenly spaced along its length relative to its extent."""
+    """Points of a path [P, 2], evenly spaced along its length relative to its extent: `DENSE`, more for many turns."""
     extent = np.ptp(path, axis=0)
     steps = np.linalg.norm(np.diff(path, axis=0) / np.where(extent > 0, extent, 1.0), axis=1)
     if len(path) <= DENSE or not np.isfinite(steps).all():
         return path
     along = np.concatenate([[0.0], np.cumsum(steps)])
-    return path[np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], DENSE)))]
+    count = int(np.clip(DENSE * along[-1] / TURN, DENSE, FINE * DENSE))
+    return path[np.unique(np.searchsorted(along, np.linspace(0.0, along[-1], count)))]
 
 
 def _channel_of(model: Model, state: int) -> int | None:
@@ -188,9 +249,17 @@ def _channel_of(model: Model, state: int) -> int | None:
 def constants(run: Run) -> tuple[LearnedConstant, ...]:
     """The learned constants of `fit.json` and their true values."""
     truths = {t.name: t.value for t in run.model.truth_constants}
+    known = units(run.model)
     return tuple(
         LearnedConstant(
-            name, entry.value, entry.interval, entry.per_member, entry.start, truths.get(name), run.profiled(name)
+            name,
+            entry.value,
+            entry.interval,
+            entry.per_member,
+            entry.start,
+            truths.get(name),
+            run.profiled(name),
+            known.get(name, ""),
         )
         for name, entry in run.fit.constants.items()
     )

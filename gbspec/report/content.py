@@ -26,13 +26,32 @@ class ChannelFit:
 
 
 @dataclass(frozen=True)
+class Given:
+    """What the data give over the time of a trajectory: an input (a curve), or doses into a state (amounts at times).
+
+    `times`, `values` [P]; the corners of a held input are among its points.
+    """
+
+    name: str
+    times: Array
+    values: Array
+    unit: str = ""
+    doses: bool = False
+
+
+@dataclass(frozen=True)
 class TrajectoryFit:
-    """One trajectory: its label, its condition in words, its channels, and the origin of its initial state."""
+    """One trajectory: its label, its condition in words, its channels, and the origin of its initial state.
+
+    `given` are its inputs and doses, `own` its constants `per trajectory` in words.
+    """
 
     label: str
     condition: str
     channels: tuple[ChannelFit, ...]
     origin: str = ""
+    given: tuple[Given, ...] = ()
+    own: str = ""
 
 
 @dataclass(frozen=True)
@@ -50,11 +69,13 @@ class LearnedFunction:
     truth: Array | None
     slices: tuple[Slice, ...]
     plane: Plane | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)
 class Slice:
     """A function of one argument: `x` [G], `members` [M, G], `truth` [G] or None; `label` says what is held fixed.
+    `unit` is the argument's.
 
     `postulate` [G] is the function postulated in the model, None if there is none; `visited` [V] are values of the
     argument in the data, within the range of `x`; `trained` is the range of the network's training, if it is known.
@@ -71,6 +92,7 @@ class Slice:
     trained: tuple[float, float] | None = None
     band: Array | None = None
     far: Mask | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -88,6 +110,7 @@ class Plane:
     truth: Array | None
     label: str
     half: Array | None = None
+    units: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True)
@@ -102,6 +125,7 @@ class LearnedConstant:
     start: float | None = None
     truth: float | None = None
     profile: ProfileRecord | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -142,6 +166,7 @@ class Residuals:
     predicted: Array
     residual: Array
     logarithmic: bool = False
+    unit: str = ""
 
 
 @dataclass(frozen=True)

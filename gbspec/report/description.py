@@ -171,7 +171,8 @@ class Block:
     """Rows of panels below each other, in columns.
 
     `legend` is where a file has the legend of all panels. `shared`: the panels of a row, or of a column, have the same
-    x axis, which a file then names once, below the last row. `chosen`: the page shows one row at a time.
+    x axis, which is then named once, below the last row; the page draws a column as one chart. `chosen`: the page shows
+    one such block at a time.
     """
 
     rows: tuple[Row, ...]
@@ -200,9 +201,12 @@ def wrapped(panels: tuple[Panel, ...], columns: int) -> tuple[Row, ...]:
 
 
 # ------------------------------------------------------------------------------------- marks that many figures share
-def ensemble(x: Array, members: Array) -> tuple[Mark, ...]:
-    """The mean of members [M, P], and the range between the smallest and the largest where there are several."""
-    mean = Line(x, members.mean(axis=0), "learned")
+def ensemble(x: Array, members: Array, label: str = "learned") -> tuple[Mark, ...]:
+    """The mean of members [M, P], and the range between the smallest and the largest where there are several.
+
+    `label`: "learned" is said of functions only; solutions, of which parts are known, are the "model".
+    """
+    mean = Line(x, members.mean(axis=0), label)
     if len(members) == 1:
         return (mean,)
     return Band(x, members.min(axis=0), members.max(axis=0), "members"), mean
@@ -214,12 +218,14 @@ def truth(x: Array, y: Array) -> Line:
 
 
 def measured(x: Array, y: Array) -> Points:
-    """Measurements: smaller where there are many, so that dense data stay points."""
+    """Measurements: smaller where there are many, so that dense data stay points, and behind the curve at last."""
+    if len(x) > DENSE:
+        return Points(x, y, "measured", MEASURED, 1.8, alpha=0.5, layer=2)
     return Points(x, y, "measured", MEASURED, 4.2 if len(x) <= MANY else 2.6)
 
 
-MANY = 60
-"""Number of measurements in a panel from which they are drawn smaller."""
+MANY, DENSE = 60, 400
+"""Numbers of measurements in a panel from which they are drawn smaller, and behind the curve."""
 
 
 def beyond(

@@ -81,7 +81,7 @@ def _width(block: Block) -> float:
 
 def _block(where: Figure | SubFigure, block: Block) -> None:
     heights, widths = _row_heights(block), _column_widths(block)
-    share: Any = {"": False, "row": "row", "column": True}[block.shared]
+    share: Any = {"": False, "row": "row", "column": "col"}[block.shared]
     grid = where.subplots(len(heights), len(widths), squeeze=False, sharex=share, height_ratios=heights,
                           width_ratios=widths)  # fmt: skip
     for i, (axes, row) in enumerate(zip(grid, block.rows, strict=True)):

@@ -58,8 +58,8 @@ KINDS = (
         "measurements and the learned solution",
         f"{_HERE}.fit",
         heading="Data and fit",
-        note="Solutions from the initial states, by an adaptive solver. Measurements are dots; the truth is dashed; "
-        "the shaded band is the range of the members.",
+        note="Solutions from the initial states, by an adaptive solver; below what is measured: states that are not, "
+        "inputs and doses. Measurements are dots; the truth is dashed; the shaded band is the range of the members.",
     ),
     Kind(
         "functions",
@@ -85,7 +85,7 @@ KINDS = (
         "parity",
         "the right-hand side, learned against true",
         f"{_HERE}.parity",
-        heading="Right-hand side, learned against true",
+        heading="Right-hand side, model against truth",
         note="At the fitted states of the measured rows.",
     ),
     Kind(

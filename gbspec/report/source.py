@@ -13,6 +13,7 @@ from gbspec.report.collect import Fitted
 if TYPE_CHECKING:
     from gbspec.analysis import Eigen
     from gbspec.data import Trajectories
+    from gbspec.report.content import LearnedFunction
     from gbspec.runs import Run
 
 
@@ -49,6 +50,13 @@ class Source:
                 "the table that the run was trained on was not found; give its path with `--data`", "constants"
             )
         return Fitted(self.run, self.data)
+
+    @cached_property
+    def functions(self) -> tuple[LearnedFunction, ...]:
+        """The learned functions over the data."""
+        from gbspec.report.unknowns import learned_functions
+
+        return learned_functions(self.fitted)
 
     def chosen(self) -> list[int]:
         """The requested trajectories, in that order. Raises `UserError` (GB813) if one does not exist."""

@@ -101,6 +101,9 @@ class _Drawn:
         self.high = np.quantile(points, 1 - EDGE, axis=0)
         self.middle = np.median(points, axis=0)
         self.fence = fences(fitted.run).get(network)
+        unknown = next(u for u in fitted.model.unknowns if u.name == name)
+        self.unit = unknown.unit or ""
+        self.units = tuple(a.unit or "" for a in fitted.model.networks[unknown.network].arguments)
 
     def function(self) -> LearnedFunction:
         """Slices, plane and values at the points."""
@@ -115,6 +118,7 @@ class _Drawn:
                 sorted((self.slice(i) for i in varying), key=lambda piece: -float(np.ptp(piece.members.mean(axis=0))))
             ),
             self.plane(varying[0], varying[1]) if len(varying) > 1 else None,
+            self.unit,
         )
 
     def members(self, points: Array) -> Array:
@@ -147,6 +151,7 @@ class _Drawn:
             self.trained(i),
             self.band(points),
             None if self.fence is None else self.fence.beyond(points),
+            self.units[i],
         )
 
     def band(self, points: Array) -> Array | None:
@@ -183,7 +188,8 @@ class _Drawn:
         learned = np.where(far, np.nan, self.members(points).mean(axis=0)).reshape(GRID, GRID)
         reference = None if true is None else np.where(far, np.nan, true).reshape(GRID, GRID)
         half = self._half_width(points, far)
-        return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}), half)
+        return Plane(self.arguments[i], self.arguments[j], x, y, learned, reference, self._label({i, j}), half,
+                     (self.units[i], self.units[j]))  # fmt: skip
 
     def _half_width(self, points: Array, far: NDArray[np.bool_]) -> Array | None:
         """Half the width of the 90 % band [Y, X] over the points of a plane, blank where they are `far`."""

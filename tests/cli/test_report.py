@@ -16,16 +16,19 @@ import pytest
 from typer.testing import CliRunner
 
 from gbspec.cli.app import build, needed
+from gbspec.diagnostics import Findings
+from gbspec.operations import models, reporting
 
 pytestmark = pytest.mark.usefixtures("quick_fits", "few_points")
 
 Run = Callable[..., Any]
 VOID = {"meta", "link", "img", "br", "hr", "input"}
-SECTIONS = ("model", "fit", "functions", "constants", "metrics", "parity", "residuals", "history", "bifurcation",
-            "eigenvalues", "starts", "phase", "reproduce")  # fmt: skip
+SECTIONS = ("overview", "model", "fit", "functions", "constants", "metrics", "parity", "residuals", "history",
+            "bifurcation", "eigenvalues", "starts", "phase", "reproduce")  # fmt: skip
 
 PREY = """\
 model prey "Predators <b>&</b> prey, what is eaten unknown"
+time t : d
 state N in [0, 3] = 1
 state P in [0, 3] = 1 "never measured"
 condition r in [0.8, 1.2]
@@ -134,13 +137,48 @@ def test_the_plots_show_the_data_unmeasured_states_and_the_truth(page: str) -> N
     charts = json.loads(content)
     places = [int(n) for n in re.findall(r'data-chart="(\d+)"', page)]
     assert sorted(places) == list(range(len(charts)))
-    titles = [chart["layout"]["title"]["text"] for chart in charts]
-    assert titles.count("P: not measured") == 4
+    titles = [note["text"] for chart in charts for note in chart["layout"]["annotations"]]
+    assert titles.count("P: not measured") == 4 + 1  # and on the first screen
     names = {trace.get("name") for chart in charts for trace in chart["data"]}
-    assert {"learned", "truth", "measured", "postulate", "residual"} <= names
+    assert {"model", "learned", "truth", "measured", "postulate", "residual"} <= names
     first = next(trace for trace in charts[0]["data"] if trace["name"] == "measured")
-    assert len(first["x"]) == len(first["y"]) > 3
-    assert any(trace["type"] == "heatmap" for chart in charts for trace in chart["data"])
+    assert len(first["y"]) > 3
+    assert any(chart["layout"]["images"] for chart in charts), "the plane of two arguments"
+
+
+def test_solutions_are_not_called_learned(page: str) -> None:
+    """Most of a solution is known: only functions, constants and initial states were learned."""
+    (content,) = re.findall(r'<script type="application/json" id="charts">(.*?)</script>', page, flags=re.DOTALL)
+    over_time = [one for one in json.loads(content) if one["layout"]["xaxis"]["title"]["text"] == "t [d]"]
+    assert over_time
+    assert not any(trace.get("name") == "learned" for one in over_time for trace in one["data"])
+
+
+def test_the_first_screen_says_what_to_think_of_the_fit(read: Reader, page: str) -> None:
+    ids = [attrs["id"] for tag, attrs in read.tags if tag == "section"]
+    assert ids[0] == "overview"
+    first = page[page.index('id="overview"') : page.index('id="fit"')]
+    assert first.index("What to doubt") < first.index(">What to do<") < first.index("Learned constants")
+    assert "<math" in first
+    assert re.findall(r'data-chart="(\d+)"', first) == ["0", "1"]
+    (content,) = re.findall(r'<script type="application/json" id="charts">(.*?)</script>', page, flags=re.DOTALL)
+    trajectory, function = json.loads(content)[:2]
+    assert {"model", "measured"} <= {trace["name"] for trace in trajectory["data"]}
+    assert {"learned", "90 % band"} <= {trace["name"] for trace in function["data"]}
+
+
+def test_the_page_is_small_and_follows_the_reader(page: str) -> None:
+    assert len(page.encode()) < 2_000_000
+    for feature in ("@media print", "prefers-color-scheme: dark", "max-width: 560px", "beforeprint"):
+        assert feature in page
+
+
+def test_sections_without_content_are_left_out(place: Path, here: Path) -> None:
+    assert call("report", place / "run", "-o", "r.html").exit_code == 0
+    text = Path("r.html").read_text(encoding="utf-8")
+    assert 'id="bifurcation"' not in text  # it was not requested
+    assert "There is nothing to show" not in text
+    assert "Not requested" not in text
 
 
 def test_the_page_tells_how_to_reproduce_the_run(read: Reader) -> None:
@@ -152,10 +190,17 @@ def test_the_page_tells_how_to_reproduce_the_run(read: Reader) -> None:
 def test_without_the_data_the_page_names_what_is_missing(place: Path, here: Path) -> None:
     shutil.copytree(place / "run", here / "run")
     fit = json.loads((here / "run" / "fit.json").read_text())
-    fit["data"]["path"] = "gone.csv"
+    fit["data"] |= {"path": "gone.csv", "absolute": "/gone.csv", "relative": "gone.csv"}
     (here / "run" / "fit.json").write_text(json.dumps(fit))
-    assert call("report", "run", "-o", "r.html").exit_code == 0
-    assert "was not found" in Path("r.html").read_text()
+    refused = call("report", "run", "-o", "r.html")
+    assert refused.exit_code == 1
+    assert "gone.csv" in refused.stderr
+    assert not Path("r.html").exists()
+    # From Python, a page without data is possible: it says so first
+    reporting.report(models.open_run("run", {}, Findings()), None, "r.html")
+    text = Path("r.html").read_text(encoding="utf-8")
+    assert "Without its data, this fit cannot be judged" in text
+    assert 'id="fit"' not in text
 
 
 @pytest.mark.parametrize(
@@ -189,6 +234,6 @@ def test_a_browser_draws_it_without_a_script_error(place: Path, tmp_path: Path, 
     assert "Uncaught" not in made.stderr
     assert "CONSOLE" not in made.stderr, made.stderr[-2000:]
     shown = len(re.findall(r'class="chart[^"]*" data-chart', made.stdout))
-    hidden = 3 * len(("N", "P"))  # all trajectories but the first are hidden until they are selected
+    hidden = 3  # all trajectories but the first are hidden until they are selected
     assert made.stdout.count('data-drawn="yes"') == shown - hidden > 10
     assert made.stdout.count('class="main-svg"') >= shown - hidden

@@ -12,6 +12,7 @@ import pytest
 
 from gbspec.data.shipped import shipped_models
 from gbspec.lsp import words
+from gbspec.lsp.semantic import MODIFIERS, TYPES
 from gbspec.lsp.textmate import FILES, grammar
 from gbspec.semantics.vocabulary import ACTIVATIONS
 from gbspec.syntax.ast import WORDS as STATEMENTS
@@ -144,10 +145,41 @@ def test_every_statement_of_the_bundled_models_is_seen(path: Path) -> None:
 
 def test_the_extension_names_files_that_are_there_and_starts_the_server() -> None:
     package = json.loads((VSCODE / "package.json").read_text())
-    named = [package["main"], package["contributes"]["languages"][0]["configuration"]]
+    named = ["extension.js", package["icon"], "LICENSE", "README.md", "package-lock.json"]
+    named.append(package["contributes"]["languages"][0]["configuration"])
     named += [grammar["path"] for grammar in package["contributes"]["grammars"]]
     assert all((VSCODE / name).is_file() for name in named)
     assert package["contributes"]["configuration"]["properties"]["gbspec.command"]["default"] == ["gbspec", "lsp"]
     assert package["contributes"]["grammars"][0]["scopeName"] == GRAMMAR["scopeName"]
     configuration = json.loads((VSCODE / "language-configuration.json").read_text())
     assert configuration["comments"] == {"lineComment": "#"}
+
+
+def test_the_extension_is_bundled_and_packaged_by_continuous_integration() -> None:
+    package = json.loads((VSCODE / "package.json").read_text())
+    assert package["scripts"]["vscode:prepublish"] == "npm run bundle"
+    assert "extension.js --bundle" in package["scripts"]["bundle"]
+    assert package["scripts"]["bundle"].endswith(f"--outfile={package['main'].removeprefix('./')}")
+    ignored = (VSCODE / ".vscodeignore").read_text().splitlines()
+    assert {"node_modules/**", "extension.js"} <= set(ignored), "the bundle has what is needed of both"
+    icon = (VSCODE / package["icon"]).read_bytes()
+    assert icon.startswith(b"\x89PNG")
+    assert int.from_bytes(icon[16:20]) == int.from_bytes(icon[20:24]) >= 128
+    root = VSCODE.parent.parent
+    assert (VSCODE / "LICENSE").read_text() == (root / "LICENSE").read_text()
+    locked = (VSCODE / "package-lock.json").read_text()
+    assert '"resolved"' not in locked, "the registry is the one of whoever installs"
+    workflow = (root / ".github" / "workflows" / "ci.yml").read_text()
+    assert "npm run package" in workflow
+    assert "repository.url=" in workflow
+
+
+def test_the_extension_knows_the_tokens_of_the_server() -> None:
+    contributed = json.loads((VSCODE / "package.json").read_text())["contributes"]
+    standard = {"declaration", "readonly", "defaultLibrary"}
+    assert {one["id"] for one in contributed["semanticTokenModifiers"]} == set(MODIFIERS) - standard
+    (scopes,) = (one["scopes"] for one in contributed["semanticTokenScopes"])
+    for selector in scopes:
+        kind, *modifiers = selector.split(".")
+        assert kind in TYPES
+        assert set(modifiers) <= set(MODIFIERS)

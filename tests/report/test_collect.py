@@ -11,7 +11,7 @@ import pytest
 from gbspec import frontend
 from gbspec.backends.module import load_module
 from gbspec.data.sampling import SimulateOptions
-from gbspec.data.trajectories import Trajectories
+from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.diagnostics import Findings, UserError
 from gbspec.operations import models, tables
 from gbspec.report import collect
@@ -21,7 +21,7 @@ from gbspec.report.figures.summary import liveliest
 from gbspec.report.files import draw
 from gbspec.report.kinds import KINDS
 from gbspec.report.unknowns import Expression, learned_functions, postulate_of, truth_of
-from gbspec.runs.record import ConstantRecord, DataRecord, FitRecord, MemberRecord
+from gbspec.runs.record import ConstantRecord, DataRecord, FitRecord, MemberRecord, OwnRecord
 from gbspec.runs.store import Run
 
 TEXT = """\
@@ -218,3 +218,41 @@ def test_an_unknown_whose_contract_needs_raw_outputs_is_drawn(tmp_path: Path, ki
     points = collect.visited(collect.Fitted(run, data), 0)
     assert {float(value) for value in points[:, 1]} >= {float(item.condition[0]) for item in data.items}
     assert draw(kind, run, data).axes
+
+
+DOSED = """\
+model dosed
+time t : h
+input feed held : mg/h
+state A in [0, 500] : mg
+learn k = 0.5 in [0, 5] per trajectory : 1/h
+A' = feed - k*A
+dose A
+initial A = 0
+observe A
+"""
+
+
+def test_inputs_and_doses_are_those_of_the_data(tmp_path: Path) -> None:
+    run = written(tmp_path, DOSED)
+    own = {"1": OwnRecord(0.4, 0.1, (0.3, 0.5))}
+    constants = {"k": ConstantRecord(0.4, None, None, 0.5, (0.4,), own)}
+    run = replace(run, fit=replace(run.fit, constants=constants))
+    times = np.array([0.0, 1.0, 2.0, 4.0])
+    item = Trajectory("1", 0.0, times, np.ones((4, 1)), np.ones((4, 1)), np.full((4, 1), np.nan), np.zeros(0),
+                      (Signal(np.array([0.0, 2.0]), np.array([1.0, 3.0])),),
+                      (DoseEvents(np.array([0.0, 1.0]), np.array([10.0, 20.0])),))  # fmt: skip
+    (shown,) = collect.trajectory_fits(collect.Fitted(run, Trajectories((item,), ("A",))), [0])
+    feed, dose = shown.given
+    assert (feed.name, feed.unit, dose.name, dose.unit) == ("feed", "mg/h", "dose, A", "mg")
+    corners = [(0.0, 1.0), (2.0, 1.0), (2.0, 3.0), (4.0, 3.0)]
+    assert list(zip(feed.times, feed.values, strict=True)) == corners
+    np.testing.assert_array_equal(dose.values, [10.0, 20.0])
+    (channel,) = shown.channels
+    assert channel.unit == "mg", "a channel of a state has its unit"
+    for time, amount in ((0.0, 10.0), (1.0, 20.0)):
+        at = int(np.searchsorted(channel.grid, time))
+        jump = channel.members[0, at + 1] - channel.members[0, at]
+        np.testing.assert_allclose(jump, amount, rtol=1e-6)
+    assert shown.own == "k = 0.4 (0.3 to 0.5) 1/h"
+    assert shown.origin == "given by the model", "and not learned"

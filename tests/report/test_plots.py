@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from gbspec.diagnostics import UserError
 from gbspec.report import style
 from gbspec.report.content import (
     ChannelFit,
+    Given,
     History,
     LearnedConstant,
     LearnedFunction,
@@ -21,8 +23,10 @@ from gbspec.report.content import (
     Slice,
     TrajectoryFit,
 )
+from gbspec.report.description import Axis
 from gbspec.report.drawn import drawn
 from gbspec.report.figures import constants, fit, functions, history, phase, residuals, summary
+from gbspec.report.html.charts import stack
 
 GRID = np.linspace(0.0, 1.0, 30)
 TIMES = np.array([0.1, 0.5, 0.9])
@@ -42,30 +46,63 @@ def function(*, truth: bool = True, plane: bool = True) -> LearnedFunction:
     return LearnedFunction("f", ("a", "b"), points, values[None], values if truth else None, (piece, piece), both)
 
 
-def test_a_fit_has_a_row_for_each_trajectory_and_a_column_for_each_channel() -> None:
+def test_a_fit_has_a_column_for_each_trajectory_over_one_time_axis() -> None:
     trajectories = [
         TrajectoryFit("1", "D = 0.2", (channel("x"), channel("y"))),
         TrajectoryFit("2", "", (channel("x"),)),
     ]
-    made = drawn(fit.figure(trajectories))
-    assert len(made.axes) == 4
-    labels = [axes.get_ylabel() for axes in made.axes if axes.axison]
+    made = drawn(fit.figure(trajectories, "t", "h"))
+    labels = [axes.get_ylabel() for axes in made.axes]
     assert labels == ["x [g/L]", "y [g/L]", "x [g/L]"]
+    assert [axes.get_xlabel() for axes in made.axes] == ["", "t [h]", "t [h]"]
     assert made.axes[0].get_title(loc="left") == "trajectory 1, D = 0.2"
+    assert made.axes[0].get_shared_x_axes().joined(made.axes[0], made.axes[1])
+    assert not made.axes[0].get_shared_x_axes().joined(made.axes[0], made.axes[2])
+
+
+def test_inputs_and_doses_are_drawn_below_what_is_measured() -> None:
+    feed = Given("F", np.array([0.0, 0.5, 0.5, 1.0]), np.array([1.0, 1.0, 2.0, 2.0]), "L/h")
+    dose = Given("dose into x", np.array([0.2, 0.6]), np.array([5.0, 7.0]), "mg", doses=True)
+    one = TrajectoryFit("1", "", (channel("x"),), given=(feed, dose))
+    made = drawn(fit.figure([one]))
+    assert [axes.get_ylabel() for axes in made.axes] == ["x [g/L]", "F [L/h]", "dose into x [mg]"]
+    np.testing.assert_array_equal(made.axes[1].lines[0].get_xdata(), feed.times)
+    stems = np.column_stack(made.axes[2].lines[0].get_data())
+    np.testing.assert_array_equal(stems[:2], [[0.2, 0.0], [0.2, 5.0]])
+    page = stack([row.panels[0] for row in fit.block(one, page=True).rows if row.panels[0] is not None])
+    assert {"xaxis", "yaxis", "yaxis2", "yaxis3"} <= page["layout"].keys()
+    assert "xaxis2" not in page["layout"], "one time axis"
+    bottoms = [page["layout"][f"yaxis{k}"]["domain"] for k in ("", 2, 3)]
+    assert all(upper[0] > lower[1] for upper, lower in pairwise(bottoms))
+
+
+def test_five_thousand_points_stay_readable() -> None:
+    """They are small and behind the curve, and an excerpt shows single ones where the errors are largest."""
+    times = np.linspace(0.0, 100.0, 5000)
+    grid = np.linspace(0.0, 100.0, 8000)
+    measured = np.sin(times) + np.where((times > 60) & (times < 62), 0.3, 0.0)
+    shown = ChannelFit("x", times, measured, grid, np.sin(grid)[None])
+    whole, part = drawn(fit.figure([TrajectoryFit("1", "", (shown,))])).axes
+    points, curve = ({line.get_label(): line for line in whole.lines}[name] for name in ("measured", "model"))
+    assert points.get_zorder() < curve.get_zorder()
+    assert points.get_markersize() < 2
+    low, high = part.get_xlim()
+    assert 59 < low < 62 < high < 64
+    assert {line.get_label(): line for line in part.lines}["measured"].get_markersize() == 3
 
 
 def test_measurements_fit_and_truth_are_drawn_where_they_are() -> None:
     axes = drawn(fit.figure([TrajectoryFit("1", "", (channel("x"),))])).axes[0]
     lines = {line.get_label(): np.column_stack(line.get_data()) for line in axes.lines}
-    assert set(lines) == {"learned", "truth", "measured"}
-    np.testing.assert_allclose(lines["learned"][:, 1], np.sin(GRID) + 0.01)  # the mean of the members
+    assert set(lines) == {"model", "truth", "measured"}
+    np.testing.assert_allclose(lines["model"][:, 1], np.sin(GRID) + 0.01)  # the mean of the members
     np.testing.assert_allclose(lines["measured"], np.column_stack([TIMES, np.sin(TIMES)]))
     assert len(axes.collections) == 1  # the range of the members is shaded
 
 
 def test_without_a_truth_and_with_one_member_neither_is_drawn() -> None:
     axes = drawn(fit.figure([TrajectoryFit("1", "", (channel("x", truth=False, members=1),))])).axes[0]
-    assert {line.get_label() for line in axes.lines} == {"learned", "measured"}
+    assert {line.get_label() for line in axes.lines} == {"model", "measured"}
     assert not axes.collections
 
 
@@ -126,8 +163,13 @@ def test_residuals_have_three_panels_a_channel() -> None:
 
 def test_phase_draws_each_orbit_and_labels_one() -> None:
     path = np.column_stack([GRID, GRID**2])
-    made = drawn(phase.figure([Orbit("1", path, path, path[:3]), Orbit("2", path, None, np.zeros((0, 2)))], "x", "y"))
-    assert [text.get_text() for text in made.axes[0].get_legend().get_texts()] == ["learned", "truth", "measured"]
+    made = drawn(
+        phase.figure(
+            [Orbit("1", path, path, path[:3]), Orbit("2", path, None, np.zeros((0, 2)))], Axis("x", "mol"), Axis("y")
+        )
+    )
+    assert made.axes[0].get_xlabel() == "x [mol]"
+    assert [text.get_text() for text in made.axes[0].get_legend().get_texts()] == ["model", "truth", "measured"]
 
 
 @pytest.mark.parametrize("count", [0, 2])

@@ -45,4 +45,11 @@ def panel(constant: LearnedConstant, *, height: float = 0.95) -> Panel:
     said = f"{constant.name} = {constant.value:.5g}"
     if constant.truth:
         said += f", {100 * abs(constant.value / constant.truth - 1):.2g} % from the truth"
-    return Panel(tuple(marks), Axis(margin=0.08), Axis(range=(-1.0, 1.0), shown=False), said, width=5.6, height=height)
+    return Panel(
+        tuple(marks),
+        Axis(constant.name if constant.unit else "", constant.unit, margin=0.08),
+        Axis(range=(-1.0, 1.0), shown=False),
+        said,
+        width=5.6,
+        height=height,
+    )

@@ -20,7 +20,7 @@ def build(source: Source) -> Figure:
     found = along(source) if source.spectra is None else source.spectra
     if not found.points:
         raise MissingError("there is no point with a finite Jacobian", "fit")
-    return figure(found)
+    return figure(found, source.run.model.time.unit or "")
 
 
 def along(source: Source) -> Eigen:
@@ -32,7 +32,7 @@ def along(source: Source) -> Eigen:
     return eigen(system_of(evaluator, model), truth=truth, along=fitted.data, predicted=predicted)
 
 
-def figure(found: Eigen) -> Figure:
+def figure(found: Eigen, time: str = "") -> Figure:
     """Learned eigenvalues as points, true ones as circles; the few that lie far to the left are outside the view."""
     points = [found.points[i] for i in evenly_spaced(len(found.points), MOST)]
     learned = np.concatenate([np.zeros(0, complex), *(point.eigenvalues for point in points)])
@@ -45,8 +45,8 @@ def figure(found: Eigen) -> Figure:
     view = _view(every)
     left_out = int(np.sum(every < view[0])) if view else 0
     title = f"{left_out} of {len(every)} lie further left" if left_out else ""
-    x = Axis("real part", range=view)
-    return single(Panel(tuple(marks), x, Axis("imaginary part"), title, legend=True, width=5.4, height=3.4))
+    x = Axis("real part", f"1/{time}" if time else "", range=view)
+    return single(Panel(tuple(marks), x, Axis("imaginary part", x.unit), title, legend=True, width=5.4, height=3.4))
 
 
 def _view(values: Array) -> tuple[float, float] | None:

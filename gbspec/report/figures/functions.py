@@ -29,7 +29,6 @@ from gbspec.report.description import (
 )
 from gbspec.report.source import MissingError, Source
 from gbspec.report.style import LEARNED, MUTED
-from gbspec.report.unknowns import learned_functions
 
 ACROSS = 3
 """Number of panels side by side."""
@@ -44,25 +43,28 @@ def build(source: Source) -> Figure:
     fitted = source.fitted
     if not fitted.model.unknowns:
         raise MissingError("every function of the model is known", "constants")
-    return figure(learned_functions(fitted), None if source.page else SLICES)
+    return figure(source.functions, None if source.page else SLICES)
 
 
 def figure(learned: Sequence[LearnedFunction], slices: int | None = SLICES) -> Figure:
     """One block per function: `slices` slices (None: all), a plane if it has several arguments, and the truth."""
     blocks = []
     for function in learned:
-        shown = [slice_panel(function.name, piece, legend=k == 0) for k, piece in enumerate(function.slices[:slices])]
+        shown = [
+            slice_panel(function.name, piece, function.unit, legend=k == 0)
+            for k, piece in enumerate(function.slices[:slices])
+        ]
         if function.plane is not None:
             shown += planes(function.name, function.plane)
         if function.truth is not None:
-            shown.append(parity_panel(function.name, function.truth, function.members.mean(axis=0)))
+            shown.append(parity_panel(function.name, function.truth, function.members.mean(axis=0), function.unit))
         first, *others = wrapped(tuple(shown), ACROSS) or (Row((None,)),)
         heading = f"{function.name} of {', '.join(function.arguments)}"
         blocks.append((Block((Row(first.panels, heading), *others)),))
     return Figure(tuple(blocks))
 
 
-def slice_panel(name: str, piece: Slice, *, legend: bool = True) -> Panel:
+def slice_panel(name: str, piece: Slice, unit: str = "", *, legend: bool = True) -> Panel:
     """A function along one argument, with its 90 % band, its truth and its postulate.
 
     Ticks show the positions of data; the background is grey where the function is extrapolated.
@@ -79,7 +81,8 @@ def slice_panel(name: str, piece: Slice, *, legend: bool = True) -> Panel:
         marks.append(truth(piece.x, piece.truth))
     if piece.visited is not None:
         marks.append(Rug(piece.visited))
-    return Panel(tuple(marks), Axis(piece.argument, margin=0.02), Axis(name), _at(name, piece.label), legend)
+    x = Axis(piece.argument, piece.unit, margin=0.02)
+    return Panel(tuple(marks), x, Axis(name, unit), _at(name, piece.label), legend)
 
 
 def planes(name: str, plane: Plane) -> list[Panel]:
@@ -91,20 +94,20 @@ def planes(name: str, plane: Plane) -> list[Panel]:
     if plane.half is not None:
         scaled.append(("half the 90 % band", plane.half, 0.0, float(np.nanmax(plane.half))))
     return [
-        Panel((Heat(plane.x, plane.y, values, *ends),), Axis(plane.x_name), Axis(plane.y_name),
-              _at(f"{name}, {word}", plane.label))
+        Panel((Heat(plane.x, plane.y, values, *ends),), Axis(plane.x_name, plane.units[0]),
+              Axis(plane.y_name, plane.units[1]), _at(f"{name}, {word}", plane.label))
         for word, values, *ends in scaled
     ]  # fmt: skip
 
 
-def parity_panel(name: str, true: Array, learned: Array) -> Panel:
+def parity_panel(name: str, true: Array, learned: Array, unit: str = "") -> Panel:
     """Learned against true values [P], the outermost left out."""
     low, high = np.quantile(np.concatenate([learned, true]), [OUTERMOST, 1 - OUTERMOST])
     shown = (np.minimum(learned, true) >= low) & (np.maximum(learned, true) <= high)
     error = float(np.median(np.abs(learned - true)))
     share = f"{100 * error / (high - low):.2g} % of range" if high > low else f"{error:.2g}"
     points = Points(true[shown], learned[shown], "learned", LEARNED, 2.4, alpha=0.45, layer=3)
-    return Panel((diagonal(float(low), float(high)), points), Axis(f"true {name}"), Axis(f"learned {name}"),
+    return Panel((diagonal(float(low), float(high)), points), Axis(f"true {name}", unit), Axis(f"learned {name}", unit),
                  f"median error {share}")  # fmt: skip
 
 

@@ -23,7 +23,7 @@ def build(source: Source) -> Figure:
 def figure(members: Sequence[History]) -> Figure:
     """The loss, and below it each constant; every other stage of the first member is shaded."""
     grounds, words = _stages(members[0])
-    time = Axis("seconds")
+    time = Axis("time of training", "s")
     loss = Panel((*grounds, *words, *_curves(members, None)), time, Axis("loss", log=True), "",
                  legend=True, width=6.4, height=2.6)  # fmt: skip
     constants = [

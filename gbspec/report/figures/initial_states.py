@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+
 import numpy as np
 
 from gbspec.analysis import InitialStates
@@ -23,23 +25,32 @@ def build(source: Source) -> Figure:
     """The initial states of some trajectories. Raises `UserError` (GB876) if none were learned."""
     fitted = source.fitted
     most = ON_PAGE if source.page else IN_FILE
-    return figure(collect.initial_states(fitted, source.chosen() or evenly_spaced(len(fitted.data), most)))
+    found = collect.initial_states(fitted, source.chosen() or evenly_spaced(len(fitted.data), most))
+    known = {state.name for state in fitted.model.states if state.initial.kind == "expression"}
+    return figure(found, collect.units(fitted.model), known)
 
 
-def figure(found: InitialStates) -> Figure:
-    """Above, one panel per state, learned and bred over the reference; below, one per mode, slowest first."""
-    states = tuple(_state(found, i, name) for i, name in enumerate(found.states))
+def figure(
+    found: InitialStates, units: Mapping[str, str] | None = None, known: Collection[str] = frozenset()
+) -> Figure:
+    """Above, one panel per state, learned and bred over the reference; below, one per mode, slowest first.
+
+    States whose initial value the model gives (`known`) have no panel: they were not learned.
+    """
+    states = tuple(
+        _state(found, i, name, (units or {}).get(name, "")) for i, name in enumerate(found.states) if name not in known
+    )
     modes = tuple(_mode(found, i) for i in range(len(found.states)))
     return Figure(((Block((*wrapped(states, ACROSS), *wrapped(modes, ACROSS)), "below"),),))
 
 
-def _state(found: InitialStates, i: int, name: str) -> Panel:
+def _state(found: InitialStates, i: int, name: str, unit: str) -> Panel:
     reference = np.array([item.bred[i] if item.true is None else item.true[i] for item in found.items])
     marks = [_learned(reference, np.array([item.learned[i] for item in found.items]), found)]
     if found.items[0].true is not None:
         marks.append(_bred(reference, np.array([item.bred[i] for item in found.items]), found))
     line = diagonal(float(reference.min()), float(reference.max()))
-    return Panel((line, *marks), Axis(f"{name}, {found.reference}"), Axis(name), width=3.4, height=2.7)
+    return Panel((line, *marks), Axis(f"{name}, {found.reference}", unit), Axis(name, unit), width=3.4, height=2.7)
 
 
 def _mode(found: InitialStates, i: int) -> Panel:

@@ -11,7 +11,7 @@ from gbspec.report.description import Block, Figure, wrapped
 from gbspec.report.figures.functions import ACROSS, parity_panel
 from gbspec.report.source import MissingError, Source
 
-MOST_POINTS = 3000
+MOST_POINTS = 1200
 """Number of points in a panel."""
 
 
@@ -22,9 +22,20 @@ def build(source: Source) -> Figure:
         raise MissingError("the model states no truth to compare with", "fit")
     true, learned = _values(fitted)
     every = max(1, len(true) // MOST_POINTS)
+    # A balance without anything learned is the same in both to the last digits, and shows nothing
+    shown = [i for i in range(true.shape[1]) if not np.allclose(true[:, i], learned[:, i], rtol=1e-12, atol=0.0)]
+    if not shown:
+        raise MissingError("nothing in the balances is learned", "fit")
+    time = fitted.model.time
     panels = tuple(
-        parity_panel(f"d{state.name}/d{fitted.model.time.name}", true[::every, i], learned[::every, i])
+        parity_panel(
+            f"d{state.name}/d{time.name}",
+            true[::every, i],
+            learned[::every, i],
+            f"{state.unit}/{time.unit}" if state.unit and time.unit else "",
+        )
         for i, state in enumerate(fitted.model.states)
+        if i in shown
     )
     return Figure(((Block(wrapped(panels, ACROSS)),),))
 

@@ -19,18 +19,18 @@ def build(source: Source) -> Figure:
         raise MissingError("the model has only one state", "fit")
     orbits = collect.orbits(source.fitted, source.some(IN_FILE, ON_PAGE), (0, 1))
     first, second = source.run.model.states[:2]
-    return figure(orbits, first.name, second.name)
+    return figure(orbits, Axis(first.name, first.unit or ""), Axis(second.name, second.unit or ""))
 
 
-def figure(orbits: Sequence[Orbit], x: str, y: str) -> Figure:
-    """Learned trajectories with dots at their initial states, the truth dashed, joint measurements as points."""
+def figure(orbits: Sequence[Orbit], x: Axis, y: Axis) -> Figure:
+    """Trajectories of the model with dots at their initial states, the truth dashed, joint measurements as points."""
     marks: list[Mark] = []
     for orbit in orbits:
         path, words = orbit.learned, (f"trajectory {orbit.label}",)
-        marks.append(Line(path[:, 0], path[:, 1], "learned", width=1.2, alpha=0.85, hover=words * len(path)))
+        marks.append(Line(path[:, 0], path[:, 1], "model", width=1.2, alpha=0.85, hover=words * len(path)))
         marks.append(Points(path[:1, 0], path[:1, 1], size=3.5, layer=4, hover=words))
         if orbit.truth is not None:
             marks.append(truth(orbit.truth[:, 0], orbit.truth[:, 1]))
         if len(orbit.measured):
             marks.append(measured(orbit.measured[:, 0], orbit.measured[:, 1]))
-    return single(Panel(tuple(marks), Axis(x), Axis(y), legend=True, width=5.2, height=4.3))
+    return single(Panel(tuple(marks), x, y, legend=True, width=5.2, height=4.3))

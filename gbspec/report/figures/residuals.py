@@ -16,24 +16,25 @@ from gbspec.report.style import LEARNED
 
 def build(source: Source) -> Figure:
     """The residuals of every channel over all trajectories."""
-    return figure(collect.residuals(source.fitted), source.fitted.model.time.name)
+    return figure(collect.residuals(source.fitted), source.fitted.model.time.name,
+                  source.fitted.model.time.unit or "")  # fmt: skip
 
 
-def figure(channels: Sequence[Residuals], time: str = "t") -> Figure:
+def figure(channels: Sequence[Residuals], time: str = "t", unit: str = "") -> Figure:
     """One row per channel."""
-    return Figure(((Block(tuple(_row(channel, time) for channel in channels)),),))
+    return Figure(((Block(tuple(_row(channel, Axis(time, unit)) for channel in channels)),),))
 
 
-def _row(channel: Residuals, time: str) -> Row:
+def _row(channel: Residuals, time: Axis) -> Row:
     values = channel.residual
     rms = float(np.sqrt(np.mean(np.square(values)))) if len(values) else math.nan
     y = Axis(f"residual of {'ln ' if channel.logarithmic else ''}{channel.name}")
     counts, edges = np.histogram(values, bins=max(5, min(40, int(math.sqrt(max(len(values), 1))))))
+    predicted = Axis(f"predicted {channel.name}", channel.unit)
     titles = (f"{channel.name}: {len(values)} values, rms {rms:.2g}", "")
     panels = [
-        Panel((Rule("y", 0.0), Points(x, values, "residual", LEARNED, 2.8, alpha=0.5, layer=3)), Axis(label), y, title,
+        Panel((Rule("y", 0.0), Points(x, values, "residual", LEARNED, 2.8, alpha=0.5, layer=3)), axis, y, title,
               width=3.84, height=2.15)
-        for (x, label), title in zip(((channel.times, time), (channel.predicted, f"predicted {channel.name}")), titles,
-                                     strict=True)
+        for (x, axis), title in zip(((channel.times, time), (channel.predicted, predicted)), titles, strict=True)
     ]  # fmt: skip
     return Row((*panels, Panel((Bars(edges, counts),), Axis("count"), y, width=1.92, height=2.15)))

@@ -11,10 +11,9 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories, channel_scales
 from gbspec.report import collect
 from gbspec.report.content import LearnedConstant, LearnedFunction, TrajectoryFit
-from gbspec.report.description import Block, Figure, Panel, Row
+from gbspec.report.description import Axis, Block, Figure, Panel, Row
 from gbspec.report.figures import constants, fit, functions
 from gbspec.report.source import Source
-from gbspec.report.unknowns import learned_functions
 
 UPPER, LOWER = 2.4, 2.9
 """Heights of the two halves."""
@@ -27,15 +26,23 @@ def build(source: Source) -> Figure:
     fitted = source.fitted
     index = (source.chosen() or [liveliest(fitted.data)])[0]
     (shown,) = collect.trajectory_fits(fitted, [index])
-    learned = learned_functions(fitted)
-    return figure(shown, learned[0] if learned else None, collect.constants(source.run), fitted.model.time.name)
+    learned = source.functions
+    return figure(shown, learned[0] if learned else None, collect.constants(source.run),
+                  fitted.model.time.name, fitted.model.time.unit or "")  # fmt: skip
 
 
 def figure(
-    shown: TrajectoryFit, function: LearnedFunction | None, learned: Sequence[LearnedConstant], time: str
+    shown: TrajectoryFit,
+    function: LearnedFunction | None,
+    learned: Sequence[LearnedConstant],
+    time: str,
+    unit: str = "",
 ) -> Figure:
     """The fit above, the function and the constants below."""
-    channels = tuple(replace(fit.panel(channel, time, height=UPPER), width=WIDE) for channel in shown.channels)
+    channels = tuple(
+        replace(fit.panel(channel, Axis(time, unit, margin=0.02), height=UPPER), width=WIDE)
+        for channel in shown.channels
+    )
     rows = [(Block((Row(channels, fit.heading(shown)),), "above"),)]
     lower = []
     if function is not None:
@@ -48,11 +55,13 @@ def figure(
 
 def _function(function: LearnedFunction) -> tuple[Panel | None, ...]:
     """The slice along which a function varies most, and the comparison with its truth or the next slice."""
-    panels = [functions.slice_panel(function.name, function.slices[0])]
+    panels = [functions.slice_panel(function.name, function.slices[0], function.unit)]
     if function.truth is not None:
-        panels.append(functions.parity_panel(function.name, function.truth, function.members.mean(axis=0)))
+        panels.append(
+            functions.parity_panel(function.name, function.truth, function.members.mean(axis=0), function.unit)
+        )
     elif len(function.slices) > 1:
-        panels.append(functions.slice_panel(function.name, function.slices[1], legend=False))
+        panels.append(functions.slice_panel(function.name, function.slices[1], function.unit, legend=False))
     return tuple(replace(panel, width=NARROW, height=LOWER) for panel in panels)
 
 

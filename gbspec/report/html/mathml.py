@@ -12,7 +12,7 @@ from sympy.printing.mathml import MathMLPresentationPrinter
 
 from gbspec.ir import NN, Expr, Model, Unknown
 
-_ENTITIES = {"&InvisibleTimes;": "&#x2062;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
+_ENTITIES = {"&InvisibleTimes;": "&#x22C5;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
 """The printer's named entities as numbers, so that the page is well formed as XML too."""
 
 

@@ -28,9 +28,34 @@ def constants(run: Run) -> Table:
         between = "-" if one.interval is None else f"{number(one.interval[0])} to {number(one.interval[1])}"
         error = f"{100 * abs(one.value / one.truth - 1):.2g} %" if one.truth else "-"
         made = (interval_of(one.profile),) if profiled else ()
-        rows.append((one.name, number(one.value, 6), between, *made, number(one.start), number(one.truth, 6), error))
-    header = ("constant", "value", "90 % interval", *(["profile"] if profiled else []), "start", "truth", "off by")
-    return Table(header, tuple(rows))
+        rows.append((one.name, number(one.value, 6), one.unit or "-", between, *made, number(one.start),
+                     number(one.truth, 6), error))  # fmt: skip
+    ends = ("90 % interval", *(["profile"] if profiled else []))
+    return _without_empty(Table(("constant", "value", "unit", *ends, "start", "truth", "off by"), tuple(rows)))
+
+
+def _without_empty(table: Table) -> Table:
+    """The table without columns in which no row says anything."""
+    kept = [k for k in range(len(table.header)) if any(row[k] != "-" for row in table.rows)]
+    return Table(tuple(table.header[k] for k in kept), tuple(tuple(row[k] for k in kept) for row in table.rows))
+
+
+def few_constants(run: Run) -> Table:
+    """Learned constants with their unit and interval, for the first screen; truths where there are any."""
+    found = collect.constants(run)
+    true = any(one.truth is not None for one in found)
+    rows = []
+    for one in found:
+        unit = f" {one.unit}" if one.unit else ""
+        between = "-" if one.interval is None else f"{number(one.interval[0], 5)} to {number(one.interval[1], 5)}"
+        own = run.fit.constants[one.name].per_trajectory
+        if own:
+            values = [each.value for each in own.values()]
+            unit += " (mean)"
+            between = f"trajectories: {number(min(values), 3)} to {number(max(values), 3)}"
+        truth = [number(one.truth)] if true else []
+        rows.append((one.name, number(one.value, 5) + unit, between, *truth))
+    return Table(("constant", "value", "90 % interval", *(["truth"] if true else [])), tuple(rows))
 
 
 def own_constants(run: Run) -> Table:

@@ -1,0 +1,174 @@
+"""The verdict on a run in words: what is good, what to doubt, what to do."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gbspec.report import collect
+from gbspec.report.content import LearnedConstant, LearnedFunction
+from gbspec.report.text import number, profile_verdicts
+
+if TYPE_CHECKING:
+    from gbspec.analysis import Validation
+    from gbspec.runs import Run
+
+FOLLOWED, LOST = 0.9, 0.5
+"""R² of whole solutions from which a channel counts as followed, and below which the fit is not to be relied on."""
+CERTAIN, VAGUE = 0.1, 0.5
+"""Half a 90 % interval, relative to the value, up to which a constant is certain, and from which it is hardly known."""
+FUNCTION_CERTAIN, FUNCTION_VAGUE = 0.1, 0.3
+"""Half a function's 90 % band, or the spread of its members, relative to its range over the data."""
+ADVICE = re.compile(
+    r"(?:; |[.] |: )(?=(?:Train|train|widen|fix|do not|give|use|check|`--resume`|`--members|it is |what may))"
+)
+"""Where the advice of a warning begins."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A sentence about the whole, and what supports it; texts may contain names between backticks."""
+
+    headline: str
+    good: tuple[str, ...]
+    doubt: tuple[str, ...]
+    do: tuple[str, ...]
+
+
+def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *, with_data: bool) -> Verdict:
+    """The verdict on a run; `with_data` is false where its table was not found, so that nothing could be compared."""
+    good: list[str] = []
+    doubt: list[str] = []
+    do: list[str] = []
+    if not with_data:
+        doubt.append("The table that it was trained on was not found, so that nothing is compared with data here.")
+        do.append("Give the table's path: `gbspec report RUN --data DATA`.")
+    _channels(run, found, good, doubt)
+    shared = [one for one in collect.constants(run) if not run.fit.constants[one.name].per_trajectory]
+    _constants(shared, good, doubt)
+    for function in functions:
+        _function(function, good, doubt)
+    check = found.step_check
+    if check.half_step is not None and check.adaptive is not None and not check.warning:
+        off = number(100 * max(check.half_step, check.adaptive), 2)
+        good.append(f"Smaller steps change the solutions by at most {off} % of the states' ranges.")
+    warnings = [*found.warnings_after(run.fit.warnings), *profile_verdicts(run)]
+    for warning in warnings:
+        if len(run.numbers) == 1:
+            warning = re.sub(r"^member \d+: ", "", warning)
+        what, *advice = ADVICE.split(warning, maxsplit=1)
+        doubt.append(_sentence(what))
+        do += map(_sentence, advice)
+    _missing(run, doubt, do)
+    return Verdict(_headline(found, warnings, with_data), *(tuple(dict.fromkeys(each)) for each in (good, doubt, do)))
+
+
+def _headline(found: Validation, warnings: Sequence[str], with_data: bool) -> str:
+    worst = min((one.r2 for one in found.channels.values()), default=1.0)
+    worse = any("whole solutions follow" in warning for warning in warnings)
+    if not with_data:
+        return "Without its data, this fit cannot be judged."
+    if worse or found.empty or not worst >= LOST:
+        return "Do not rely on this fit: its solutions do not follow the data."
+    if worst < FOLLOWED:
+        return "It follows the data in part."
+    return "It follows the data, with reservations." if warnings else "It follows the data."
+
+
+def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) -> None:
+    """Whole solutions against the data, beside the best predictor that knows no model."""
+    members = [member.channels or {} for member in run.fit.members]
+    for name, errors in found.channels.items():
+        known = [member[name] for member in members if name in member]
+        naive = [one.naive for one in known if one.naive is not None]
+        beside = (
+            f"; without a model, {known[0].predictor or 'the best predictor'} reaches {naive[0]:.3g}" if naive else ""
+        )
+        measured = f"R² {_share(errors.r2)} over {errors.n} values{beside}"
+        if errors.r2 >= FOLLOWED:
+            good.append(f"Whole solutions follow `{name}`: {measured}.")
+        else:
+            doubt.append(f"Whole solutions follow `{name}` {'in part' if errors.r2 >= LOST else 'badly'}: {measured}.")
+        held = [one.held for one in known if one.held is not None]
+        if held:
+            text = f"On data that the fit did not see, `{name}` has R² {_share(min(held))}."
+            (good if min(held) >= FOLLOWED else doubt).append(text)
+
+
+def _share(r2: float) -> str:
+    """An R²: close to one, with as many nines as it has."""
+    if not np.isfinite(r2):
+        return "not finite"
+    return f"{r2:.6f}".rstrip("0").rstrip(".") if 0.999 <= r2 < 0.9999995 else f"{r2:.3g}"
+
+
+def _constants(constants: Sequence[LearnedConstant], good: list[str], doubt: list[str]) -> None:
+    """How certain the constants are."""
+    certain, unknown = [], []
+    for one in constants:
+        if one.interval is None:
+            unknown.append(f"`{one.name}`")
+            continue
+        half = 0.5 * (one.interval[1] - one.interval[0])
+        if half <= CERTAIN * abs(one.value):
+            certain.append(f"`{one.name}` ±{100 * half / abs(one.value):.2g} %" if one.value else f"`{one.name}`")
+        elif half >= VAGUE * abs(one.value):
+            ends = f"{number(one.interval[0], 3)} to {number(one.interval[1], 3)}"
+            doubt.append(f"The data hardly determine `{one.name}`: its 90 % interval is {ends}.")
+    if certain:
+        good.append(f"Constants with narrow 90 % intervals: {', '.join(certain)}.")
+    if unknown:
+        doubt.append(f"No interval is known for {', '.join(unknown)}.")
+
+
+def _function(function: LearnedFunction, good: list[str], doubt: list[str]) -> None:
+    """How certain a learned function is where there are data."""
+    if not function.slices:
+        return
+    piece = function.slices[0]
+    mean = piece.members.mean(axis=0)
+    near = np.ones(len(piece.x), dtype=bool) if piece.far is None else ~piece.far
+    span = float(np.ptp(mean[near])) if near.any() else 0.0
+    if span <= 0:
+        return
+    where = f"`{function.name}` over `{piece.argument}`"
+    if len(piece.members) > 1:
+        spread = float(np.median(np.ptp(piece.members[:, near], axis=0))) / span
+        if spread > FUNCTION_VAGUE:
+            doubt.append(f"The members disagree about {where}: by {100 * spread:.0f} % of its range (median).")
+    if piece.band is None:
+        doubt.append(f"No band is known for {where}.")
+        return
+    half = float(np.median(0.5 * (piece.band[1] - piece.band[0])[near])) / span
+    text = f"{where}: the 90 % band is ±{100 * half:.2g} % of its range (median)."
+    if half <= FUNCTION_CERTAIN:
+        good.append(f"The data determine {text}")
+    elif half >= FUNCTION_VAGUE:
+        doubt.append(f"The data hardly determine {text}")
+    if piece.far is not None and piece.far.any():
+        doubt.append(f"{where} is extrapolated where the background is grey.")
+
+
+def _missing(run: Run, doubt: list[str], do: list[str]) -> None:
+    """What was not tried."""
+    record = run.fit
+    if not record.finished:
+        doubt.append("Training was interrupted.")
+        do.append("Continue it: the same `gbspec train` command with `--resume`.")
+    if run.model.unknowns and len(run.numbers) < 2:
+        doubt.append("A single member does not show how far the functions depend on the random start.")
+        do.append("Train several: `--members 5`.")
+    held = any(one.held is not None for member in record.members for one in (member.channels or {}).values())
+    if record.data.trajectories > 1 and not held:
+        doubt.append("All errors are of data that it was fitted to.")
+        do.append("Hold trajectories out: `--holdout 0.2`, or `gbspec crossvalidate`.")
+
+
+def _sentence(text: str) -> str:
+    """A text with a capital letter and a full stop."""
+    text = text.strip()
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")

@@ -1,0 +1,94 @@
+"""The verdict in words: what is good, what to doubt, what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gbspec.analysis.validation.metrics import ChannelErrors
+from gbspec.analysis.validation.step_check import StepCheck
+from gbspec.analysis.validation.validate import Validation
+from gbspec.report.content import LearnedFunction, Slice
+from gbspec.report.verdict import verdict
+from gbspec.runs.record import ChannelRecord, ConstantRecord, DataRecord, FitRecord, MemberRecord
+
+X = np.linspace(0.0, 1.0, 20)
+BOUND = "member 0: `a5` ended at its bound 0.001; widen the bounds if values beyond it are plausible"
+STEP = (
+    "member 0: the learned right-hand side depends on its training step of 0.2: solutions with half the step differ. "
+    "Train with a smaller `--max-step` before computing eigenvalues or bifurcations"
+)
+
+
+def run(*warnings: str, held: float | None = 0.99, interval: tuple[float, float] | None = (0.98, 1.02)) -> Any:
+    channels = {"x": ChannelRecord(0.99, 0.4, "the mean", held)}
+    constants = {"k": ConstantRecord(1.0, None, interval, 0.5, (1.0,))}
+    members = (MemberRecord(0, 1.0, {}, 0.0, (), channels=channels),)
+    fit = FitRecord("0", "m", DataRecord("", "", 3, 9, 9), {}, {}, constants, {}, members, warnings)
+    nothing = SimpleNamespace(truth_constants=(), unknowns=(), states=(), conditions=(), inputs=(), constants=(),
+                              learnables=(), channels=(), time=SimpleNamespace(name="t", unit=None))  # fmt: skip
+    return SimpleNamespace(fit=fit, model=nothing, numbers=(0,), path=Path("run"))
+
+
+def found(r2: float = 0.99) -> Validation:
+    return Validation("mean", {"x": ChannelErrors(9, 0.1, 0.1, 0.1, r2)}, (), StepCheck(1e-6, 1e-6, 0.1))
+
+
+def function(*, half: float, far: bool = False) -> LearnedFunction:
+    band = np.stack([X - half, X + half])
+    piece = Slice("x", X, X[None], None, "", band=band, far=(X > 0.8) if far else np.zeros(20, dtype=bool))
+    return LearnedFunction("f", ("x",), X[:, None], X[None], None, (piece,))
+
+
+def test_a_good_fit_is_called_good() -> None:
+    said = verdict(run(), found(), (function(half=0.02),), with_data=True)
+    assert said.headline == "It follows the data."
+    assert (said.doubt, said.do) == ((), ())
+    good = " ".join(said.good)
+    assert "Whole solutions follow `x`: R² 0.99 over 9 values; without a model, the mean reaches 0.4." in said.good
+    for part in ("`k` ±2 %", "did not see", "`f` over `x`: the 90 % band is ±2 %", "Smaller steps"):
+        assert part in good
+
+
+@pytest.mark.parametrize(
+    ("r2", "headline"),
+    [(0.7, "in part"), (0.2, "Do not rely"), (-3.0, "Do not rely"), (float("nan"), "Do not rely")],
+)
+def test_a_bad_fit_is_called_bad(r2: float, headline: str) -> None:
+    said = verdict(run(), found(r2), (), with_data=True)
+    assert headline in said.headline
+    assert any("`x`" in text for text in said.doubt)
+
+
+def test_warnings_are_told_with_what_they_advise() -> None:
+    said = verdict(run(BOUND, STEP), found(), (), with_data=True)
+    assert said.headline == "It follows the data, with reservations."
+    assert "`a5` ended at its bound 0.001." in said.doubt
+    assert "Widen the bounds if values beyond it are plausible." in said.do
+    assert said.do[1].startswith("Train with a smaller `--max-step`")
+
+
+def test_no_warning_is_lost() -> None:
+    """Whatever its words: one without advice stands as it is."""
+    odd = "something: nobody foresaw; it has no remedy"
+    assert verdict(run(odd), found(), (), with_data=True).doubt == ("Something: nobody foresaw; it has no remedy.",)
+
+
+def test_what_is_uncertain_or_untried_is_doubted() -> None:
+    said = verdict(run(held=None, interval=(0.1, 1.9)), found(), (function(half=0.4, far=True),), with_data=True)
+    doubt = " ".join(said.doubt)
+    for part in ("hardly determine `k`", "hardly determine `f` over `x`", "extrapolated", "fitted to"):
+        assert part in doubt
+    assert any("--holdout" in text for text in said.do)
+    assert any("No interval is known for `k`" in text for text in verdict(run(interval=None), found(), (),
+                                                                          with_data=True).doubt)  # fmt: skip
+
+
+def test_without_data_nothing_is_judged() -> None:
+    said = verdict(run(), Validation("mean", {}, (), StepCheck(None, None, 0.1)), (), with_data=False)
+    assert said.headline.startswith("Without its data")
+    assert any("was not found" in text for text in said.doubt)
