@@ -53,6 +53,7 @@ def run_page(path: Path) -> None:
         if table.name in text:
             shutil.copy(table, table.name)
     names: dict[str, Any] = {"__name__": "__main__"}
+    sys.path.insert(0, "")  # modules that a page compiles
     for block in blocks(text):
         if block.file:
             Path(block.file).write_text(block.text, encoding="utf-8")
