@@ -1,8 +1,8 @@
 """Sphinx reads the Markdown of this folder; `make docs` builds the site into build/site, warnings being errors.
 
-Why Sphinx with myst-nb: a reference to a page, a heading or a picture that is not there is an error, the Python reference
-comes from the docstrings, notebooks are pages, and neither the theme nor the search loads anything from the network, so
-that the built folder works as it is, from a disk too.
+Why Sphinx with myst-nb: a reference to a page, a heading or a picture that is not there is an error, the Python
+reference comes from the docstrings, notebooks are pages, and neither the theme nor the search loads anything from the
+network, so that the built folder works as it is, from a disk too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gbspec.version import __version__  # noqa: E402
 
 project = "gbspec"
 author = "the gbspec authors"
-copyright = "the gbspec authors"  # noqa: A001 - Sphinx's name
+copyright = "the gbspec authors"
 release = version = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc"]

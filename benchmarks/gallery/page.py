@@ -12,19 +12,22 @@ ROOT = Path(__file__).resolve().parents[2]
 
 HEAD = """# Gallery
 
-Each case was executed as printed, in an empty folder, by `python -m benchmarks.gallery`; the numbers are those that were measured. Models that are
-named without `.gb` are bundled: `gbspec new my_copy --from NAME` copies one to read and to change. Most fits use `--effort low`, which takes a part of the time
-of the default. Processor time is that of all commands of a case on {machine}; R² is that of whole solutions on the data of the fit, and the error of a function
-the L2 difference from the truth that made the data, divided by the function's range.
+Each case was executed as printed, in an empty folder, by `python -m benchmarks.gallery`; the numbers are those that
+were measured. Models that are named without `.gb` are bundled: `gbspec new my_copy --from NAME` copies one to read and
+to change. Most fits use `--effort low`, which takes a part of the time of the default. Processor time is that of all
+commands of a case on {machine}. R² is that of whole solutions on the
+data of the fit; the error of a function is its L2 difference from the truth that made the data, divided by the range of
+the function.
 
-Cases on published tables need a file that is not part of gbspec: [data_sources.md](data_sources.md) says who measured it, where to get it, and what is known of its terms.
+Cases on published tables need a file that is not part of gbspec: [data_sources.md](data_sources.md) says who measured
+it, where to get it, and what is known of its terms.
 """
 MACHINE = "two cores of an AMD EPYC, which other work shared"
 
 
 @dataclass(frozen=True)
 class Case:
-    """A case: `model` is a bundled one; `file` and `source` are a model that the reader saves; `table` a published one."""
+    """A case: `model` is a bundled one, `file` and `source` one that the reader saves; `table` is a published one."""
 
     title: str
     text: str

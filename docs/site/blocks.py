@@ -3,8 +3,9 @@
     python docs/site/blocks.py [PAGE...]
 
 A page is run in an empty folder of its own, with the tables of the tutorial that it names. `gb file=NAME` blocks are
-written to that file, `sh` blocks run in a shell that stops at the first failure, `python` blocks in one interpreter for the
-page. A block after `<!-- not run: REASON -->` is left out. Exits with 1 if a block fails, after all pages were tried.
+written to that file, `sh` blocks run in a shell that stops at the first failure, `python` blocks in one interpreter for
+the page. A block after `<!-- not run: REASON -->` is left out. Exits with 1 if a block fails, when all pages were
+tried.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 DOCS = Path(__file__).resolve().parents[1]
-BLOCK = re.compile(r"^(<!-- not run: [^\n]*-->\n\n?)?```(\w+)(?: file=(\S+))?\n(.*?)^```$", re.S | re.M)
+BLOCK = re.compile(r"^(<!-- not run: [^\n]*-->\n\n?)?( *)```(\w+)(?: file=(\S+))?\n(.*?)^\2```$", re.S | re.M)
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,8 @@ def pages() -> list[Path]:
 
 def blocks(text: str) -> Iterator[Block]:
     """The blocks of a page, in order."""
-    for comment, language, file, body in BLOCK.findall(text):
-        yield Block(language, file, body, not comment)
+    for comment, _, language, file, body in BLOCK.findall(text):
+        yield Block(language, file, textwrap.dedent(body), not comment)
 
 
 def run_page(path: Path) -> None:

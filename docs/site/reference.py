@@ -45,9 +45,10 @@ def commands() -> str:
     """Every command as its `--help` has it."""
     parts = [
         "# Commands\n",
-        "This page is made from the help of the commands, which `gbspec COMMAND --help` shows. Every command has `--quiet` (say nothing but"
-        " results and errors) and `--json` (one JSON document on standard output). The exit status is 0 (done), 1 (the input is wrong),"
-        " 2 (wrong usage), 3 (the computation failed), 70 (a defect of gbspec) or 130 (interrupted).\n",
+        "This page is made from the help of the commands, which `gbspec COMMAND --help` shows. Every command has"
+        " `--quiet` (say nothing but results and errors) and `--json` (one JSON document on standard output). The exit"
+        " status is 0 (done), 1 (the input is wrong), 2 (wrong usage), 3 (the computation failed), 70 (a defect of"
+        " gbspec) or 130 (interrupted).\n",
     ]
     group = typer.main.get_command(build())
     assert isinstance(group, click.Group) or hasattr(group, "commands")
@@ -86,7 +87,17 @@ def row(one: Any) -> str:
     elif getattr(one, "show_default", False) and one.default not in (None, False, (), [], ""):
         value = " ".join(map(str, one.default)) if isinstance(one.default, list | tuple) else one.default
         notes.append(f"Default: `{value}`.")
-    return f"| {spelled.replace('|', chr(92) + '|')} | {' '.join(notes).replace('|', chr(92) + '|')} |"
+    return f"| {barred(spelled)} | {barred(' '.join(notes))} |"
+
+
+def cell(text: str) -> str:
+    """Help text in a table."""
+    return barred(prose(text))
+
+
+def barred(text: str) -> str:
+    """Text whose bars do not end a cell."""
+    return text.replace("|", chr(92) + "|")
 
 
 def prose(text: str) -> str:
@@ -103,8 +114,8 @@ def diagnostics() -> str:
         found.setdefault(entry.topic, []).append(entry)
     parts = [
         "# Codes of diagnostics\n",
-        "Every message of gbspec has a code. This page is made from the catalogue, which `gbspec explain CODE` shows. A warning can be"
-        " [allowed](../language.md#allow) by its code.\n",
+        "Every message of gbspec has a code. This page is made from the catalogue, which `gbspec explain CODE` shows. A"
+        " warning can be [allowed](../language.md#allow) by its code.\n",
     ]
     for topic in sorted(found, key=lambda topic: list(TOPICS).index(topic) if topic in TOPICS else len(TOPICS)):
         parts.append(f"## {TOPICS.get(topic, topic.capitalize())}\n")
@@ -120,8 +131,8 @@ def python() -> str:
     """The public names with their docstrings, as Sphinx's autodoc reads them."""
     parts = [
         "# Python interface\n",
-        "This page is made from the docstrings of the package. The names are those of `gbspec.__all__`; the methods are named like the"
-        " [commands](commands.md). [From Python](../howto/python.md) has examples.\n",
+        "This page is made from the docstrings of the package. The names are those of `gbspec.__all__`; the methods are"
+        " named like the [commands](commands.md). [From Python](../howto/python.md) has examples.\n",
         "## Functions\n",
     ]
     names = [name for name in gbspec.__all__ if not name.startswith("__")]
@@ -138,8 +149,7 @@ def python() -> str:
 def fields(options: type) -> str:
     """The fields of a dataclass of options: name, default, meaning."""
     rows = [
-        f"| `{one.name}` | `{default(one)!r}` | {prose(str(one.metadata.get('help') or '')).replace('|', chr(92) + '|')} |"
-        for one in flagged(options)
+        f"| `{one.name}` | `{default(one)!r}` | {cell(one.metadata.get('help') or '')} |" for one in flagged(options)
     ]
     said = (inspect.getdoc(options) or "").partition("\n\n")[0]
     return "\n".join(
