@@ -1,4 +1,4 @@
-"""The arguments with which a model calls its networks: at single points, for arrays of states, at points of contracts."""
+"""The arguments with which a model calls its networks: at points, for arrays of states, at points of contracts."""
 
 from __future__ import annotations
 
