@@ -80,7 +80,7 @@ def numbers(found: Mapping[str, Any]) -> list[str]:
     rows = [
         ("measured values", f"{found['values']} in {plural(found['trajectories'], 'trajectory', 'trajectories')}"),
         ("processor time", f"{found['cpu']:.0f} s"),
-        ("R²", ", ".join(f"{value:.4f} ({name})" for name, value in limited(found["r2"]))),
+        ("R²", fits(found["r2"])),
     ]
     if "squares" in found:
         rows.append(("sum of squares", f"{found['squares']:.5g}"))
@@ -94,9 +94,11 @@ def plural(number: int, one: str, several: str) -> str:
     return f"{number} {one if number == 1 else several}"
 
 
-def limited(values: Mapping[str, float]) -> list[tuple[str, float]]:
-    """All values, or the smallest of many."""
-    return list(values.items()) if len(values) <= 6 else sorted(values.items(), key=lambda item: item[1])[:1]
+def fits(values: Mapping[str, float]) -> str:
+    """R² of each channel, or the smallest of many."""
+    if len(values) > 6:
+        return f"{min(values.values()):.4f} or more ({len(values)} channels)"
+    return ", ".join(f"{value:.4f} ({name})" for name, value in values.items())
 
 
 def constant(one: Mapping[str, Any], error: float | None) -> str:
