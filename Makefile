@@ -57,7 +57,7 @@ docs: $(STAMP)
 	$(BIN)/python -m sphinx -W --keep-going -E -q -b html docs build/site
 	$(BIN)/python docs/site/offline.py build/site
 
-# Every code block of the tutorial and the how-to pages, executed: about ten minutes on one core.
+# Every code block of the tutorial and the how-to pages, executed: real fits, so some minutes.
 docs-run: $(STAMP)
 	$(BIN)/python docs/site/blocks.py $(PAGES)
 
