@@ -9,7 +9,7 @@ TORCH_INDEX ?=
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint format environment benchmarks notebook clean
+.PHONY: demo test lint format environment benchmarks notebook docs docs-run clean
 
 demo: $(STAMP)
 	$(BIN)/gbspec demo
@@ -50,6 +50,16 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PIP) install --quiet -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) $(TORCH)
 	$(PIP) install --quiet -c constraints.txt -e '.[dev]'
 	@touch $(STAMP)
+
+# The documentation site in build/site; a warning is an error, and so is anything that a page would load from the network.
+docs: $(STAMP)
+	$(PIP) install --quiet -c constraints.txt -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -E -q -b html docs build/site
+	$(BIN)/python docs/site/offline.py build/site
+
+# Every code block of the tutorial and the how-to pages, executed: real fits, so some minutes.
+docs-run: $(STAMP)
+	$(BIN)/python docs/site/blocks.py $(PAGES)
 
 # The example notebook, executed again: a few minutes.
 notebook: $(STAMP)

@@ -18,7 +18,7 @@ class _Recorded:
         self.calls: list[Array] = []
 
     def __call__(self, *arguments: Array | float) -> tuple[Array, ...]:
-        self.calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1).reshape(-1, len(arguments)))
+        self.calls.append(np.stack(np.broadcast_arrays(*arguments), axis=-1))
         found: tuple[Array, ...] = self.network(*arguments)
         return found
 
@@ -30,10 +30,18 @@ def network_arguments(
     member: GeneratedModule, t: Array, states: Array, condition: Array, inputs: Array, constants: Array
 ) -> list[list[Array]]:
     """For each network the arguments [R, n_arguments] of each of its calls at R points: times [R], states [R, n],
-    conditions, inputs [R, m] and constants [R, k]. Calls at a point of a contract (`zero at`) are left out."""
+    conditions, inputs [R, m] and constants [R, k]. A call for a whole array of states counts as one for each element;
+    calls at a point of a contract (`zero at`) are left out."""
     networks = [_Recorded(network) for network in member.numpy_networks()]
     own: Sequence[Array] = tuple(np.asarray(constants, dtype=np.float64).T)
     with np.errstate(all="ignore"):
         for method in (member.equations.rhs, member.equations.observe):
             method(member.arithmetic("numpy"), t, states, condition, inputs, own, tuple(networks))
-    return [[call for call in network.calls if len(call) == len(states)] for network in networks]
+    return [[one for call in network.calls for one in _at_points(call, len(states))] for network in networks]
+
+
+def _at_points(call: Array, count: int) -> Sequence[Array]:
+    """The arguments [R, n_arguments] of a call at R points, one for each element of an array; none of another call."""
+    if call.ndim < 2 or len(call) != count:
+        return ()
+    return tuple(np.moveaxis(call.reshape(count, -1, call.shape[-1]), 1, 0))

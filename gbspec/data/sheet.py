@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Mask
 from gbspec.data.names import cell_name
+from gbspec.data.published import where_to_get
 from gbspec.diagnostics import Cell, Findings
 from gbspec.files import read_bytes
 
@@ -75,7 +76,8 @@ def read_sheet(path: str | Path, findings: Findings) -> Sheet | None:
         data = read_bytes(path)
     except OSError as error:
         reason = "there is no such file" if isinstance(error, FileNotFoundError) else (error.strerror or str(error))
-        findings.error("GB701", f"cannot read the table `{path}`: {reason}", Cell(str(path)))
+        advice = where_to_get(path) if isinstance(error, FileNotFoundError) else ""
+        findings.error("GB701", f"cannot read the table `{path}`: {reason}", Cell(str(path)), help=advice)
         return None
     sha256 = hashlib.sha256(data).hexdigest()
     if suffix in PARQUET:
