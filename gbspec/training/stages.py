@@ -48,7 +48,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.TEACHER: (6, 60, 200),
     StageName.HALF_STEP: (0, 30, 100),
     StageName.BLEND: (4, 4, 10),
-    StageName.AUTOREGRESSIVE: (8, 30, 100),
+    StageName.AUTOREGRESSIVE: (8, 100, 200),
     StageName.AS_ASKED: (8, 14, 60),
     StageName.LEAST_SQUARES: (100, 200, 500),
     StageName.LEAST_SQUARES_STARTS: (100, 200, 500),

@@ -263,8 +263,7 @@ class _Planner:
         return min(limit, 4) if self.context.smooth else limit
 
     def _whole_limit(self) -> int:
-        """The limit of whole solutions: with few data the ridge matters and converges slowly, and an iteration is
-        cheap."""
+        """The limit of whole solutions, which most fits do not reach."""
         return WITH_FEW_DATA[self.effort] if self.values < FEW else self._most(StageName.AUTOREGRESSIVE)
 
     def _both_fits(self, reached: Reached) -> bool:
