@@ -16,8 +16,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import polars as pl
-
 from gbspec.data import Trajectories, fingerprint, for_spreadsheets
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 from gbspec.files import clear, finite, write_text
@@ -28,6 +26,8 @@ from gbspec.studies.folds import Fold, Over, folds, way
 from gbspec.studies.heldout import Errors, Point, errors, held_out
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gbspec.ir import Model
     from gbspec.training import Progress, TrainOptions
 

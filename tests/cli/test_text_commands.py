@@ -267,7 +267,7 @@ def test_compile_writes_a_module_that_imports_without_gbspec(gbspec: Run, decay:
 
 def test_compile_with_another_solver(gbspec: Run, decay: Path) -> None:
     assert gbspec("compile", decay, "--solver", "dopri5", "-o", "decay.py").exit_code == 0
-    assert 'solver = "dopri5"' in Path("decay.py").read_text()
+    assert 'solver: ClassVar[str] = "dopri5"' in Path("decay.py").read_text()
     result = gbspec("compile", decay, "--solver", "dopri6", "-o", "other.py")
     assert result.exit_code == 2
     assert "GB850" in result.stderr and "`rk4`, `rk38`, `dopri5`" in result.stderr

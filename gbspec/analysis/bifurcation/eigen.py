@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
 from gbspec.analysis.systems import System, ordered_eigenvalues, ordered_modes, state_at, steady_states
 from gbspec.arrays import Array, ComplexArray
@@ -15,6 +14,8 @@ from gbspec.diagnostics import Findings
 from gbspec.frames import Tabled, of_rows
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gbspec.analysis.prediction import Prediction
     from gbspec.data import Trajectories
 

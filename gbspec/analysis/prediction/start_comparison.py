@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
 from gbspec.analysis.prediction.estimate import Estimator
 from gbspec.analysis.prediction.solutions import learned_positions, learned_start, needed
@@ -24,6 +23,8 @@ from gbspec.diagnostics import Findings
 from gbspec.frames import Shown, of_rows
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gbspec.backends import Evaluator
     from gbspec.data import Trajectories
     from gbspec.ir import Model

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import polars as pl
 
 from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction, predictions
 from gbspec.analysis.systems import extrapolation_of
@@ -22,6 +21,8 @@ from gbspec.frames import Tabled, of_rows
 from gbspec.runs import encode
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gbspec.analysis.systems import Extrapolation
     from gbspec.backends import Evaluator
     from gbspec.data import Case, MetricsOptions, SimulateOptions, Trajectories
