@@ -65,6 +65,8 @@ def test_the_workflows_are_readable_and_publish_only_tags() -> None:
     assert {"ci", "docs", "release"} <= set(flows)
     publish = flows["release"]["jobs"]["publish"]
     assert publish["if"] == "github.ref_type == 'tag'" and publish["permissions"]["id-token"] == "write"
+    steps = [step.get("run", "") for step in flows["release"]["jobs"]["test"]["steps"]]
+    assert any("gbspec train" in step for step in steps) and any(".whl)[train]" in step for step in steps)
     assert "password" not in str(publish) and "secrets" not in str(flows["release"])
 
 
