@@ -65,7 +65,8 @@ def _series(column: Any) -> pl.Series:
         values = values.reshape(len(values), -1)[:, 0] if values.ndim and values.size == len(values) else values.ravel()
     if values.dtype.kind in "fiub" or values.dtype.kind == "M":
         return pl.Series(values.astype(np.float64) if values.dtype.kind == "f" else values)
-    cells = [None if cell is None or cell != cell or str(cell) == "<NA>" else cell for cell in values.tolist()]
+    # pandas.NA first: a comparison with it has no truth value
+    cells = [None if cell is None or str(cell) == "<NA>" or cell != cell else cell for cell in values.tolist()]
     if all(cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool)) for cell in cells):
         return pl.Series([None if cell is None else float(cell) for cell in cells], dtype=pl.Float64)
     return pl.Series([None if cell is None else str(cell) for cell in cells], dtype=pl.String)

@@ -148,6 +148,31 @@ class MemberRecord:
         return Estimated(np.array(noise), np.array(share))
 
 
+def comparable_losses(members: Sequence[MemberRecord]) -> list[float | None]:
+    """The losses of members; if they weigh their channels differently, those with the geometric mean of the weights."""
+    losses = [member.loss for member in members]
+    weighed = [
+        {name: one.weight for name, one in (member.channels or {}).items() if one.values and one.weight}
+        for member in members
+        if member.loss is not None
+    ]
+    if (
+        not weighed
+        or any(one.keys() != weighed[0].keys() for one in weighed)
+        or all(one == weighed[0] for one in weighed)
+    ):
+        return losses
+    common = {name: float(np.exp(np.mean([np.log(one[name]) for one in weighed]))) for name in weighed[0]}
+    return [None if member.loss is None else _loss(member.channels or {}, common) for member in members]
+
+
+def _loss(channels: Mapping[str, ChannelRecord], weights: Mapping[str, float]) -> float:
+    """Half the mean weighted squared error, in units of the variances of the data, of the channels that have one."""
+    found = [(one.values, weights[name] * (1 - one.r2)) for name, one in channels.items()
+             if name in weights and one.values and one.r2 is not None]  # fmt: skip
+    return 0.5 * sum(count * error for count, error in found) / max(sum(count for count, _ in found), 1)
+
+
 @dataclass(frozen=True)
 class StepRecord:
     """Check of a member's step: largest differences relative to the states' ranges (None: no check, or not finite)."""

@@ -17,7 +17,7 @@ from gbspec.ir import METHODS, Method, Model
 from gbspec.runs import files, seals
 from gbspec.runs.covariance import Certainties, read_certainties
 from gbspec.runs.profiles import ProfileRecord, read_profile
-from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, MemberRecord, read_record
+from gbspec.runs.record import DAMAGED, ConstantRecord, FitRecord, MemberRecord, comparable_losses, read_record
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,9 @@ class Run:
 
     @property
     def best(self) -> int:
-        """The number of the member with the smallest loss."""
-        entries = zip(self.numbers, self.fit.members, strict=False)
-        losses = {n: m.loss for n, m in entries if m.loss is not None}
+        """The number of the member with the smallest loss, with the same weights of the channels for all of them."""
+        entries = zip(self.numbers, comparable_losses(self.fit.members), strict=False)
+        losses = {number: loss for number, loss in entries if loss is not None}
         return min(losses, key=lambda n: losses[n]) if losses else self.numbers[0]
 
     def mean(self, predict: Callable[[GeneratedModule], Array]) -> Array:
@@ -122,10 +122,9 @@ class Run:
         """The standard deviation over members of the result of `predict` (zero for a single member)."""
         return np.asarray(np.std([predict(member) for member in self.members], axis=0), dtype=np.float64)
 
-    @property
-    def max_step(self) -> float | None:
-        """The largest step of the solver in training."""
-        value = self.member(self.numbers[0]).info.get("max_step")
+    def step(self, number: int) -> float | None:
+        """The largest step of the solver in the last fit of a member."""
+        value = self.member(number).info.get("max_step")
         return float(value) if isinstance(value, int | float) else None
 
     def history(self) -> list[dict[str, str]]:

@@ -100,7 +100,7 @@ def _fitted(task: Task, place: Place, threads: int, resumed: bool, began: tuple[
         loss=member.loss,
         stages=member.stages,
         constants={name: entry.value for name, entry in run.fit.constants.items()},
-        max_step=run.max_step,
+        max_step=run.step(run.numbers[0]),
         errors=errors_of(found),
         nrmse={name: errors.nrmse for name, errors in found.channels.items()},
         unsolved=tuple(found.failed),

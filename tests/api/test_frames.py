@@ -79,6 +79,26 @@ FORMS: dict[str, Callable[[pl.DataFrame], object]] = {
 }
 
 
+class Missing:
+    """pandas.NA: what it is compared with is missing too, and has no truth value."""
+
+    def __ne__(self, other: object) -> Missing:  # type: ignore[override]
+        return self
+
+    def __bool__(self) -> bool:
+        raise TypeError("boolean value of NA is ambiguous")
+
+    def __repr__(self) -> str:
+        return "<NA>"
+
+
+def test_missing_values_of_pandas_are_empty_cells() -> None:
+    from gbspec.data import frame_columns
+
+    columns = frame_columns({"x": np.array([1.5, Missing(), None, float("nan"), 2], dtype=object)})
+    np.testing.assert_array_equal(columns["x"], [1.5, np.nan, np.nan, np.nan, 2.0])
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_a_table_in_memory_gives_the_same_trajectories(
     model: gbspec.Specification, data: Trajectories, form: str, tmp_path: Path

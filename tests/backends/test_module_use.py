@@ -18,6 +18,7 @@ import gbspec
 from gbspec.backends.module import generate, load_module
 from gbspec.ir.model import Model
 from tests.backends.examples import clinic, reactor
+from tests.training.conftest import model_of
 
 
 def test_modules_pass_mypy_strict(tmp_path: Path) -> None:
@@ -41,6 +42,11 @@ def test_states_and_conditions_are_given_by_name() -> None:
     wanted = model.rhs(0.0, [0.3, 1.2], [0.3])
     assert torch.equal(model.rhs(0.0, {"x1": 0.3, "x2": 1.2}, {"Da": 0.3}), wanted)
     assert torch.equal(model.rhs(0.0, model.state(x1=0.3, x2=1.2), model.condition(Da=0.3)), wanted)
+
+
+def test_a_component_may_have_any_name() -> None:
+    model = load_module(model_of("model m\nstate values\nstate cls\nvalues' = -cls\ncls' = values\nobserve values\n"))
+    assert model.state(values=0.3, cls=1.2).tolist() == [0.3, 1.2]
 
 
 def test_an_input_that_is_left_out_has_its_default() -> None:

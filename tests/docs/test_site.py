@@ -119,7 +119,7 @@ def test_the_generated_pages_have_every_command_and_code(monkeypatch: pytest.Mon
     assert [code for code in all_codes() if f"\n### {code}\n" not in made["diagnostics.md"]] == []
     assert (
         "`--effort` `low" in made["commands.md"].replace("\\|", "|")
-        and "autoclass:: gbspec.api.FittedRun" in made["python.md"]
+        and "autoclass:: gbspec.fitted.FittedRun" in made["python.md"]
     )
 
 

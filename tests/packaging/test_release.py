@@ -44,7 +44,8 @@ def test_the_changes_of_a_version_are_its_section(
 
 def test_the_conda_recipe_has_the_requirements() -> None:
     recipe = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
-    wanted = {re.sub(r"([<>=])", r" \1", one, count=1) for one in PROJECT["dependencies"]}
+    needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["train"]]  # conda's packages have no extras
+    wanted = {re.sub(r"([<>=])", r" \1", one, count=1) for one in needed}
     wanted = {" ".join([CONDA_NAMES.get(name, name), rest]) for name, rest in (one.split(" ", 1) for one in wanted)}
     assert set(recipe["requirements"]["run"]) == wanted | {f"python {PROJECT['requires-python']}"}
     assert recipe["build"]["python"]["entry_points"] == [f"gbspec = {PROJECT['scripts']['gbspec']}"]
@@ -65,6 +66,8 @@ def test_the_workflows_are_readable_and_publish_only_tags() -> None:
     assert {"ci", "docs", "release"} <= set(flows)
     publish = flows["release"]["jobs"]["publish"]
     assert publish["if"] == "github.ref_type == 'tag'" and publish["permissions"]["id-token"] == "write"
+    steps = [step.get("run", "") for step in flows["release"]["jobs"]["test"]["steps"]]
+    assert any("gbspec train" in step for step in steps) and any(".whl)[train]" in step for step in steps)
     assert "password" not in str(publish) and "secrets" not in str(flows["release"])
 
 

@@ -43,7 +43,7 @@ def test_opens_with_model_members_and_mean(made: Path) -> None:
     each = [predict(run.member(k)) for k in (0, 1)]
     assert np.allclose(run.mean(predict), np.mean(each, axis=0), rtol=1e-12)
     assert np.allclose(run.standard_deviation(predict), np.std(each, axis=0), rtol=1e-9)
-    assert run.max_step == run.member(1).info["max_step"]
+    assert run.step(1) == run.member(1).info["max_step"]
     assert len(run.history()) >= 4
 
 
@@ -57,6 +57,26 @@ def test_the_best_member_has_the_smallest_loss(run: Path, losses: tuple[float | 
         entry["loss"] = loss
     (run / "fit.json").write_text(json.dumps(fit))
     assert open_run(run).best == best
+
+
+@pytest.mark.parametrize(("r2", "best"), [(((0.9, 0.9), (0.8, 0.9)), 0), (((0.9, 0.8), (0.9, 0.9)), 1)])
+def test_members_with_other_weights_of_channels_are_compared_with_the_same(
+    run: Path, r2: tuple[tuple[float, float], ...], best: int
+) -> None:
+    """The loss of the second member is smaller because one of its channels counts less."""
+    fit = json.loads((run / "fit.json").read_text())
+    for entry, loss, found, weight in zip(fit["members"], (0.09, 0.05), r2, (1.0, 0.01), strict=True):
+        entry["loss"] = loss
+        for name, value, each in zip(("x1", "x2"), found, (weight, 1.0), strict=True):
+            entry["channels"][name] |= {"r2": value, "weight": each, "values": 100}
+    (run / "fit.json").write_text(json.dumps(fit))
+    assert open_run(run).best == best
+
+
+def test_each_member_has_the_step_of_its_own_fit(run: Path) -> None:
+    opened = open_run(run)
+    opened.member(1).info["max_step"] = 0.025
+    assert (opened.step(0), opened.step(1)) == (opened.member(0).info["max_step"], 0.025)
 
 
 def test_the_written_module_stands_alone(made: Path) -> None:

@@ -216,7 +216,7 @@ def test_a_run_solves_with_the_step_that_it_was_fitted_with_last(tmp_path: Path)
     data = model.simulate(trajectories=4, span=2, dt=0.25, keep_start=True, initial={"N": (0.5, 2)}, seed=1)
     for half_step, step in ((True, 0.1), (False, 0.2)):
         run = model.train(data, tmp_path / f"{half_step}", max_step=0.2, half_step=half_step, threads=1, workers=1).run
-        assert run.max_step == step
+        assert run.step(0) == step
         stages = [stage.name for stage in run.fit.members[0].stages]
         assert ("half step" in stages) is half_step
 

@@ -12,7 +12,8 @@ from gbspec.diagnostics import ComputationError
 from gbspec.runs import ChannelRecord
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
-from gbspec.training.runs.succession import successive
+from gbspec.training.problem import in_time, share_that_counts, succession_of
+from gbspec.training.profile.likelihood import profile_constant
 from gbspec.training.runs.verdict import successions, verdicts, widening
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
@@ -51,9 +52,20 @@ def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive
 def test_residuals_that_follow_one_another_are_told(
     correlation: float | None, pairs: int, r2: float, said: str
 ) -> None:
-    found = successions({"x": ChannelRecord(r2, 0.0, "", None, correlation, pairs)})
+    found = successions({"x": ChannelRecord(r2, 0.0, succession=correlation, pairs=pairs)})
     assert len(found) == bool(said)
     assert all(said in text and "`x`" in text for text in found)
+
+
+def test_channels_weighed_by_what_counts_are_not_widened_again() -> None:
+    weighed = ChannelRecord(0.9, 0.0, share=0.05, succession=0.9, pairs=100)
+    plain = ChannelRecord(0.9, 0.0, share=1.0, succession=0.6, pairs=1000)
+    assert widening({"x": weighed}) == 1.0
+    (said,) = successions({"x": weighed})
+    assert "weights" in said and "times as wide" not in said
+    assert widening({"x": weighed, "y": plain}) == pytest.approx(2.0)
+    (said,) = successions({"x": weighed, "y": plain})
+    assert "2 times as wide" in said
 
 
 FALL = """model fall
@@ -84,21 +96,41 @@ def test_intervals_of_disturbed_data_are_wider(tmp_path: Path) -> None:
         assert covariance is not None
         (sd,) = covariance.deviations(np.zeros((1, 0)), np.ones((1, 1)))
         assert (high - low) / 2 == pytest.approx(1.645 * sd, rel=0.25)
+        found = profile_constant(run, "k", data, points=3, iterations=20)
+        assert found.comparison.trust == "both", "the profile takes the correlation into account too"
+        assert (found.low, found.high) == pytest.approx((low, high), abs=0.1 * (high - low))
+        assert any("follow one another" in note for note in found.notes) == (number == 1)
     assert widths[1] > 2 * widths[0]
 
 
 def test_successive_residuals_are_those_of_one_trajectory() -> None:
     problem, _, _ = problem_of(model_of(URP), urp_data(3, 2.0, 6), 0.2)
-    packed, rng = problem.packed, np.random.default_rng(0)
-    rows = len(packed.row_trajectory)
-    white = rng.standard_normal((rows, 2))
-    found, pairs = successive(white, problem, 0)
+    rng, rows = np.random.default_rng(0), in_time(problem, 0)
+    owner = problem.packed.row_trajectory[rows]
+    assert (np.diff(problem.packed.row_time[rows])[owner[1:] == owner[:-1]] > 0).all()
+    assert len(rows) == int(problem.seen[:, 0].sum())
+    white = rng.standard_normal(len(rows))
+    found, pairs = succession_of(white, owner)
     assert found is not None and abs(found) < 4 / np.sqrt(pairs)
-    assert pairs == int(problem.seen[:, 0].sum()) - 3
-    level = rng.standard_normal(3)[packed.row_trajectory]  # the same within a trajectory, unrelated between them
-    same, _ = successive(np.stack([level, level], axis=1), problem, 0)
-    assert same == pytest.approx(1.0, abs=0.1)
-    assert successive(0 * white, problem, 0) == (None, pairs)
+    assert pairs == len(rows) - 3
+    level = rng.standard_normal(3)[owner]  # the same within a trajectory, unrelated between them
+    assert succession_of(level, owner)[0] == pytest.approx(1.0)
+    assert succession_of(0 * white, owner) == (None, pairs)
+    assert succession_of(np.full(len(rows), np.inf), owner) == (None, pairs)
+
+
+def test_trajectories_of_one_row_do_not_count_as_successions() -> None:
+    residuals, owner = np.array([*np.zeros(10), 1.0, 1.0]), np.array([*range(10), 10, 10])
+    found, pairs = succession_of(residuals, owner)
+    assert (found, pairs) == (pytest.approx(1.0), 1)
+    channels = {"x": ChannelRecord(0.9, 0.0, succession=found, pairs=pairs)}
+    assert widening(channels) == 1.0 and not successions(channels), "one pair shows nothing"
+
+
+def test_intervals_become_no_narrower() -> None:
+    shares = [share_that_counts(r, pairs) for r in (-1.0, -0.3, 0.0, 0.5, 0.99, 1.0, 6.0) for pairs in (0, 1, 2, 1000)]
+    assert all(0 < share <= 1 for share in shares)
+    assert share_that_counts(0.5, 1000) == pytest.approx(1 / 3)
 
 
 def test_every_method_says_so(tmp_path: Path) -> None:

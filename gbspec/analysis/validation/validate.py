@@ -177,7 +177,8 @@ def validate(
     channels: dict[str, ChannelErrors] = {}
     errors: tuple[TrajectoryError, ...] = ()
     worst: WorstRow | None = None
-    check = StepCheck(None, None, run.max_step)
+    step = run.step(run.numbers[0] if member == "mean" else member)
+    check = StepCheck(None, None, step)
     if trajectories is not None:
         each = [predictions(one, run.model, trajectories, run.fit) for one in evaluators]
         predicted = tuple(mean_prediction(group) for group in zip(*each, strict=True))
@@ -185,7 +186,7 @@ def validate(
         channels, errors = _on_data(run.model, trajectories, predicted, known)
         worst = worst_row(trajectories, predicted)
         # Each right-hand side has its own dependence on the step, so for a mean of several its first member is checked.
-        check = step_check(evaluators[0], run.max_step, trajectories.items, each[0])
+        check = step_check(evaluators[0], step, trajectories.items, each[0])
         warnings += _data_warnings(errors)
         solved = [one.channels for one in predicted if not one.failure]
         warnings += far_outside(run.model, np.concatenate(solved)) if solved else []

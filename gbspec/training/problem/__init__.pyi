@@ -20,3 +20,6 @@ from .residuals import residuals_of as residuals_of
 from .residuals import typical as typical
 from .scaling import Scaling as Scaling
 from .scaling import scaling_of as scaling_of
+from .succession import in_time as in_time
+from .succession import share_that_counts as share_that_counts
+from .succession import succession_of as succession_of

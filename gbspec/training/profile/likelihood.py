@@ -3,7 +3,8 @@
 The constant is fixed at successive values, outwards from its estimate, and the weights, the other constants and the
 initial states are refitted each time (Raue et al. 2009, Bioinformatics 25, 1923). Whole solutions from the initial
 states are fitted. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
-deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval.
+deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval. Where
+residuals follow one another, the threshold is higher by the square of the factor that widens the intervals of the fit.
 
 The weights' prior is centered at the weights of the run, with the precision that the evidence gives there. A network
 has far more weights than the data determine, and whole solutions are nonlinear in the others: if the fit does not
@@ -45,6 +46,7 @@ from gbspec.training.problem import Parameters, Problem, typical
 from gbspec.training.profile.agreement import Comparison, Found, compared
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
+from gbspec.training.runs import widening
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
@@ -217,7 +219,10 @@ class _Profiler:
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)
-        self.free.estimated = next((m.estimated(run.model) for m in run.fit.members if m.member == member), None)
+        record = next((one for one in run.fit.members if one.member == member), None)
+        self.free.estimated = None if record is None else record.estimated(run.model)
+        self.widening = 1.0 if record is None else widening(record.channels or {})
+        self.threshold = THRESHOLD * self.widening**2
         self.parameters = self.free.parameters(self._fixed(), released=self._moved_measured_starts())
         self.place = [run.model.learnables[i].name for i in self.parameters.shared].index(name)
         self.column = self.parameters.n_weights + self.place
@@ -373,7 +378,7 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
     Each value is where the root of the deviance, which is linear for a parabola, is predicted to have its target.
     """
     found: list[_Fitted] = []
-    stride = direction * min(math.sqrt(THRESHOLD) * profiler.deviation, WIDEST)
+    stride = direction * min(math.sqrt(profiler.threshold) * profiler.deviation, WIDEST)
     here, inside, place = best, (0.0, 0.0), FIRST
     outside = math.inf
     for _ in range(most):
@@ -388,7 +393,7 @@ def _side(profiler: _Profiler, best: _Fitted, direction: float, most: int, progr
         deviance = 2.0 * (here.objective - best.objective) / profiler.variance
         if progress is not None:
             progress(here.value, deviance)
-        root = math.sqrt(max(deviance, 0.0) / THRESHOLD)
+        root = math.sqrt(max(deviance, 0.0) / profiler.threshold)
         if root <= 1.0:
             inside = place, root
             if math.isfinite(outside) and root > NEAR[0]:
@@ -415,7 +420,8 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
         for one in fits
     )  # fmt: skip
     notes, at = list(profiler.notes), fits.index(least)
-    low, high = _crossing(points[at::-1]), _crossing(points[at:])
+    level = math.sqrt(profiler.threshold)
+    low, high = _crossing(points[at::-1], level), _crossing(points[at:], level)
     slow = sum(not point.converged for point in points)
     if slow:
         low = high = None
@@ -428,12 +434,15 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
         notes.append("measured initial states stay as measured, so their noise is not in the interval")
     if profiler.variance <= CLEAN**2:
         notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
-    return Profile(name, member, least.value, points, low, high, math.sqrt(profiler.variance), tuple(notes))
+    if profiler.widening > 1:
+        wider = f"{profiler.widening:.2g} times as wide as if they were independent"
+        notes.append(f"residuals follow one another: the interval is {wider}")
+    noise = math.sqrt(profiler.variance)
+    return Profile(name, member, least.value, points, low, high, noise, tuple(notes), profiler.threshold)
 
 
-def _crossing(points: tuple[ProfilePoint, ...]) -> float | None:
-    """Where the deviance first crosses the threshold outwards, by interpolation of its root, linear for a parabola."""
-    level = math.sqrt(THRESHOLD)
+def _crossing(points: tuple[ProfilePoint, ...], level: float) -> float | None:
+    """Where the root of the deviance first crosses a level outwards, by interpolation (it is linear for a parabola)."""
     for a, b in pairwise(points):
         first, second = (math.sqrt(max(p.deviance, 0.0)) for p in (a, b))
         if first <= level < second:

@@ -20,7 +20,7 @@ from gbspec.data import Estimated, deviations, unstated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, linearise, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, NormalEquations, Stage, evidence
-from gbspec.training.problem import Integers, Parameters, Problem
+from gbspec.training.problem import Integers, Parameters, in_time, share_that_counts, succession_of
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
 from gbspec.training.stages import StageName, most_iterations
@@ -133,7 +133,7 @@ def estimated(context: Context, engine: Engine, theta: Array, ridge: float) -> E
     used = _used(engine, theta, ridge)
     noise, share = np.full(len(free), np.nan), np.ones(len(free))
     for i in np.flatnonzero(free):
-        rows = _in_time(problem, int(i))
+        rows = in_time(problem, int(i))
         column = table[rows, i]
         robust = MAD_TO_SD * float(np.median(np.abs(column)))
         inside = np.minimum(np.abs(column), OUTLYING * robust) if robust > 0 else np.abs(column)
@@ -161,20 +161,10 @@ def unsettled(context: Context, new: Estimated) -> bool:
 def share_of(residuals: Array, owner: Integers) -> float:
     """The share of residuals [m], in the order of time, that count: 1 unless the correlation of successive ones of the
     same trajectory is beyond chance."""
-    both, squares = owner[1:] == owner[:-1], float(np.mean(residuals**2))
-    if both.sum() < 2 or not squares > 0:
+    correlation, pairs = succession_of(residuals, owner)
+    if correlation is None or pairs < 2 or correlation <= 2 / np.sqrt(pairs):
         return 1.0
-    correlation = float(np.mean((residuals[1:] * residuals[:-1])[both])) / squares
-    if correlation <= 2 / np.sqrt(both.sum()):
-        return 1.0
-    correlation = min(correlation, 1.0)
-    return float(max((1 - correlation) / (1 + correlation), 1 / len(residuals)))
-
-
-def _in_time(problem: Problem, channel: int) -> Integers:
-    """The rows with a measurement of a channel, trajectory by trajectory."""
-    packed, rows = problem.packed, np.flatnonzero(problem.seen[:, channel])
-    return np.asarray(rows[np.lexsort((packed.row_index[rows], packed.row_trajectory[rows]))], dtype=np.int64)
+    return share_that_counts(correlation, pairs)
 
 
 def _used(engine: Engine, theta: Array, ridge: float) -> Array:

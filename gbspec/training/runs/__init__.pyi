@@ -1,1 +1,2 @@
 from .fit import train as train
+from .verdict import widening as widening

@@ -14,9 +14,8 @@ from gbspec.data import Scales, naive_predictors, variance_of
 from gbspec.files import finite
 from gbspec.runs import ChannelRecord, StageRecord
 from gbspec.training.engines import predicted, residual_table, residual_vector
-from gbspec.training.problem import Parameters, Problem, mean_loss, measured_only, residuals_of
+from gbspec.training.problem import Parameters, Problem, in_time, mean_loss, measured_only, residuals_of, succession_of
 from gbspec.training.recipe import Context, held_out_solutions, step_fraction
-from gbspec.training.runs.succession import successive
 from gbspec.training.stages import StageName
 
 
@@ -115,7 +114,7 @@ def _channels(
     residuals = residuals_of(problem, mean)
     out = {}
     for i, channel in enumerate(context.model.channels):
-        known = naive.get(channel.name)
+        rows, known = in_time(problem, i), naive.get(channel.name)
         out[channel.name] = ChannelRecord(
             _r2(problem, mean, i),
             finite(known.r2) if known is not None else None,
@@ -125,7 +124,7 @@ def _channels(
             finite(float(scales.value_weights[i])),
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
-            *successive(residuals, problem, i),
+            *succession_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
         )
     return out
 

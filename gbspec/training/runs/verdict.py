@@ -4,9 +4,10 @@ what is left looks like the noise of measurements."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from gbspec.runs import ChannelRecord
+from gbspec.training.problem import share_that_counts
 
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
@@ -38,17 +39,11 @@ def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
 def widening(channels: Mapping[str, ChannelRecord]) -> float:
     """The factor by which intervals of constants and functions are widened where residuals follow one another.
 
-    n values with the correlation r between successive ones, which falls geometrically, count like n (1 - r) / (1 + r).
-    Channels that were weighed by the share of their values that counts have such intervals already.
+    A fraction of the values counts (see `share_that_counts`), and standard deviations are larger by the root of its
+    inverse. Channels that were weighed by this share have such intervals already.
     """
-    following = _following(channels)
-    return _widest(following[name] for name in following if (channels[name].share or 1.0) == 1.0)
-
-
-def _widest(correlations: Iterable[tuple[float, int]]) -> float:
-    """The factor of the channel with the largest correlation, from its number of pairs."""
-    largest = max((min(value, 1 - 2 / pairs) for value, pairs in correlations), default=0.0)
-    return math.sqrt((1 + largest) / (1 - largest))
+    left = [channels[name] for name in _following(channels) if (channels[name].share or 1.0) == 1.0]
+    return max((1 / math.sqrt(share_that_counts(one.succession or 0.0, one.pairs)) for one in left), default=1.0)
 
 
 def successions(channels: Mapping[str, ChannelRecord]) -> list[str]:
@@ -56,21 +51,26 @@ def successions(channels: Mapping[str, ChannelRecord]) -> list[str]:
     found = _following(channels)
     if not found:
         return []
-    listed = ", ".join(f"`{name}` (correlation {value:.3g} with the next row's)" for name, (value, _) in found.items())
+    listed = ", ".join(f"`{name}` (correlation {channels[name].succession:.3g} with the next row's)" for name in found)
+    factor = widening(channels)
+    effect = (
+        f"intervals are {factor:.2g} times as wide as if they were independent"
+        if factor > 1
+        else "the weights of the channels, and with them the intervals, take this into account"
+    )
     return [
         f"the residuals of {listed} follow one another: they are disturbances or errors of the model, not noise of "
-        f"measurement. Each row tells less than a new one would: intervals are {_widest(found.values()):.2g} times as "
-        "wide as if they were independent"
+        f"measurement. Each row tells less than a new one would: {effect}"
     ]
 
 
-def _following(channels: Mapping[str, ChannelRecord]) -> dict[str, tuple[float, int]]:
-    """The channels whose residuals are correlated with the next ones: the correlation, and the number of pairs."""
-    return {
-        name: (one.succession, one.pairs)
+def _following(channels: Mapping[str, ChannelRecord]) -> list[str]:
+    """The channels whose residuals are correlated with the next ones."""
+    return [
+        name
         for name, one in channels.items()
         if one.succession is not None
         and one.r2 is not None
         and 1 - one.r2 > EXACT
         and one.succession > SUCCESSION + 2 / math.sqrt(max(one.pairs, 1))
-    }
+    ]

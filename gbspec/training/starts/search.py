@@ -18,7 +18,7 @@ from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, explain_failure, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
-from gbspec.training.problem import Problem, mean_loss
+from gbspec.training.problem import Problem, in_time, mean_loss, succession_of
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts.own_constants import refit_own
 
@@ -68,15 +68,11 @@ def starts_within(patience: Patience, substeps: int, columns: int) -> int:
 
 def followed(residuals: Array, problem: Problem) -> bool:
     """Whether residuals [R, C] are correlated with the next ones of the same trajectory and channel."""
-    packed = problem.packed
-    order = np.lexsort((packed.row_index, packed.row_trajectory))
-    ours, seen, owner = residuals[order], problem.seen[order], packed.row_trajectory[order]
-    both = seen[1:] & seen[:-1] & (owner[1:] == owner[:-1])[:, None]
-    count, squares = int(both.sum()), float(np.sum(ours[seen] ** 2)) / max(int(seen.sum()), 1)
-    if not count or not np.isfinite(squares) or squares == 0:
-        return False
-    correlation = float(np.sum((ours[1:] * ours[:-1])[both])) / count / squares
-    return correlation > FOLLOWING + 2 / math.sqrt(count)
+    rows = [in_time(problem, i) for i in range(residuals.shape[1])]
+    owners = [problem.packed.row_trajectory[each] + i * problem.packed.trajectories for i, each in enumerate(rows)]
+    ours = [residuals[each, i] for i, each in enumerate(rows)]
+    correlation, pairs = succession_of(np.concatenate(ours), np.concatenate(owners))
+    return correlation is not None and correlation > FOLLOWING + 2 / math.sqrt(pairs)
 
 
 class Search:

@@ -220,17 +220,17 @@ class Template:  # {{class}}
     # by name (numbers, or tensors of the batch's shape, which gradients reach).
 
     @classmethod
-    def state(cls, values: Mapping[str, Any] | None = None, **named: Any) -> Any:
+    def state(cls, values: Mapping[str, Any] | None = None, /, **named: Any) -> Any:
         """A state [..., n_states] from the value [...] of each state by name: state(x1=0.5, x2=1.5)."""
         return _by_name(cls, "states", {**(values or {}), **named})
 
     @classmethod
-    def condition(cls, values: Mapping[str, Any] | None = None, **named: Any) -> Any:
+    def condition(cls, values: Mapping[str, Any] | None = None, /, **named: Any) -> Any:
         """Conditions [..., n_conditions] by name; those that are left out have their defaults."""
         return _by_name(cls, "conditions", {**(values or {}), **named})
 
     @classmethod
-    def input(cls, values: Mapping[str, Any] | None = None, **named: Any) -> Any:
+    def input(cls, values: Mapping[str, Any] | None = None, /, **named: Any) -> Any:
         """Inputs [..., n_inputs] by name; those that are left out have their defaults."""
         return _by_name(cls, "inputs", {**(values or {}), **named})
 
