@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Literal, assert_never
 
 from gbspec.data.names import cell_name, similar
 from gbspec.diagnostics import Cell, Findings
-from gbspec.ir import Model, Range
 
 if TYPE_CHECKING:
     from gbspec.data.sheet import Sheet
+    from gbspec.ir import Model, Range
 
 Role = Literal["channel", "condition", "input", "dose", "sd"]
 
