@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,22 @@ def test_corrections_bring_a_long_step_to_where_the_linear_model_predicted(
             assert after.value <= max(fit.solved(step + bend).value, plain.value)
             gains.append(plain.value / after.value)
     assert max(gains) > 3, "the straight step leaves the valley"
+
+
+def test_outliers_are_limited_in_channels_of_which_only_a_share_counts() -> None:
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(4, 4.0, 1), 0.2)
+    share, scaling = np.array([0.04, 1.0]), problem.scaling
+    weighed = replace(scaling, row_scale=scaling.row_scale / np.sqrt(share), share=share)
+    fits = []
+    for each in (problem, replace(problem, scaling=weighed)):
+        engine = TorchEngine(each, parameters)
+        system = linearise(engine, theta)
+        delta = 0.5 * float(np.median(np.abs(each.of_noise(system.residuals.numpy()))))
+        fits.append(_Fit(engine, system, theta, delta, 0.0))
+    plain, other = fits
+    assert plain.delta == pytest.approx(other.delta)
+    weights = plain.equations.root[: plain.count]
+    assert weights.min() < 0.9 and np.allclose(other.equations.root[: other.count], weights)
 
 
 def test_a_jacobian_serves_until_no_damping_lowers_the_objective_further(

@@ -95,7 +95,7 @@ class _Reduced:
         measured = system.residuals.numpy()
         size = np.abs(engine.problem.of_noise(measured))
         delta = float(np.clip(4 * np.median(size), DELTA_LOW, DELTA_HIGH)) if len(measured) else np.inf
-        weights = huber_weights(measured, delta)
+        weights = huber_weights(measured, engine.problem.limit(delta))
         priors = Priors.of(engine.problem, engine.parameters, measured)
         rows = priors.with_rows(system, theta)
         balance = float(weights.mean()) if len(weights) else 1.0

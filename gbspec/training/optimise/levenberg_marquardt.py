@@ -197,7 +197,8 @@ class _Fit:
 
     def __init__(self, engine: Engine, system: Linearised, theta: Array, delta: float, ridge: float) -> None:
         measured = system.residuals.numpy()
-        weights = huber_weights(measured, delta)
+        self.limit = engine.problem.limit(delta)
+        weights = huber_weights(measured, self.limit)
         self.engine, self.parameters, self.count = engine, engine.parameters, len(measured)
         self.theta, self.delta, self.ridge = theta, delta, ridge
         self.priors = Priors.of(engine.problem, engine.parameters, measured)
@@ -218,7 +219,7 @@ class _Fit:
         priors = residuals[self.count :]
         with np.errstate(over="ignore", invalid="ignore"):  # diverging corrections
             penalty = self.ridge * float(self.equations.penalised @ at**2) + self.balance * float(priors @ priors)
-        return _Solved(residuals, huber(residuals[: self.count], self.delta) + 0.5 * penalty)
+        return _Solved(residuals, huber(residuals[: self.count], self.limit) + 0.5 * penalty)
 
     def step(self, damping: float) -> Array:
         """The damped step; NaN, which is never accepted, if the equations are numerically singular."""
@@ -356,7 +357,7 @@ def moved(engine: Engine, theta: Array, change: Array) -> float:
 
 def noise_variance(problem: Problem, residuals: Array, delta: float, freedom: float) -> float:
     """Residual variance, corrected for the degrees of freedom that the fit used."""
-    weights, count = huber_weights(residuals, delta), problem.information
+    weights, count = huber_weights(residuals, problem.limit(delta)), problem.information
     return float(np.sum(weights * residuals**2)) / max(count - freedom, 0.1 * count, 1.0)
 
 

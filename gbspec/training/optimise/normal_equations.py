@@ -42,24 +42,25 @@ def use_threads(count: int) -> None:
     _Threads.large = count
 
 
-def huber(residuals: Array, delta: float) -> float:
-    """Sum of Huber's function: r^2 / 2 up to `delta`, linear beyond; infinite if a residual is not a number."""
+def huber(residuals: Array, delta: Array | float) -> float:
+    """Sum of Huber's function: r^2 / 2 up to `delta` (one, or one for each), linear beyond; infinite if one is not a
+    number."""
     if not np.isfinite(residuals).all():
         return float("inf")
-    if np.isinf(delta):
+    if np.ndim(delta) == 0 and np.isinf(delta):
         with np.errstate(over="ignore"):  # residuals of a diverging solution: their sum is infinite
             return 0.5 * float(residuals @ residuals)
     return float(huber_each(residuals, delta).sum())
 
 
-def huber_each(residuals: Array, delta: float) -> Array:
+def huber_each(residuals: Array, delta: Array | float) -> Array:
     """Huber's function of each residual; residuals beyond `delta` are never squared, so that they cannot overflow."""
     size = np.abs(residuals)
     inside = np.minimum(size, delta)
     return np.asarray(inside * (size - 0.5 * inside), dtype=np.float64)
 
 
-def huber_weights(residuals: Array, delta: float) -> Array:
+def huber_weights(residuals: Array, delta: Array | float) -> Array:
     """Weights of iteratively reweighted least squares for Huber's function (Huber 1981)."""
     size = np.abs(residuals)
     return np.asarray(np.where(size <= delta, 1.0, delta / np.maximum(size, 1e-300)), dtype=np.float64)

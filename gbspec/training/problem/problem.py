@@ -65,6 +65,11 @@ class Problem:
         """Residuals of the measured values [m] that have the standard deviation of the noise."""
         return residuals if self.scaling.share is None else residuals / np.sqrt(self.shares)
 
+    def limit(self, delta: float) -> Array | float:
+        """Huber's threshold `delta` of residuals with the standard deviation of the noise, for those of the fit: a
+        number, or [m] where values count differently."""
+        return delta if self.scaling.share is None or np.isinf(delta) else delta * np.sqrt(self.shares)
+
     def forced(self, blend: float) -> Problem:
         """The same problem with teacher forcing of strength `blend`: 1 teacher forcing, 0 autoregressive."""
         return replace(self, forcing=teacher_forcing(self.model, self.packed, blend))
