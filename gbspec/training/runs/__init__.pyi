@@ -1,1 +1,2 @@
+from .backend import agreed as agreed
 from .fit import train as train
