@@ -217,6 +217,7 @@ def durations(path: Path) -> dict[str, float]:
 
 def copied(place: Path) -> Path:
     """A copy of the tree in which mutants are tested."""
+
     def left(folder: str, names: list[str]) -> set[str]:
         top = {".git", ".venv", "runs", "demo"} if Path(folder) == ROOT else set[str]()
         return {name for name in names if name in top | {"__pycache__"} or name.endswith("_cache")}
