@@ -53,8 +53,7 @@ THRESHOLD = 2.705543454095404
 FIRST, BEYOND = 0.6, 1.05
 """Target values of the deviance's root, relative to the threshold's root: first well inside, then just outside."""
 NEAR = 0.75, 1.25
-"""A side is complete with a point outside if it or the last one inside is within these fractions of the
-threshold's root."""
+"""A side is complete with a point outside if it or the last one inside is within these fractions of its root."""
 WIDEST = 0.5
 """Largest change of the entry of the trainable vector in a first step (half of it is a factor of e^0.75)."""
 ACCURACY = 0.01

@@ -53,7 +53,7 @@ def reweighed(
     options: Callable[[Reached], LevenbergOptions],
     wanted: Decision,
 ) -> Planned:
-    """The stage that continues whole solutions with channels weighed by their noise."""
+    """The stage that continues whole solutions, by at most `most` iterations, with channels weighed by their noise."""
 
     def engine_of(reached: Reached) -> Engine:
         return context.engine(layout(reached), 0.0, step_fraction(reached.begun))
