@@ -23,7 +23,7 @@ from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Norma
 from gbspec.training.problem import Integers, Parameters, in_time, share_that_counts, succession_of
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
-from gbspec.training.stages import StageName, most_iterations
+from gbspec.training.stages import StageName
 
 REWEIGHTINGS = 3
 """How often channels may be weighed anew."""
@@ -51,9 +51,9 @@ def reweighed(
     layout: Callable[[Reached], Parameters],
     options: Callable[[Reached], LevenbergOptions],
     wanted: Decision,
+    most: int,
 ) -> Planned:
-    """The stage that continues whole solutions with channels weighed by their noise."""
-    most = most_iterations(StageName.WEIGHTS, context.options.effort)
+    """The stage that continues whole solutions, by at most `most` iterations, with channels weighed by their noise."""
 
     def engine_of(reached: Reached) -> Engine:
         return context.engine(layout(reached), 0.0, step_fraction(reached.begun))
