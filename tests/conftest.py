@@ -18,6 +18,13 @@ def _short_warm_start() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _backend_by_size() -> Iterator[None]:
+    """Backends are chosen by the number of sub-steps, and no kernel is compiled for small problems."""
+    with quick.unmeasured():
+        yield
+
+
 @pytest.fixture(scope="session")
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the kernels that the tests compile, shared by the processes that run them."""

@@ -35,6 +35,14 @@ def fits(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
+def unmeasured() -> Iterator[None]:
+    """`--backend auto` decides by the number of sub-steps alone, and so does not depend on the speed of the machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbspec.training.runs.fit.faster_backend", lambda *given: None)
+        yield
+
+
+@contextmanager
 def warm_start(steps: int) -> Iterator[None]:
     """The regression of slopes at the beginning of a fit takes fewer steps."""
     with pytest.MonkeyPatch.context() as patch:

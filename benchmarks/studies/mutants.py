@@ -217,7 +217,11 @@ def durations(path: Path) -> dict[str, float]:
 
 def copied(place: Path) -> Path:
     """A copy of the tree in which mutants are tested."""
-    left = shutil.ignore_patterns(".git", ".venv", "runs", "demo", "__pycache__", ".hypothesis", ".mypy_cache")
+
+    def left(folder: str, names: list[str]) -> set[str]:
+        top = {".git", ".venv", "runs", "demo"} if Path(folder) == ROOT else set[str]()
+        return {name for name in names if name in top | {"__pycache__"} or name.endswith("_cache")}
+
     if not place.is_dir():
         shutil.copytree(ROOT, place, ignore=left, symlinks=True)
     return place

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, assert_never
+from typing import TYPE_CHECKING, Literal, assert_never
 
 from gbspec.data.names import cell_name, similar
-from gbspec.data.sheet import Sheet
 from gbspec.diagnostics import Cell, Findings
-from gbspec.ir import Model, Range
+
+if TYPE_CHECKING:
+    from gbspec.data.sheet import Sheet
+    from gbspec.ir import Model, Range
 
 Role = Literal["channel", "condition", "input", "dose", "sd"]
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
 from gbspec.arrays import Array
 from gbspec.data.columns import TRAJECTORY, Form
 from gbspec.frames import Tabled
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,8 @@ class Trajectories(Tabled):
 
 def frame_of(trajectories: Trajectories, form: Form) -> pl.DataFrame:
     """The trajectories as a data frame of the wide layout; null where nothing was measured."""
+    import polars as pl
+
     blocks = [_block(item, form) for item in trajectories.items]
     names = [form.time, *(q.column for q in form.quantities)]
     width = len(names)

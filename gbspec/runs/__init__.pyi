@@ -9,6 +9,7 @@ from .profiles import ProfileRecord as ProfileRecord
 from .profiles import Trust as Trust
 from .profiles import write_profile as write_profile
 from .record import DAMAGED as DAMAGED
+from .record import BackendRecord as BackendRecord
 from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord
 from .record import DataRecord as DataRecord

@@ -9,6 +9,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -215,14 +216,25 @@ class ScalesRecord:
 
 
 @dataclass(frozen=True)
+class BackendRecord:
+    """The backend that all members use, `native` or `torch`, where `--backend auto` measured both: the seconds that a
+    fit was expected to take by the torch graph and by the kernel."""
+
+    used: Literal["native", "torch"]
+    torch: float
+    native: float
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class FitRecord:
     """The content of `fit.json`.
 
     `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
     deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
     `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made; `scales` are missing
-    in older runs. `finished` is false
-    while members are fitted and after an interruption: files of members may then be newer than this record. `files` are
+    in older runs. `backend` is missing where the number of sub-steps or an option decided. `finished` is false while
+    members are fitted and after an interruption: files of members may then be newer than this record. `files` are
     the digests of the run's other files by name. `others` are keys that this version does not know; they are kept.
     """
 
@@ -240,6 +252,7 @@ class FitRecord:
     step_checks: tuple[StepRecord, ...] = ()
     interface: int = OLDEST
     scales: ScalesRecord | None = field(default=None, metadata=OMITTED)
+    backend: BackendRecord | None = field(default=None, metadata=OMITTED)
     finished: bool = True
     files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)

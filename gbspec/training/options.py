@@ -87,7 +87,8 @@ class TrainOptions:
         default="auto",
         metadata={
             "help": "How the model is solved: `native` uses a C kernel compiled for the model, `torch` the torch "
-            "graph; `auto` uses the kernel if there is a compiler and the data are large enough to justify compilation."
+            "graph; `auto` uses the kernel if there is a compiler and the data are large, or measuring both shows that "
+            "it is worth its compilation."
         },
     )
     scheduler: str | None = field(

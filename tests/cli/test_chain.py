@@ -114,8 +114,8 @@ def test_a_run_is_written_with_the_solver_that_it_was_trained_with(place: Path, 
     more = ("--solver", "rk38", "--method", "lm", "--epochs", 2, "--quiet")
     assert call("train", place / "known.gb", place / "known.csv", "-o", "rk38", *more).exit_code == 0
     for emit, chosen, said in (
-        ("module", (), 'solver = "rk38"'),
-        ("module", ("--solver", "dopri5"), 'solver = "dopri5"'),
+        ("module", (), 'solver: ClassVar[str] = "rk38"'),
+        ("module", ("--solver", "dopri5"), 'solver: ClassVar[str] = "dopri5"'),
         ("c", (), "(`rk38`)"),
         ("c", ("--solver", "dopri5"), "(`dopri5`)"),
     ):

@@ -84,7 +84,7 @@ class Killer:
                     os.kill(pids[address], signal.SIGKILL)
 
     def message(self, text: str) -> None:
-        raise AssertionError(text)
+        """What is said is no matter of this test."""
 
 
 @pytest.fixture(scope="module")

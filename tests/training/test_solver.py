@@ -61,7 +61,7 @@ def test_a_method_that_was_just_entered_runs_through_training(tmp_path: Path) ->
     made = trained("heun", tmp_path / "run")
     fit = json.loads((tmp_path / "run" / "fit.json").read_text())
     assert fit["solver"] == fit["options"]["solver"] == "heun"
-    assert 'solver = "heun"' in (tmp_path / "run" / "model.py").read_text()
+    assert 'solver: ClassVar[str] = "heun"' in (tmp_path / "run" / "model.py").read_text()
     opened = open_run(tmp_path / "run")
     assert opened.method is HEUN and opened.member().info["solver"] == "heun"
     assert opened.module is made.module and opened.module.solver == "heun"

@@ -58,7 +58,10 @@ def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     assert list(fit["members"][0]) == [
         *["seed", "loss", "rmse", "seconds", "stages", "member", "files", "interval_loss", "channels"]
     ]
-    assert list(fit["members"][0]["channels"]["x1"]) == ["r2", "naive", "predictor", "held"]
+    assert list(fit["members"][0]["channels"]["x1"]) == [
+        *("r2", "naive", "predictor", "held", "values", "weight"),
+        *("succession", "pairs"),
+    ]
     header, first, *_ = (fitted / "history.csv").read_text().splitlines()
     assert header == "member,stage,iteration,seconds,loss,B,beta"
     assert first.startswith("0,warm start,1,")

@@ -1,4 +1,7 @@
-"""The choice of the engine that solves a problem; engines are chosen only here."""
+"""The choice of the engine that solves a problem; engines are chosen only here.
+
+With few data `gbspec.training.runs.backend` measures beforehand which one is faster, and asks for it by name.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,8 @@ from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, Problem
 
 LEAST_SUBSTEPS = 1500
-"""With fewer sub-steps in the data, `--backend auto` does not compile the kernel: compilation takes about two seconds;
-at 2,500 sub-steps the kernel reduces the time of a fit of urp_gb2 from 29 s to 15 s."""
+"""With fewer sub-steps in the data, `--backend auto` compiles the kernel only if measurements show that it is worth the
+two to three seconds; at 2,500 sub-steps the kernel reduces the time of a fit of urp_gb2 from 29 s to 15 s."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +45,23 @@ class Choice:
         return TorchEngine(problem, parameters, self.device, batch=self.batch)
 
 
-def choose(model: Model, module: type[GeneratedModule], options: TrainOptions, substeps: int) -> Choice:
+def few(model: Model, options: TrainOptions, substeps: int) -> bool:
+    """Whether a kernel is not worth its compilation by the number of sub-steps alone."""
+    # A search for the best minimum solves the model thousands of times, however few the data are.
+    return substeps < LEAST_SUBSTEPS and not (model.complete and options.method == "auto")
+
+
+def choose(
+    model: Model, module: type[GeneratedModule], options: TrainOptions, substeps: int, worthwhile: bool = False
+) -> Choice:
     """The choice according to `--backend` for data with `substeps` sub-steps; `module` is the model's generated class.
+
+    `worthwhile`: a kernel is worth its compilation however few the sub-steps are.
 
     Raises UserError (GB863) if the kernel was requested and is not available.
     """
     device, wanted = device_of(options.device), options.backend == "native"
-    # A search for the best minimum solves the model thousands of times, however few the data are.
-    worthwhile = substeps >= LEAST_SUBSTEPS or (model.complete and options.method == "auto")
-    if options.backend == "torch" or not (wanted or worthwhile):
+    if options.backend == "torch" or not (wanted or worthwhile or not few(model, options, substeps)):
         return Choice(None, device, options.batch_size)
     if device != "cpu":
         found: Kernel | Unable = Unable(Lack.DEVICE, "the native kernel does not work on a GPU")

@@ -46,7 +46,7 @@ from gbspec.training.problem import Parameters, Problem, typical
 from gbspec.training.profile.agreement import Comparison, Found, compared
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
-from gbspec.training.runs import widening
+from gbspec.training.runs import agreed, widening
 
 THRESHOLD = 2.705543454095404
 """The 90 % point of chi-squared with one degree of freedom, for intervals as wide as those of `fit.json`."""
@@ -216,6 +216,7 @@ class _Profiler:
         options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
         step = run.member(member).info.get("max_step")
         options = replace(options, max_step=float(step) if isinstance(step, int | float) else options.max_step)
+        options = agreed(run.fit.backend, run.model, run.module, options)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights
         self.free = build_context(run.model, run.module, trajectories, options, options.seed + member)

@@ -177,7 +177,7 @@ class _Planner:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
             return replace(chosen, damping=STEADY)
 
-        return reweighed(self.context, layout, settings, noisy, self._most(StageName.WEIGHTS))
+        return reweighed(self.context, self._most(StageName.WEIGHTS), layout, settings, noisy)
 
     def _last_of_networks(self, reached: Reached) -> LastFit | None:
         """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""

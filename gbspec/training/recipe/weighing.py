@@ -48,12 +48,12 @@ PROBES, ROUNDS = 24, 6
 
 def reweighed(
     context: Context,
+    most: int,
     layout: Callable[[Reached], Parameters],
     options: Callable[[Reached], LevenbergOptions],
     wanted: Decision,
-    most: int,
 ) -> Planned:
-    """The stage that continues whole solutions, by at most `most` iterations, with channels weighed by their noise."""
+    """The stage that continues whole solutions with channels weighed by their noise."""
 
     def engine_of(reached: Reached) -> Engine:
         return context.engine(layout(reached), 0.0, step_fraction(reached.begun))

@@ -34,6 +34,7 @@ from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
 from gbspec.training.recipe import build_context, plan
+from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
     EXACT,
     at_bounds,
@@ -118,21 +119,27 @@ class Fitting:
             context = build_context(model, module, trajectories, anywhere, options.seed)
             plan(context, context.parameters({}))
         self.model, self.trajectories, self.options, self.path = model, trajectories, options, path
-        self.progress = progress
+        self.progress, self._module = progress, module
         self.record = _record(model, trajectories, options, path)
         self.results: dict[int, MemberResult] = {}
         self.failures: dict[int, ComputationError] = {}
 
     def begin(self) -> None:
         """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
-        _prepare(self.path, self.model, self.record, self.options)
+        if (self.path / files.FIT).is_file():
+            before = _prepare(self.path, self.model, self.record, self.options)
+            self.record = replace(self.record, backend=before.backend)
+        else:
+            found = faster_backend(self.model, self._module, self.trajectories, self.options, self.progress)
+            self.record = _prepare(self.path, self.model, replace(self.record, backend=found), self.options)
         if not _in_table(self.trajectories):
             files.write_tensors(self.path / files.DATA, *to_arrays(self.trajectories))
 
     def jobs(self, first: int = 0) -> list[Job]:
         """One job per member, numbered from `first`."""
+        options = agreed(self.record.backend, self.model, self._module, self.options)
         return [
-            Job(self.model, self.trajectories, self.options, member, self.path, first + member)
+            Job(self.model, self.trajectories, options, member, self.path, first + member)
             for member in range(self.options.members)
         ]
 
@@ -205,13 +212,17 @@ def _in_table(trajectories: Trajectories) -> bool:
 
 
 # -------------------------------------------------------------------------------------------------- the directory
-def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions) -> None:
-    """Creates the directory, or finds the run to resume in it; one whose training was killed at once is begun again."""
+def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions) -> FitRecord:
+    """Creates the directory, or finds the run to resume in it; one whose training was killed at once is begun again.
+
+    Returns the record with which the run was begun.
+    """
     _check_place(path)
-    begun = (path / files.FIT).is_file()
+    begun, before = (path / files.FIT).is_file(), record
     if options.resume and begun:
         before = _check_resumable(path, model, record)
-        replace(before, options=record.options, finished=False).write(path)  # files of members are newer from now on
+        # Files of members are newer than `fit.json` from now on.
+        replace(before, options=record.options, finished=False).write(path)
     elif options.resume and not path.is_dir():
         raise _nothing_to_resume(path)
     elif begun:
@@ -226,6 +237,7 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
     files.write_bytes(path / files.MODULE, generate(model, METHODS[options.solver]).encode("utf-8"))
     if not begun:
         record.write(path)
+    return before
 
 
 def _nothing_to_resume(path: Path) -> UserError:
