@@ -31,7 +31,7 @@ def fitted(data: Trajectories, effort: str, place: Path) -> tuple[Run, Engine, A
     run = train(model, data, options, place / effort)
     arrays, _ = files.read_tensors(run.path / "members" / "0" / files.CHECKPOINT)
     context = build_context(model, load_module(model), data, options, 0)
-    context.estimated = Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None
+    context.estimated = run.fit.members[0].estimated(model)
     fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
     return run, context.engine(context.parameters(fixed, released=True), 0.0), arrays["theta"]
 

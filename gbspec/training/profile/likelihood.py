@@ -435,8 +435,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     if profiler.variance <= CLEAN**2:
         notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
     if profiler.widening > 1:
-        wider = f"{profiler.widening:.2g} times as wide as if they were independent"
-        notes.append(f"residuals follow one another: the interval is {wider}")
+        notes.append(f"residuals follow one another: the interval is {profiler.widening:.2g} times as wide for it")
     noise = math.sqrt(profiler.variance)
     return Profile(name, member, least.value, points, low, high, noise, tuple(notes), profiler.threshold)
 
