@@ -148,7 +148,7 @@ def tables_of(results: dict[str, Result]) -> list[str]:
     for name, result in results.items():
         member = result.run.fit.members[0]
         for channel, each in (member.channels or {}).items():
-            cells = (member.rmse[channel], each.r2, each.naive, result.run.fit.noise[channel], each.succession)
+            cells = (member.rmse[channel], each.r2, each.naive, result.run.fit.noise[channel], each.autocorrelation)
             shown = " | ".join("-" if cell is None else f"{cell:.5g}" for cell in cells)
             lines.append(f"| {name} | {channel} | {shown} |")
     lines += ["", "| model | predicted | rmse | inside the 90 % intervals | rmse of the linear model |",

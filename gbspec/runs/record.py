@@ -96,8 +96,8 @@ class ChannelRecord:
 
     `r2` is 1 minus the mean squared error over the variance of the data (of logarithms, if the noise is log-normal),
     `naive` that of the best predictor that knows no model, which `predictor` names; None where they are undefined (the
-    solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded. `succession` is
-    the correlation of residuals with the next ones of the same trajectory, from `pairs` of them.
+    solution is not finite, the data do not vary). `held` is `r2` of the data that `--holdout` excluded.
+    `autocorrelation` is the correlation of residuals with the next ones of the same trajectory, from `pairs` of them.
 
     `values` is the number of measured values, `weight` that of a squared error, in units of the variance of the data.
     If the channel is weighed by a noise that the fit estimated, `noise` is its standard deviation, and `share` the
@@ -112,7 +112,7 @@ class ChannelRecord:
     weight: float | None = field(default=None, metadata=OMITTED)
     noise: float | None = field(default=None, metadata=OMITTED)
     share: float | None = field(default=None, metadata=OMITTED)
-    succession: float | None = field(default=None, metadata=OMITTED)
+    autocorrelation: float | None = field(default=None, metadata=OMITTED)
     pairs: int = 0
     others: Mapping[str, object] = field(default_factory=dict)
 

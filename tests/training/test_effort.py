@@ -9,7 +9,7 @@ import pytest
 
 from gbspec.arrays import Array
 from gbspec.backends.module import load_module
-from gbspec.data import Estimated, Trajectories, sobol
+from gbspec.data import Trajectories, sobol
 from gbspec.runs import Run, files
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines import Choice, Engine, residual_vector

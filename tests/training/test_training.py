@@ -60,7 +60,7 @@ def test_fit_json_has_its_keys_in_order(fitted: Path) -> None:
     ]
     assert list(fit["members"][0]["channels"]["x1"]) == [
         *("r2", "naive", "predictor", "held", "values", "weight"),
-        *("succession", "pairs"),
+        *("autocorrelation", "pairs"),
     ]
     header, first, *_ = (fitted / "history.csv").read_text().splitlines()
     assert header == "member,stage,iteration,seconds,loss,B,beta"

@@ -12,9 +12,9 @@ from gbspec.diagnostics import ComputationError
 from gbspec.runs import ChannelRecord
 from gbspec.training import TrainOptions, train
 from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
-from gbspec.training.problem import in_time, share_that_counts, succession_of
+from gbspec.training.problem import autocorrelation_of, in_time, share_that_counts
 from gbspec.training.profile.likelihood import profile_constant
-from gbspec.training.runs.verdict import successions, verdicts, widening
+from gbspec.training.runs.verdict import autocorrelations, verdicts, widening
 from tests.training.conftest import URP, model_of, problem_of, trajectory, urp_data
 
 pytestmark = pytest.mark.usefixtures("quick_fits")
@@ -52,19 +52,19 @@ def test_a_fit_is_compared_with_the_best_naive_predictor(r2: float | None, naive
 def test_residuals_that_follow_one_another_are_told(
     correlation: float | None, pairs: int, r2: float, said: str
 ) -> None:
-    found = successions({"x": ChannelRecord(r2, 0.0, succession=correlation, pairs=pairs)})
+    found = autocorrelations({"x": ChannelRecord(r2, 0.0, autocorrelation=correlation, pairs=pairs)})
     assert len(found) == bool(said)
     assert all(said in text and "`x`" in text for text in found)
 
 
 def test_channels_weighed_by_what_counts_are_not_widened_again() -> None:
-    weighed = ChannelRecord(0.9, 0.0, share=0.05, succession=0.9, pairs=100)
-    plain = ChannelRecord(0.9, 0.0, share=1.0, succession=0.6, pairs=1000)
+    weighed = ChannelRecord(0.9, 0.0, share=0.05, autocorrelation=0.9, pairs=100)
+    plain = ChannelRecord(0.9, 0.0, share=1.0, autocorrelation=0.6, pairs=1000)
     assert widening({"x": weighed}) == 1.0
-    (said,) = successions({"x": weighed})
+    (said,) = autocorrelations({"x": weighed})
     assert "weights" in said and "times as wide" not in said
     assert widening({"x": weighed, "y": plain}) == pytest.approx(2.0)
-    (said,) = successions({"x": weighed, "y": plain})
+    (said,) = autocorrelations({"x": weighed, "y": plain})
     assert "2 times as wide" in said
 
 
@@ -90,7 +90,7 @@ def test_intervals_of_disturbed_data_are_wider(tmp_path: Path) -> None:
         low, high = run.fit.constants["k"].interval or (np.nan, np.nan)
         widths.append(high - low)
         channels = run.fit.members[0].channels or {}
-        assert any("follow one another" in warning for warning in run.fit.warnings) == (number == 1)
+        assert any("autocorrelated" in warning for warning in run.fit.warnings) == (number == 1)
         assert (widening(channels) > 2) == (number == 1)
         covariance = run.certainties().covariance
         assert covariance is not None
@@ -99,7 +99,7 @@ def test_intervals_of_disturbed_data_are_wider(tmp_path: Path) -> None:
         found = profile_constant(run, "k", data, points=3, iterations=20)
         assert found.comparison.trust == "both", "the profile takes the correlation into account too"
         assert (found.low, found.high) == pytest.approx((low, high), abs=0.1 * (high - low))
-        assert any("follow one another" in note for note in found.notes) == (number == 1)
+        assert any("autocorrelated" in note for note in found.notes) == (number == 1)
     assert widths[1] > 2 * widths[0]
 
 
@@ -110,21 +110,21 @@ def test_successive_residuals_are_those_of_one_trajectory() -> None:
     assert (np.diff(problem.packed.row_time[rows])[owner[1:] == owner[:-1]] > 0).all()
     assert len(rows) == int(problem.seen[:, 0].sum())
     white = rng.standard_normal(len(rows))
-    found, pairs = succession_of(white, owner)
+    found, pairs = autocorrelation_of(white, owner)
     assert found is not None and abs(found) < 4 / np.sqrt(pairs)
     assert pairs == len(rows) - 3
     level = rng.standard_normal(3)[owner]  # the same within a trajectory, unrelated between them
-    assert succession_of(level, owner)[0] == pytest.approx(1.0)
-    assert succession_of(0 * white, owner) == (None, pairs)
-    assert succession_of(np.full(len(rows), np.inf), owner) == (None, pairs)
+    assert autocorrelation_of(level, owner)[0] == pytest.approx(1.0)
+    assert autocorrelation_of(0 * white, owner) == (None, pairs)
+    assert autocorrelation_of(np.full(len(rows), np.inf), owner) == (None, pairs)
 
 
-def test_trajectories_of_one_row_do_not_count_as_successions() -> None:
+def test_trajectories_of_one_row_have_no_autocorrelation() -> None:
     residuals, owner = np.array([*np.zeros(10), 1.0, 1.0]), np.array([*range(10), 10, 10])
-    found, pairs = succession_of(residuals, owner)
+    found, pairs = autocorrelation_of(residuals, owner)
     assert (found, pairs) == (pytest.approx(1.0), 1)
-    channels = {"x": ChannelRecord(0.9, 0.0, succession=found, pairs=pairs)}
-    assert widening(channels) == 1.0 and not successions(channels), "one pair shows nothing"
+    channels = {"x": ChannelRecord(0.9, 0.0, autocorrelation=found, pairs=pairs)}
+    assert widening(channels) == 1.0 and not autocorrelations(channels), "one pair shows nothing"
 
 
 def test_intervals_become_no_narrower() -> None:

@@ -1,4 +1,7 @@
 from .arrivals import Integers as Integers
+from .autocorrelation import autocorrelation_of as autocorrelation_of
+from .autocorrelation import in_time as in_time
+from .autocorrelation import share_that_counts as share_that_counts
 from .bounds import STRETCH as STRETCH
 from .bounds import Bijection as Bijection
 from .bounds import Bijections as Bijections
@@ -20,6 +23,3 @@ from .residuals import residuals_of as residuals_of
 from .residuals import typical as typical
 from .scaling import Scaling as Scaling
 from .scaling import scaling_of as scaling_of
-from .succession import in_time as in_time
-from .succession import share_that_counts as share_that_counts
-from .succession import succession_of as succession_of

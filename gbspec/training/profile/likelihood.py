@@ -4,7 +4,7 @@ The constant is fixed at successive values, outwards from its estimate, and the 
 initial states are refitted each time (Raue et al. 2009, Bioinformatics 25, 1923). Whole solutions from the initial
 states are fitted. With Phi the penalised half sum of squares, D = 2 (Phi - min Phi) / sigma^2 is the
 deviance; below 2.706, the 90 % point of chi-squared with one degree of freedom, a value is within the interval. Where
-residuals follow one another, the threshold is higher by the square of the factor that widens the intervals of the fit.
+residuals are autocorrelated, the threshold is higher by the square of the factor that widens the intervals of the fit.
 
 The weights' prior is centered at the weights of the run, with the precision that the evidence gives there. A network
 has far more weights than the data determine, and whole solutions are nonlinear in the others: if the fit does not
@@ -435,7 +435,7 @@ def _assembled(name: str, member: int, fits: list[_Fitted], profiler: _Profiler)
     if profiler.variance <= CLEAN**2:
         notes.append("the data are fitted to rounding error, so the deviance refers to the smallest noise allowed")
     if profiler.widening > 1:
-        notes.append(f"residuals follow one another: the interval is {profiler.widening:.2g} times as wide for it")
+        notes.append(f"residuals are autocorrelated: the interval is {profiler.widening:.2g} times as wide for it")
     noise = math.sqrt(profiler.variance)
     return Profile(name, member, least.value, points, low, high, noise, tuple(notes), profiler.threshold)
 

@@ -356,7 +356,7 @@ class _Planner:
     def _growing(self) -> Planned:
         """Segments of growing length, from the warm start, from the present vector, and from other random weights."""
         context, parts = self.context, len(horizons(self.context))
-        most = ATTEMPTS[self.options.effort]
+        most = ATTEMPTS[self.effort]
 
         def make(reached: Reached) -> Stage:
             first = [reached.marks.get(StageName.WARM_START, reached.theta), reached.theta]

@@ -20,7 +20,7 @@ from gbspec.data import Estimated, deviations, unstated
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, linearise, residual_table
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, NormalEquations, Stage, evidence
-from gbspec.training.problem import Integers, Parameters, in_time, share_that_counts, succession_of
+from gbspec.training.problem import Integers, Parameters, autocorrelation_of, in_time, share_that_counts
 from gbspec.training.recipe.context import Context
 from gbspec.training.recipe.planned import Decision, Planned, Reached, step_fraction
 from gbspec.training.stages import StageName
@@ -161,7 +161,7 @@ def unsettled(context: Context, new: Estimated) -> bool:
 def share_of(residuals: Array, owner: Integers) -> float:
     """The share of residuals [m], in the order of time, that count: 1 unless the correlation of successive ones of the
     same trajectory is beyond chance."""
-    correlation, pairs = succession_of(residuals, owner)
+    correlation, pairs = autocorrelation_of(residuals, owner)
     if correlation is None or pairs < 2 or correlation <= 2 / np.sqrt(pairs):
         return 1.0
     return share_that_counts(correlation, pairs)

@@ -46,7 +46,7 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import successions, verdicts
+from gbspec.training.runs.verdict import autocorrelations, verdicts
 from gbspec.version import __version__
 
 OWN = frozenset(
@@ -357,7 +357,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
                 "these trajectories do not count as fitted"
             )
         known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
-        left = successions(result.channels) if known else []
+        left = autocorrelations(result.channels) if known else []
         out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")

@@ -14,7 +14,15 @@ from gbspec.data import Scales, naive_predictors, variance_of
 from gbspec.files import finite
 from gbspec.runs import ChannelRecord, StageRecord
 from gbspec.training.engines import predicted, residual_table, residual_vector
-from gbspec.training.problem import Parameters, Problem, in_time, mean_loss, measured_only, residuals_of, succession_of
+from gbspec.training.problem import (
+    Parameters,
+    Problem,
+    autocorrelation_of,
+    in_time,
+    mean_loss,
+    measured_only,
+    residuals_of,
+)
 from gbspec.training.recipe import Context, held_out_solutions, step_fraction
 from gbspec.training.stages import StageName
 
@@ -124,7 +132,7 @@ def _channels(
             finite(float(scales.value_weights[i])),
             None if estimated is None else finite(float(estimated.noise[i])),
             None if estimated is None else float(estimated.share[i]),
-            *succession_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
+            *autocorrelation_of(residuals[rows, i], problem.packed.row_trajectory[rows]),
         )
     return out
 

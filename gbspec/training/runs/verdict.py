@@ -12,7 +12,7 @@ from gbspec.training.problem import share_that_counts
 WORTHWHILE = 0.1
 """A fit must remove at least this fraction of the mean squared error of the best naive predictor."""
 
-SUCCESSION = 0.5
+AUTOCORRELATED = 0.5
 """Residuals whose correlation with the next ones is above this, by twice its standard error, are no noise of
 measurement."""
 EXACT = 1e-6
@@ -37,21 +37,23 @@ def verdicts(channels: Mapping[str, ChannelRecord]) -> list[str]:
 
 
 def widening(channels: Mapping[str, ChannelRecord]) -> float:
-    """The factor by which intervals of constants and functions are widened where residuals follow one another.
+    """The factor by which intervals of constants and functions are widened where residuals are autocorrelated.
 
     A fraction of the values counts (see `share_that_counts`), and standard deviations are larger by the root of its
     inverse. Channels that were weighed by this share have such intervals already.
     """
     left = [channels[name] for name in _following(channels) if (channels[name].share or 1.0) == 1.0]
-    return max((1 / math.sqrt(share_that_counts(one.succession or 0.0, one.pairs)) for one in left), default=1.0)
+    return max((1 / math.sqrt(share_that_counts(one.autocorrelation or 0.0, one.pairs)) for one in left), default=1.0)
 
 
-def successions(channels: Mapping[str, ChannelRecord]) -> list[str]:
-    """A warning for the channels whose residuals follow one another."""
+def autocorrelations(channels: Mapping[str, ChannelRecord]) -> list[str]:
+    """A warning for the channels whose residuals are autocorrelated."""
     found = _following(channels)
     if not found:
         return []
-    listed = ", ".join(f"`{name}` (correlation {channels[name].succession:.3g} with the next row's)" for name in found)
+    listed = ", ".join(
+        f"`{name}` (correlation {channels[name].autocorrelation:.3g} with the next row's)" for name in found
+    )
     factor = widening(channels)
     effect = (
         f"intervals are {factor:.2g} times as wide as if they were independent"
@@ -59,7 +61,7 @@ def successions(channels: Mapping[str, ChannelRecord]) -> list[str]:
         else "the weights of the channels, and with them the intervals, take this into account"
     )
     return [
-        f"the residuals of {listed} follow one another: they are disturbances or errors of the model, not noise of "
+        f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
         f"measurement. Each row tells less than a new one would: {effect}"
     ]
 
@@ -69,8 +71,8 @@ def _following(channels: Mapping[str, ChannelRecord]) -> list[str]:
     return [
         name
         for name, one in channels.items()
-        if one.succession is not None
+        if one.autocorrelation is not None
         and one.r2 is not None
         and 1 - one.r2 > EXACT
-        and one.succession > SUCCESSION + 2 / math.sqrt(max(one.pairs, 1))
+        and one.autocorrelation > AUTOCORRELATED + 2 / math.sqrt(max(one.pairs, 1))
     ]

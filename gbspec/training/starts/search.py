@@ -18,7 +18,7 @@ from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines import Engine, explain_failure, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
-from gbspec.training.problem import Problem, in_time, mean_loss, succession_of
+from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
 from gbspec.training.stages import Effort, StageName
 from gbspec.training.starts.own_constants import refit_own
 
@@ -71,7 +71,7 @@ def followed(residuals: Array, problem: Problem) -> bool:
     rows = [in_time(problem, i) for i in range(residuals.shape[1])]
     owners = [problem.packed.row_trajectory[each] + i * problem.packed.trajectories for i, each in enumerate(rows)]
     ours = [residuals[each, i] for i, each in enumerate(rows)]
-    correlation, pairs = succession_of(np.concatenate(ours), np.concatenate(owners))
+    correlation, pairs = autocorrelation_of(np.concatenate(ours), np.concatenate(owners))
     return correlation is not None and correlation > FOLLOWING + 2 / math.sqrt(pairs)
 
 

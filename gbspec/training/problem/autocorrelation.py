@@ -1,4 +1,4 @@
-"""Whether residuals follow one another, and how many of them count then.
+"""The autocorrelation of residuals, and how many of them count then.
 
 Noise of measurements is independent from row to row; what a model cannot explain is not.
 """
@@ -18,7 +18,7 @@ def in_time(problem: Problem, channel: int) -> Integers:
     return np.asarray(rows[np.lexsort((packed.row_index[rows], packed.row_trajectory[rows]))], dtype=np.int64)
 
 
-def succession_of(residuals: Array, owner: Integers) -> tuple[float | None, int]:
+def autocorrelation_of(residuals: Array, owner: Integers) -> tuple[float | None, int]:
     """The correlation of residuals [m], in the order of time, with the next ones of the same `owner` [m].
 
     With the number of pairs; None where it is not defined.
