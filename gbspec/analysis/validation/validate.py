@@ -284,10 +284,9 @@ def _against_truth(
         names = ", ".join(f"`{name}`" for name in lacking)
         warnings.append(f"{names} has no `truth`; its starting value is used in the reference instead")
     case = bundled_case(model)
-    if sampling is None and case is None:
-        sampling, model = sampling_like(model, data), starting(model, data)
-    elif sampling is None and case is not None:
-        sampling = case.sampling
+    if sampling is None:
+        sampling = case.sampling if case is not None else sampling_like(model, data)
+        model = model if case is not None else starting(model, data)
     if metrics is None:
         metrics = case.metrics if case is not None else Metrics()
     try:
