@@ -124,7 +124,7 @@ def test_a_function_that_hardly_varies_is_compared_relative_to_its_magnitude(tmp
     assert pytest.approx(float(shown) / 0.001, rel=0.2) == found.functions["rate"].L1
 
 
-def test_inputs_and_doses_are_drawn_like_those_of_the_data(tmp_path: Path) -> None:
+def test_inputs_and_doses_are_drawn_like_those_of_the_data(tmp_path: Path, write_run: Callable[..., Run]) -> None:
     model = made(tmp_path, DOSED)
     given = [
         replace(
@@ -139,3 +139,6 @@ def test_inputs_and_doses_are_drawn_like_those_of_the_data(tmp_path: Path) -> No
     assert found.condition == {"F": (0.0, 4.0)}
     assert found.dose == {"A": "1.0:5.0@0.0,900.0"}
     assert sampling_like(model, Trajectories((), ("A",))) == sampling_like(model, None) == SimulateOptions()
+    compared = validate(write_run(model, load_module(model).random(0)), Trajectories(tuple(given), ("A",))).truth
+    assert compared is not None and compared.protocol["horizon"] == 1800.0
+    assert compared.rhs.points == 20 and compared.rhs.fallback == ()
