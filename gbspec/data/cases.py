@@ -3,6 +3,9 @@
 A `cases.toml` in the folder of the model files has tables `[sampling]`, `[metrics]` and `[training]` for all models in
 the folder, and a table `[case.NAME]` for each case that differs. A case with the name of a model (ignoring upper and
 lower case) is the default case of that model.
+
+Studies read any `cases.toml`; `validate` reads those of the bundled models only, since a run has a copy of its model
+and does not know the model's folder.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ class Sampler:
         raise ComputationError(
             f"no test trajectory of the truth was found in {ATTEMPTS} draws; the last: {reason}",
             where="the points at which the model is compared with its truth",
-            remedy="narrow the box of initial states in `cases.toml`, or reject less",
+            remedy="declare narrower ranges of the states; in `cases.toml`, narrow `initial` or reject less",
         )
 
     def _solve(self, drawn: Plan, time: float) -> Array | None:

@@ -53,15 +53,18 @@ class Norms:
         return f"L1 {self.L1:.3g}  L2 {self.L2:.3g}  Linf {self.Linf:.3g}{failed}"
 
 
-def truth_scale(truth: Array, fallback: Array) -> tuple[Array, Mask]:
-    """Range of each variable of `truth` [N, V], and which variables use `fallback` [V] since their range is zero."""
+def truth_scale(truth: Array, fallback: Array, flat_below: float = FLAT) -> tuple[Array, Mask]:
+    """Range of each variable of `truth` [N, V], and which variables use `fallback` [V] since their range is zero.
+
+    A range counts as zero up to `flat_below` times the fallback, or the magnitude if that is larger.
+    """
     width = truth.max(axis=0) - truth.min(axis=0)
     reference = np.maximum(fallback, np.abs(truth).max(axis=0))
-    flat = width <= FLAT * reference
+    flat = width <= flat_below * reference
     return np.where(flat, fallback, width), flat
 
 
-def norms(truth: Array, predicted: Array, fallback: Array, names: Sequence[str]) -> Norms:
+def norms(truth: Array, predicted: Array, fallback: Array, names: Sequence[str], flat_below: float = FLAT) -> Norms:
     """The norms of `truth` against `predicted`, both [N, V]; `fallback` [V] scales variables without a range.
 
     Points (rows) at which either is not finite are counted as failed and excluded.
@@ -70,7 +73,7 @@ def norms(truth: Array, predicted: Array, fallback: Array, names: Sequence[str])
     failed = int(np.sum(~good))
     if not good.any():
         return Norms(math.nan, math.nan, math.nan, 0, failed)
-    scale, flat = truth_scale(truth[good], fallback)
+    scale, flat = truth_scale(truth[good], fallback, flat_below)
     error = np.abs((predicted[good] - truth[good]) / scale)
     points, variables = error.shape
     return Norms(

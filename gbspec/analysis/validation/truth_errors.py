@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 LEARNED_RTOL = 1e-7
 """Relative tolerance at which learned solutions are compared: far below any error of a fit."""
+HARDLY_VARIES = 1e-2
+"""A function whose truth varies by less than this part of its magnitude is compared relative to the magnitude: an
+error relative to the variation would say nothing about the function's values."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +189,7 @@ def _functions(model: Model, evaluators: Sequence[Evaluator], truth: Evaluator, 
 def _norms_of(names: Sequence[str], pairs: Sequence[tuple[Array, Array]]) -> Norms:
     true, learned = (np.stack(columns, axis=1) for columns in zip(*pairs, strict=True))
     size = np.abs(true).max(axis=0)
-    return norms(true, learned, np.where(size > 0, size, 1.0), names)
+    return norms(true, learned, np.where(size > 0, size, 1.0), names, HARDLY_VARIES)
 
 
 def _arguments(model: Model, truth: Evaluator, at: RhsPoints) -> dict[str, list[Array]]:

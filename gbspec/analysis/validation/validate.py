@@ -10,6 +10,7 @@ import numpy as np
 
 from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction, predictions
 from gbspec.analysis.systems import extrapolation_of
+from gbspec.analysis.validation.data_sampling import sampling_like, starting
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
@@ -164,7 +165,8 @@ def validate(
     Predictions are solved by CVODES from each trajectory's initial state to its end without using later data: the
     initial state is the learned one on training data, the known one if the first row or the model gives it, and else
     estimated from the trajectory itself. The mean of the members is the mean of their predictions. `sampling` and
-    `metrics` determine the comparison with the truth; default: the model's case if it is bundled, else general values.
+    `metrics` determine the comparison with the truth; default: the model's case if it is bundled, else as in the data
+    (`data_sampling`), and general values without data.
 
     Raises UserError if there is no such member.
     """
@@ -194,7 +196,7 @@ def validate(
         warnings.append(check.warning)
     compared = None
     if truth and has_reference(run.model):
-        compared = _against_truth(run.model, evaluators, sampling, metrics, warnings)
+        compared = _against_truth(run.model, evaluators, trajectories, sampling, metrics, warnings)
     return Validation(member, channels, errors, check, compared, tuple(warnings), predicted, worst)
 
 
@@ -269,13 +271,13 @@ def _data_warnings(errors: Sequence[TrajectoryError]) -> list[str]:
 def _against_truth(
     model: Model,
     evaluators: Sequence[Evaluator],
+    data: Trajectories | None,
     sampling: SimulateOptions | None,
     metrics: MetricsOptions | None,
     warnings: list[str],
 ) -> TruthErrors | None:
     """The errors against the truth; None, and a warning, if the comparison cannot be made."""
     from gbspec.data import MetricsOptions as Metrics
-    from gbspec.data import SimulateOptions as Sampling
 
     lacking = without_truth(model)
     if lacking:
@@ -283,7 +285,8 @@ def _against_truth(
         warnings.append(f"{names} has no `truth`; its starting value is used in the reference instead")
     case = bundled_case(model)
     if sampling is None:
-        sampling = case.sampling if case is not None else Sampling()
+        sampling = case.sampling if case is not None else sampling_like(model, data)
+        model = model if case is not None else starting(model, data)
     if metrics is None:
         metrics = case.metrics if case is not None else Metrics()
     try:
