@@ -45,7 +45,7 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import successions, verdicts
+from gbspec.training.runs.verdict import inseparable, successions, verdicts
 from gbspec.version import __version__
 
 OWN = frozenset(
@@ -148,6 +148,7 @@ class Fitting:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
             self.record = completed(self.record, self.model, self.results, self.options)
+            self.record = replace(self.record, warnings=(*inseparable(self.model), *self.record.warnings))
             ended = len(self.results) + len(self.failures) == self.options.members
             finished = ended and all(result.finished for result in self.results.values())
             self.record = _write_results(self.path, self.model, replace(self.record, finished=finished), self.results)
@@ -346,7 +347,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
             )
         known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
         left = successions(result.channels) if known else []
-        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.notes)]
+        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)
