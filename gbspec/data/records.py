@@ -46,7 +46,7 @@ class Records:
 
 
 LABELS = frozenset(
-    [
+    {
         "run",
         "runs",
         "run_id",
@@ -66,7 +66,7 @@ LABELS = frozenset(
         "test",
         "cycle",
         "replicate",
-    ]
+    }
 )
 """Names of columns, in lower case, that may tell experiments apart."""
 
