@@ -17,6 +17,7 @@ from gbspec.operations import analysing, fitting, models, reporting, tables
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
     from gbspec.analysis import Diagram, Eigen, Forecast, InitialStates, PlaneDiagram, Validation
     from gbspec.backends import GeneratedModule
@@ -62,10 +63,11 @@ class FittedRun(Tabled):
 
         return pl.read_csv(self.run.path / "history.csv", infer_schema_length=None)
 
-    def function(self, name: str, points: Data) -> pl.DataFrame:
+    def function(self, name: str, points: Frame | ArrayLike) -> pl.DataFrame:
         """A learned function at points, in its units: its arguments, `value`, and `low` and `high` of its 90 % band.
 
-        `points` has a column for each argument. The band is null where the fit does not know it.
+        `points` is a table with a column for each argument, or a list or array [P, A] with them in their order. The
+        band is null where the fit does not know it.
         """
         return analysing.function_frame(self.run, name, points)
 

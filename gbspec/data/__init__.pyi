@@ -5,6 +5,7 @@ from .cases import MetricsOptions as MetricsOptions
 from .cases import find_cases as find_cases
 from .cases import load_cases as load_cases
 from .checks import far_outside as far_outside
+from .checks import states_far_outside as states_far_outside
 from .columns import TRAJECTORY as TRAJECTORY
 from .columns import form_of as form_of
 from .draws import sobol as sobol

@@ -239,21 +239,29 @@ def _point_out(table: Records, groups: list[int], code: str, findings: Findings)
 
 
 def far_outside(model: Model, values: Array) -> list[str]:
-    """A sentence for each channel that is a state and has values [rows, channels] far outside of its declared range.
+    """A sentence for each channel that is a state and has values [rows, channels] far outside of its declared range."""
+    states = {j: channel.state for j, channel in enumerate(model.channels) if channel.state is not None}
+    found = ((model.channels[j].name, model.states[i].range, values[:, j]) for j, i in states.items())
+    return [text for name, bounds, column in found if (text := _beyond(name, bounds, column))]
 
-    Far is by more than a tenth of the range: noise and small errors of a fit may leave it by less.
-    """
-    found = []
-    for j, channel in enumerate(model.channels):
-        bounds = None if channel.state is None else model.states[channel.state].range
-        if bounds is None or not bounds.bounded:
-            continue
-        column, margin = values[:, j], 0.1 * (bounds.high - bounds.low)
-        beyond = column[(column < bounds.low - margin) | (column > bounds.high + margin)]
-        if len(beyond):
-            spread = f"from {beyond.min():.4g} to {beyond.max():.4g}" if len(beyond) > 1 else f"{beyond[0]:.4g}"
-            found.append(
-                f"`{channel.name}`: {len(beyond)} of {int(np.isfinite(column).sum())} values lie far outside of its"
-                f" range {_interval(bounds)}: {spread}"
-            )
-    return found
+
+def states_far_outside(model: Model, states: Array) -> list[str]:
+    """A sentence for each state that has values [rows, states] far outside of its declared range."""
+    found = zip(model.states, states.T, strict=True)
+    return [text for state, column in found if (text := _beyond(state.name, state.range, column))]
+
+
+def _beyond(name: str, bounds: Range | None, column: Array) -> str:
+    """A sentence if values lie outside of a range by more than a tenth of it, else empty: noise and small errors of a
+    fit may leave it by less."""
+    if bounds is None or not bounds.bounded:
+        return ""
+    margin = 0.1 * (bounds.high - bounds.low)
+    beyond = column[(column < bounds.low - margin) | (column > bounds.high + margin)]
+    if not len(beyond):
+        return ""
+    spread = f"from {beyond.min():.4g} to {beyond.max():.4g}" if len(beyond) > 1 else f"{beyond[0]:.4g}"
+    return (
+        f"`{name}`: {len(beyond)} of {int(np.isfinite(column).sum())} values lie far outside of its range "
+        f"{_interval(bounds)}: {spread}"
+    )

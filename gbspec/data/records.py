@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
 from gbspec.data.cells import coded, labels, numbers
-from gbspec.data.columns import Layout, Quantity, describe
+from gbspec.data.columns import TRAJECTORY, Layout, Quantity, describe
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import SHOWN, Sheet, shown
 from gbspec.diagnostics import Cell, Findings
@@ -43,6 +43,32 @@ class Records:
     row: Index
     series: dict[Quantity, Series]
     time_column: str
+
+
+LABELS = frozenset(
+    {
+        "run",
+        "runs",
+        "run_id",
+        "experiment",
+        "exp",
+        "trial",
+        "batch",
+        "id",
+        "series",
+        "traj",
+        "subject",
+        "patient",
+        "animal",
+        "sample",
+        "group",
+        "cell",
+        "test",
+        "cycle",
+        "replicate",
+    }
+)
+"""Names of columns, in lower case, that may tell experiments apart."""
 
 
 def records(sheet: Sheet, layout: Layout, findings: Findings) -> Records:
@@ -83,7 +109,7 @@ def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
     keep = np.flatnonzero(~np.isnan(time))
     order = keep[np.argsort(group[keep], kind="stable")]
     group, time, row = group[order], time[order], sheet.rows[order]
-    _increasing(sheet.path, layout.time, names, group, time, row, findings)
+    _increasing(sheet.path, layout.time, names, group, time, row, findings, _unnamed(sheet, layout))
     cells = {quantity: numbers(sheet, quantity.column, findings)[order] for quantity in layout.columns}
     sds = {quantity.index: values for quantity, values in cells.items() if quantity.role == "sd"}
     series: dict[Quantity, Series] = {}
@@ -97,9 +123,19 @@ def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
 
 
 def _increasing(
-    path: str, column: str, names: list[str], group: Index, time: Array, row: Index, findings: Findings
+    path: str,
+    column: str,
+    names: list[str],
+    group: Index,
+    time: Array,
+    row: Index,
+    findings: Findings,
+    unnamed: str,
 ) -> None:
-    """Reports times that decrease within a trajectory (GB715) or occur twice (GB716)."""
+    """Reports times that decrease within a trajectory (GB715) or occur twice (GB716).
+
+    `unnamed` is the remedy where no column tells trajectories apart, which is told once.
+    """
     same = group[1:] == group[:-1]
     for code, bad in (
         ("GB716", np.flatnonzero(same & (time[1:] == time[:-1]))),
@@ -117,9 +153,21 @@ def _increasing(
                 Cell(path, int(row[i + 1]), column),
                 help="put both into one row; for replicates use the long layout (trajectory, t, name, value)"
                 if twice
-                else "sort the rows by time, or begin a new trajectory there",
+                else unnamed or "sort the rows by time, or begin a new trajectory there",
                 notes=notes,
             )
+            unnamed = "" if code == "GB715" else unnamed
+
+
+def _unnamed(sheet: Sheet, layout: Layout) -> str:
+    """The remedy for a time that goes back in a table without a column of trajectories; empty if it has one."""
+    if layout.trajectory is not None:
+        return ""
+    read = {quantity.column for quantity in layout.columns} | {layout.time}
+    others = [name for name in sheet.columns if name not in read]
+    like = next((name for name in others if name.casefold() in LABELS or similar(name, [TRAJECTORY])), None)
+    remedy = f"rename `{like}`, if it is one" if like else "add one with a label for each experiment"
+    return f"there is no column `{TRAJECTORY}`, so that all rows are one experiment: {remedy}, or sort the rows by time"
 
 
 # ---------------------------------------------------------------------------------------------------- long layout

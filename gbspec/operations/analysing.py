@@ -23,6 +23,7 @@ if TYPE_CHECKING:
         System,
         Validation,
     )
+    from gbspec.arrays import Array
     from gbspec.data import Trajectories
     from gbspec.runs import Run
 
@@ -135,21 +136,21 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
 
 @packages()
 def function_frame(run: Run, name: str, points: object) -> pl.DataFrame:
-    """A learned function and its 90 % band at points, a table with a column for each argument.
+    """A learned function and its 90 % band at points: a table with a column for each argument, or numbers [P, A].
 
-    Raises ValueError if there is no such function, or if an argument has no column.
+    Raises ValueError if there is no such function, if an argument has no column, or if the numbers have another shape.
     """
     import numpy as np
     import polars as pl
 
     from gbspec.analysis import function_bands
-    from gbspec.data import frame_columns
+    from gbspec.data import frame_columns, is_frame
 
     networks = {output: network for network in run.model.networks for output in network.outputs}
     if name not in networks:
         raise ValueError(f"there is no function `{name}`; there are {', '.join(networks) or 'none'}")
     arguments = [argument.name for argument in networks[name].arguments]
-    columns = frame_columns(points)
+    columns = frame_columns(points) if is_frame(points) else _columns(name, arguments, points)
     lacking = [argument for argument in arguments if argument not in columns]
     if lacking:
         raise ValueError(f"`{name}` is a function of {', '.join(arguments)}: no column is named {', '.join(lacking)}")
@@ -157,3 +158,19 @@ def function_frame(run: Run, name: str, points: object) -> pl.DataFrame:
     value, low, high = function_bands(run, name, at)
     found = {**{argument: columns[argument] for argument in arguments}, "value": value, "low": low, "high": high}
     return pl.DataFrame(found, nan_to_null=True)
+
+
+def _columns(name: str, arguments: Sequence[str], points: object) -> dict[str, Array]:
+    """The columns of points [P, A] by argument; points [P] for a single one. Raises ValueError."""
+    import numpy as np
+
+    wanted = f"a table with columns {', '.join(arguments)}, or numbers [points, {len(arguments)}]"
+    try:
+        at = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"the points of `{name}` are {wanted}") from None
+    if at.ndim == 1 and len(arguments) == 1:
+        at = at[:, None]
+    if at.ndim != 2 or at.shape[1] != len(arguments):
+        raise ValueError(f"the points of `{name}` are {wanted}, not {list(at.shape)}")
+    return dict(zip(arguments, at.T, strict=True))

@@ -23,8 +23,11 @@ CERTAIN, VAGUE = 0.1, 0.5
 """Half a 90 % interval, relative to the value, up to which a constant is certain, and from which it is hardly known."""
 FUNCTION_CERTAIN, FUNCTION_VAGUE = 0.1, 0.3
 """Half a function's 90 % band, or the spread of its members, relative to its range over the data."""
+HARDLY = "The data hardly determine"
+"""The beginning of a doubt about a constant or a function that makes the whole a matter of reservations."""
 ADVICE = re.compile(
-    r"(?:; |[.] |: )(?=(?:Train|train|widen|fix|do not|give|use|check|`--resume`|`--members|it is |what may))"
+    r"(?:; |[.] |: )"
+    r"(?=(?:Train|train|widen|fix|do not|give|use|check|`--resume`|`--members|it is |what may|observe |leave ))"
 )
 """Where the advice of a warning begins."""
 
@@ -64,10 +67,14 @@ def verdict(run: Run, found: Validation, functions: Sequence[LearnedFunction], *
         doubt.append(_sentence(what))
         do += map(_sentence, advice)
     _missing(run, doubt, do)
-    return Verdict(_headline(found, warnings, with_data), *(tuple(dict.fromkeys(each)) for each in (good, doubt, do)))
+    reserved = bool(warnings) or any(text.startswith(HARDLY) for text in doubt)
+    return Verdict(
+        _headline(found, warnings, reserved, with_data), *(tuple(dict.fromkeys(each)) for each in (good, doubt, do))
+    )
 
 
-def _headline(found: Validation, warnings: Sequence[str], with_data: bool) -> str:
+def _headline(found: Validation, warnings: Sequence[str], reserved: bool, with_data: bool) -> str:
+    """`reserved`: whether there are warnings, or something that the data hardly determine."""
     worst = min((one.r2 for one in found.channels.values()), default=1.0)
     worse = any("whole solutions follow" in warning for warning in warnings)
     if not with_data:
@@ -76,7 +83,7 @@ def _headline(found: Validation, warnings: Sequence[str], with_data: bool) -> st
         return "Do not rely on this fit: its solutions do not follow the data."
     if worst < FOLLOWED:
         return "It follows the data in part."
-    return "It follows the data, with reservations." if warnings else "It follows the data."
+    return "It follows the data, with reservations." if reserved else "It follows the data."
 
 
 def _channels(run: Run, found: Validation, good: list[str], doubt: list[str]) -> None:
@@ -118,7 +125,7 @@ def _constants(constants: Sequence[LearnedConstant], good: list[str], doubt: lis
             certain.append(f"`{one.name}` ±{100 * half / abs(one.value):.2g} %" if one.value else f"`{one.name}`")
         elif half >= VAGUE * abs(one.value):
             ends = f"{number(one.interval[0], 3)} to {number(one.interval[1], 3)}"
-            doubt.append(f"The data hardly determine `{one.name}`: its 90 % interval is {ends}.")
+            doubt.append(f"{HARDLY} `{one.name}`: its 90 % interval is {ends}.")
     if certain:
         good.append(f"Constants with narrow 90 % intervals: {', '.join(certain)}.")
     if unknown:
@@ -139,18 +146,24 @@ def _function(function: LearnedFunction, good: list[str], doubt: list[str]) -> N
     if len(piece.members) > 1:
         spread = float(np.median(np.ptp(piece.members[:, near], axis=0))) / span
         if spread > FUNCTION_VAGUE:
-            doubt.append(f"The members disagree about {where}: by {100 * spread:.0f} % of its range (median).")
+            doubt.append(f"The members disagree about {where}: by {_percent(spread)} of its range (median).")
     if piece.band is None:
         doubt.append(f"No band is known for {where}.")
         return
     half = float(np.median(0.5 * (piece.band[1] - piece.band[0])[near])) / span
-    text = f"{where}: the 90 % band is ±{100 * half:.2g} % of its range (median)."
+    wide = f"±{_percent(half)} of its range" if half < 1 else f"{_percent(half)} of its range to either side"
+    text = f"{where}: the 90 % band is {wide} (median)."
     if half <= FUNCTION_CERTAIN:
         good.append(f"The data determine {text}")
     elif half >= FUNCTION_VAGUE:
-        doubt.append(f"The data hardly determine {text}")
+        doubt.append(f"{HARDLY} {text}")
     if piece.far is not None and piece.far.any():
         doubt.append(f"{where} is extrapolated where the background is grey.")
+
+
+def _percent(fraction: float) -> str:
+    """A fraction in per cent, never as a power of ten."""
+    return "more than 100 %" if fraction >= 1 else f"{float(f'{100 * fraction:.2g}'):g} %"
 
 
 def _missing(run: Run, doubt: list[str], do: list[str]) -> None:

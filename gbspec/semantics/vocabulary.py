@@ -54,6 +54,13 @@ def arity(function: str) -> tuple[int, int | None]:
     return FUNCTIONS[function], None if function in ("min", "max") else FUNCTIONS[function]
 
 
+def swapped(name: str, other: str) -> bool:
+    """Whether two neighbouring characters exchanged make one name the other: a single slip, as `tahn` for `tanh`."""
+    return name != other and any(
+        name[:i] + name[i + 1] + name[i] + name[i + 2 :] == other for i in range(len(name) - 1)
+    )
+
+
 def suggestion(name: str, candidates: Iterable[str]) -> str:
     """A help line for an undeclared name: a look-alike, an equivalent, or the nearest spelling; else empty."""
     pool = sorted(set(candidates))
@@ -62,7 +69,7 @@ def suggestion(name: str, candidates: Iterable[str]) -> str:
         return explain_look_alike(name, twin)
     if name in FOREIGN:
         return FOREIGN[name]
-    close = difflib.get_close_matches(name, pool, n=1, cutoff=0.6)
+    close = [c for c in pool if swapped(name, c)] or difflib.get_close_matches(name, pool, n=1, cutoff=0.6)
     if not close:
         same = [c for c in pool if c.casefold() == name.casefold()]
         close = same[:1]

@@ -210,6 +210,13 @@ def test_a_learned_function_is_a_frame(tmp_path: Path, quick_fit: None) -> None:
     assert frame.columns == ["x", "value", "low", "high"]
     member = made.member()
     assert frame["value"].to_list() == pytest.approx(member.functions["f"]([[0.2], [0.4]]).tolist())
+    for points in ([[0.2], [0.4]], [0.2, 0.4], np.array([[0.2], [0.4]])):
+        assert made.function("f", points).equals(frame)
+    with pytest.raises(ValueError, match=r"a table with columns x, or numbers \[points, 1\], not \[1, 2\]"):
+        made.function("f", [[0.2, 0.4]])
+    for wrong in ("points.csv", None, [[0.2], [0.4, 0.5]]):
+        with pytest.raises(ValueError, match="the points of `f` are a table"):
+            made.function("f", wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no column is named x"):
         made.function("f", {"y": [0.2]})
     with pytest.raises(ValueError, match="there is no function `g`"):

@@ -132,6 +132,17 @@ def test_columns_of_another_kind(tmp_path: Path, column: str) -> None:
     assert ("GB730", None, column) in places(list(findings))
 
 
+@pytest.mark.parametrize(
+    ("column", "help"), [("run", "rename `run`, if it is one"), ("other", "add one with a label for each experiment")]
+)
+def test_times_that_go_back_without_a_column_of_trajectories(reading: Reader, column: str, help: str) -> None:
+    rows = "".join(f"{k},{t},.5,1,.3\n" for k in (1, 2, 3) for t in (0, 1))
+    _, findings = reading(f"{column},t,x1,x2,Da\n{rows}")
+    first, second = (one for one in findings if one.code == "GB715")
+    assert first.help.startswith("there is no column `trajectory`") and help in first.help
+    assert second.help == "sort the rows by time, or begin a new trajectory there"
+
+
 def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
     _, findings = reading("t,x1,X2,Da\n0,.5,1,.3\n1,.5,1,.3\n")
     assert "`X2`" in findings[0].help

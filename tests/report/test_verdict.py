@@ -92,3 +92,31 @@ def test_without_data_nothing_is_judged() -> None:
     said = verdict(run(), Validation("mean", {}, (), StepCheck(None, None, 0.1)), (), with_data=False)
     assert said.headline.startswith("Without its data")
     assert any("was not found" in text for text in said.doubt)
+
+
+@pytest.mark.parametrize(
+    ("half", "said"), [(0.4, "±40 % of its range"), (0.999, "±100 % of"), (1.1, "more than 100 %")]
+)
+def test_a_function_that_is_hardly_determined_is_a_reservation(half: float, said: str) -> None:
+    found_so = verdict(run(), found(), (function(half=half),), with_data=True)
+    assert found_so.headline == "It follows the data, with reservations."
+    (doubt,) = found_so.doubt
+    assert doubt.startswith("The data hardly determine `f` over `x`") and said in doubt and "e+" not in doubt
+
+
+def test_a_constant_that_is_hardly_determined_is_a_reservation() -> None:
+    said = verdict(run(interval=(-1.0, 3.0)), found(), (), with_data=True)
+    assert said.headline == "It follows the data, with reservations."
+    assert any("hardly determine `k`" in text for text in said.doubt)
+
+
+def test_a_small_doubt_is_no_reservation() -> None:
+    said = verdict(run(held=None), found(), (), with_data=True)
+    assert said.doubt and said.headline == "It follows the data."
+
+
+def test_what_no_data_can_separate_is_a_doubt_with_advice() -> None:
+    known = "`a` and `b` cannot be told apart by what is observed (GB401): they can change together; "
+    said = verdict(run(known + "observe `y`; or accept it with `allow GB401 a`"), found(), (), with_data=True)
+    assert said.headline == "It follows the data, with reservations."
+    assert said.do == ("Observe `y`; or accept it with `allow GB401 a`.",)

@@ -9,6 +9,7 @@ import pytest
 from gbspec.diagnostics import Findings, Source, Span
 from gbspec.lower import lower
 from gbspec.semantics import check
+from gbspec.semantics.vocabulary import FUNCTIONS, suggestion
 from gbspec.syntax.parser import parse
 
 RIGHT = """model reactor "A reactor"
@@ -60,3 +61,8 @@ def test_a_mistake_is_one_diagnostic_at_its_place(code: str, line: str, marked: 
         marked.replace("<tab>", "\t"),
     )
     assert finding.help or finding.label
+
+
+@pytest.mark.parametrize(("name", "meant"), [("tahn", "tanh"), ("epx", "exp")])
+def test_neighbouring_characters_exchanged_are_a_single_slip(name: str, meant: str) -> None:
+    assert suggestion(name, FUNCTIONS) == f"did you mean `{meant}`?"

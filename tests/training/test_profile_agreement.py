@@ -49,3 +49,20 @@ def test_the_only_interval_is_trusted() -> None:
 def test_a_profile_of_one_member_does_not_have_the_differences_between_members() -> None:
     assert judged(0.79, 0.83, members=3).trust == "fit"
     assert judged(0.60, 0.95, members=3).trust == "profile"
+
+
+@pytest.mark.parametrize("settled", [True, False])
+@pytest.mark.parametrize("members", [1, 3])
+@pytest.mark.parametrize("fit", [(0.2, 1.4), (0.805, 0.815), None])
+def test_a_profile_that_a_raised_prior_narrows_is_not_trusted(
+    fit: tuple[float, float] | None, members: int, settled: bool
+) -> None:
+    found = compared(Found(0.81, 0.80, 0.82, settled, 0.915), 0.81, fit, members)
+    assert found.trust == "neither" and "the raised prior of the weights makes 92 % narrower" in found.words
+    assert found.words.startswith("trust neither the profile, ") and "hardly determine" in found.words
+    assert ("0.8 to 0.82" in found.words) == settled
+
+
+def test_a_little_narrowing_changes_nothing() -> None:
+    narrowed = compared(Found(0.81, 0.60, 0.88, True, 0.1), 0.81, FIT, 1)
+    assert narrowed == compared(Found(0.81, 0.60, 0.88, True), 0.81, FIT, 1)

@@ -4,6 +4,7 @@ from .choice import choose as choose
 from .choice import few as few
 from .device import device_of as device_of
 from .engine import Engine as Engine
+from .engine import Moments as Moments
 from .engine import taken as taken
 from .linearised import Linearised as Linearised
 from .objective import half_squares as half_squares

@@ -43,7 +43,7 @@ from gbspec.training.optimise import (
 )
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, Problem, typical
-from gbspec.training.profile.agreement import Comparison, Found, compared
+from gbspec.training.profile.agreement import Comparison, Found, compared, narrowing
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 from gbspec.training.runs import agreed, widening
@@ -173,13 +173,14 @@ def profile_constant(
     found = [best]
     for direction in (-1.0, 1.0):
         found += _side(profiler, best, direction, points, progress)
-    return _judged(run, _assembled(name, number, sorted(found, key=lambda one: one.value), profiler))
+    whole = _assembled(name, number, sorted(found, key=lambda one: one.value), profiler)
+    return _judged(run, whole, profiler.narrowed)
 
 
-def _judged(run: Run, found: Profile) -> Profile:
+def _judged(run: Run, found: Profile, narrowed: float) -> Profile:
     """The profile beside the fit's interval, recorded in the run."""
     known = run.fit.constants[found.name]
-    place = Found(found.estimate, found.low, found.high, found.settled)
+    place = Found(found.estimate, found.low, found.high, found.settled, narrowed)
     verdict = compared(place, known.value, known.interval, len(run.numbers))
     ends = (found.low, found.high)
     write_profile(
@@ -229,7 +230,7 @@ class _Profiler:
         self.begin = self._vector(self.parameters, self.free)
         self.kept = Kept.of(run, member, name, trajectories)
         self.notes: list[str] = []
-        self.variance, self.deviation = 1.0, 0.0
+        self.variance, self.deviation, self.narrowed = 1.0, 0.0, 0.0
 
     def estimate(self) -> _Fitted:
         """The fit with all parameters free; sets the noise, the prior, and the linear path of the later fits."""
@@ -289,11 +290,8 @@ class _Profiler:
         before = self.deviation
         weaker = replace(first, engine=self.target.engine)
         wide = math.sqrt(Anchor(weaker.equations(theta), WEAK * self.variance, self.column).variance * self.variance)
-        factor = self.target.ridge / first.ridge
-        self.notes.append(
-            f"the precision of the weights' prior was raised to {factor:g} times that of the evidence so that the fits "
-            f"converge: according to the linearised fit the interval is {100 * (1 - before / wide):.1f} % narrower"
-        )
+        self.narrowed = 1 - before / wide
+        self.notes.append(narrowing(self.target.ridge / first.ridge, self.narrowed))
 
     def _penalised(self, ridge: float, variance: float) -> Penalised:
         problem = self.free.problem(0.0)

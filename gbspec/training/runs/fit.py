@@ -46,7 +46,7 @@ from gbspec.training.runs.constants import (
 from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
-from gbspec.training.runs.verdict import autocorrelations, verdicts
+from gbspec.training.runs.verdict import autocorrelations, inseparable, verdicts
 from gbspec.version import __version__
 
 OWN = frozenset(
@@ -155,6 +155,7 @@ class Fitting:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
             self.record = completed(self.record, self.model, self.results, self.options)
+            self.record = replace(self.record, warnings=(*inseparable(self.model), *self.record.warnings))
             ended = len(self.results) + len(self.failures) == self.options.members
             finished = ended and all(result.finished for result in self.results.values())
             self.record = _write_results(self.path, self.model, replace(self.record, finished=finished), self.results)
@@ -358,7 +359,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
             )
         known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
         left = autocorrelations(result.channels) if known else []
-        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.notes)]
+        out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
     missing = options.members - len(results)

@@ -10,10 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.data import Scales, naive_predictors, variance_of
+from gbspec.data import Scales, naive_predictors, states_far_outside, variance_of
 from gbspec.files import finite
+from gbspec.ir import Model
 from gbspec.runs import ChannelRecord, StageRecord
-from gbspec.training.engines import predicted, residual_table, residual_vector
+from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
     Parameters,
     Problem,
@@ -37,7 +38,7 @@ class MemberResult:
     not known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed`
     names the trajectories whose autoregressive solution is not finite. `scales` are those of the residuals, if their
     noise was estimated. `own` and `own_sd` [N, j] are the constants per
-    trajectory and their standard deviations (NaN: not known).
+    trajectory and their standard deviations (NaN: not known). `left` tells which states leave their declared ranges.
     """
 
     seed: int
@@ -56,6 +57,7 @@ class MemberResult:
     history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
     finished: bool = True
     notes: list[str] = field(default_factory=list)
+    left: list[str] = field(default_factory=list)
     correlations: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own_sd: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -106,10 +108,20 @@ def summarise(
         solution.initial.copy(),
         list(context.packed().labels),
         failed,
+        left=_left(model, solution),
         own=own,
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
     )
+
+
+def _left(model: Model, solution: Moments) -> list[str]:
+    """A sentence for each state whose solutions, or else initial values, lie far outside of its declared range."""
+    found = []
+    for what, values in (("learned solutions", solution.after), ("learned initial states", solution.initial)):
+        told = states_far_outside(model, np.where(np.isfinite(values), values, np.nan))
+        found += [(text.partition(":")[0], f"in the {what}, {text}") for text in told]
+    return list(dict(reversed(found)).values())
 
 
 def _channels(

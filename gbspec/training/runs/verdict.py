@@ -6,6 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from gbspec.diagnostics import Findings
+from gbspec.ir import Model
+from gbspec.passes import examine
 from gbspec.runs import ChannelRecord
 from gbspec.training.problem import share_that_counts
 
@@ -76,3 +79,13 @@ def _following(channels: Mapping[str, ChannelRecord]) -> list[str]:
         and 1 - one.r2 > EXACT
         and one.autocorrelation > AUTOCORRELATED + 2 / math.sqrt(max(one.pairs, 1))
     ]
+
+
+def inseparable(model: Model) -> list[str]:
+    """A warning for each set of constants and functions that no data can separate, as `gbspec check` has it.
+
+    There is none for a set that the model allows, and none where the analysis could not decide.
+    """
+    findings = Findings()
+    examine(model, findings)
+    return [f"{one.message} ({one.code}): {'; '.join((*one.notes, one.help))}" for one in findings]

@@ -1,0 +1,61 @@
+"""What a run says of its model: what no data can separate, and solutions that leave declared ranges."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import gbspec
+from gbspec.training.runs.verdict import inseparable
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+TEXT = """\
+model m
+state x in [0, 2]
+learn a = 1 in [0, 5]
+learn b = 1 in [0, 5]
+x' = -a*b*x
+initial x = 1
+observe x
+"""
+ONE = TEXT.replace("learn b = 1 in [0, 5]", "const b = 1")
+
+
+def trained(folder: Path, text: str) -> gbspec.FittedRun:
+    (folder / "m.gb").write_text(text)
+    rows = "".join(f"{t},{2.718281828 ** (-1.5 * t)}\n" for t in (0, 0.1, 0.2, 0.4, 0.8))
+    (folder / "d.csv").write_text("t,x\n" + rows)
+    return gbspec.load(folder / "m.gb").train(folder / "d.csv", folder / "run", effort="low")
+
+
+def test_a_run_says_what_no_data_can_separate(tmp_path: Path) -> None:
+    fit = trained(tmp_path, TEXT).run.fit
+    (said,) = [one for one in fit.warnings if "GB401" in one]
+    assert said.startswith("`a` and `b` cannot be told apart by any data (GB401): ")
+    assert "leaves everything that is observed unchanged" in said and "give `a` or `b` a value" in said
+
+
+def test_a_model_that_allows_it_or_can_be_identified_says_nothing(tmp_path: Path) -> None:
+    assert trained(tmp_path, ONE).run.fit.warnings == ()
+    (tmp_path / "m.gb").write_text(TEXT + "allow GB401 b\n")
+    assert inseparable(gbspec.load(tmp_path / "m.gb").model) == []
+
+
+@pytest.mark.parametrize(("bounds", "said"), [("[0.8, 1.2]", True), ("[0.29, 1.1]", False), ("[0, 2]", False)])
+def test_solutions_far_outside_of_a_declared_range_are_told(tmp_path: Path, bounds: str, said: bool) -> None:
+    run = trained(tmp_path, ONE.replace("x in [0, 2]", f"x in {bounds}"))
+    told = [one for one in run.run.fit.warnings if "far outside of its range" in one]
+    assert bool(told) is said
+    if said:
+        assert told == [
+            "member 0: in the learned solutions, `x`: 3 of 5 values lie far outside of its range [0.8, 1.2]: "
+            "from 0.3012 to 0.7408"
+        ]
+
+
+def test_an_unmeasured_state_and_its_start_are_told(tmp_path: Path) -> None:
+    text = ONE.replace("state x in [0, 2]\n", "state x\nstate y in [3, 4]\n") + "y' = -y + x\ninitial y = 1\n"
+    told = [one for one in trained(tmp_path, text).run.fit.warnings if "far outside" in one]
+    assert len(told) == 1 and "`y`: 5 of 5 values" in told[0]
