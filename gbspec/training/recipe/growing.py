@@ -17,7 +17,7 @@ from gbspec.training.starts import refit_starts
 
 ITERATIONS: dict[Effort, int] = {"low": 6, "normal": 15, "high": 30}
 """Largest number of iterations with segments of one length."""
-ATTEMPTS: dict[Effort, int] = {"low": 1, "normal": 3, "high": 3}
+ATTEMPTS: dict[Effort, int] = {"low": 1, "normal": 6, "high": 6}
 """Number of starting vectors that are tried until whole solutions follow the data."""
 FOLLOWED = 0.005
 """A mean loss of whole solutions below this (R² above 0.99) needs no further attempt."""
