@@ -26,7 +26,7 @@ from gbspec.training.recipe.planned import Decision, Planned, Reached, step_frac
 from gbspec.training.stages import StageName
 
 REWEIGHTINGS = 3
-"""How often channels may be weighed anew."""
+"""How often the weights of channels may be estimated again."""
 CLEAN = 1e-3
 """The least standard deviation of noise that is estimated, relative to that of the data: channels that are fitted this
 closely count as exact, and weigh equally."""

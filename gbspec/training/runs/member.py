@@ -201,7 +201,7 @@ class _Runner:
         self._take_certainty(stage)
 
     def _weigh(self, noise: Estimated | None) -> None:
-        """Weighs channels by this noise from now on; the best vector so far is judged anew, with the same weights."""
+        """Weighs channels by this noise from now on; the best vector so far is scored again, with the same weights."""
         position = self.position
         if noise is self.context.estimated:
             return
