@@ -15,10 +15,10 @@ HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "site"), str(HERE.parent)]
 
 from hooks import prepare, repository_links, titled  # noqa: E402 - needs the path above
-from lexer import GbLexer  # noqa: E402
-from sphinx.application import Sphinx  # noqa: E402
+from lexer import GbLexer  # noqa: E402 - likewise
+from sphinx.application import Sphinx  # noqa: E402 - likewise
 
-from gbspec.version import __version__  # noqa: E402
+from gbspec.version import __version__  # noqa: E402 - likewise
 
 project = "gbspec"
 author = "the gbspec authors"

@@ -18,10 +18,14 @@ import tempfile
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .sets import Key, Row, Study, by_model
+
+if TYPE_CHECKING:
+    from gbspec.runs import Run
 
 FIELDS = ("model", "noise", "seed", "kind", "name", "truth", "value", "sd", "low", "high", "inside", "seconds")
 MODELS = ("urp_gb2", "lotka_volterra", "friction_oscillator", "fed_batch", "one_compartment")
@@ -36,7 +40,6 @@ def one_set(name: str, noise: float, seed: int) -> list[Row]:
     from gbspec.data.cases import find_cases
     from gbspec.diagnostics import Findings
     from gbspec.operations import fitting, models, tables
-    from gbspec.runs import Run
     from gbspec.training import TrainOptions
 
     model = frontend.load_model(name, Findings())
@@ -49,7 +52,7 @@ def one_set(name: str, noise: float, seed: int) -> list[Row]:
         return dict(zip(FIELDS, (name, noise, seed, *entries, round(time.process_time() - began)), strict=True))
 
     with tempfile.TemporaryDirectory() as place:
-        run: Run = fitting.fit(model, data, Path(place) / "run", TrainOptions(threads=1, seed=seed))
+        run = fitting.fit(model, data, Path(place) / "run", TrainOptions(threads=1, seed=seed))
         truths = {k.name: k.value for k in models.reference(model).model.constants}
         rows = [row("function", *entries) for entries in _functions(run, seed)]
         for constant, found in run.fit.constants.items():
@@ -60,13 +63,11 @@ def one_set(name: str, noise: float, seed: int) -> list[Row]:
     return rows
 
 
-def _functions(run: object, seed: int) -> Iterable[tuple[str | float, ...]]:
+def _functions(run: Run, seed: int) -> Iterable[tuple[str | float, ...]]:
     """For each function its name, rms truth, rms error, mean sd, and the share of points whose band has the truth."""
     from gbspec.analysis.systems import fences, function_bands
     from gbspec.report.unknowns import truth_of
-    from gbspec.runs import Run
 
-    assert isinstance(run, Run)
     for unknown in run.model.unknowns:
         truth = truth_of(run.model, unknown.name)
         fence = fences(run).get(run.model.networks[unknown.network].name)

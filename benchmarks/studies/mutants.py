@@ -107,7 +107,10 @@ def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
         return
     elif isinstance(new, ast.Call) and _name(new.func) in CALLED:
         name = CALLED[_name(new.func)]
-        new.func = ast.Name(name) if isinstance(new.func, ast.Name) else ast.Attribute(new.func.value, name)  # type: ignore[attr-defined]
+        if isinstance(new.func, ast.Attribute):
+            new.func.attr = name
+        else:
+            new.func = ast.Name(name)
     elif isinstance(new, ast.Call) and len(new.args) == 2 and all(isinstance(one, ast.Name) for one in new.args):
         new.args = [new.args[1], new.args[0]]
     else:

@@ -58,8 +58,14 @@ def reweighed(
     def engine_of(reached: Reached) -> Engine:
         return context.engine(layout(reached), 0.0, step_fraction(reached.begun))
 
+    known: dict[bytes, Estimated | None] = {}  # the decision and the weights need the same estimate
+
     def found(reached: Reached) -> Estimated | None:
-        return estimated(context, engine_of(reached), reached.theta, options(reached).ridge)
+        key = reached.theta.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = estimated(context, engine_of(reached), reached.theta, options(reached).ridge)
+        return known[key]
 
     def make(reached: Reached) -> Stage:
         engine = engine_of(reached)

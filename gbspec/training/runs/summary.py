@@ -37,8 +37,8 @@ class MemberResult:
     if it is not finite), and the estimated standard deviation of the `noise`; `constants` by name; `sd` by name (NaN:
     not known); `correlations` [k, k] of the constants that all trajectories share, empty where not known; `failed`
     names the trajectories whose autoregressive solution is not finite. `scales` are those of the residuals, if their
-    noise was estimated. `own` and `own_sd` [N, j] are the constants per
-    trajectory and their standard deviations (NaN: not known). `left` tells which states leave their declared ranges.
+    noise was estimated. `own` and `own_sd` [N, j] are the constants per trajectory and their standard deviations (NaN:
+    not known). `left` tells which states leave their declared ranges.
     """
 
     seed: int
