@@ -17,7 +17,6 @@ REQUIRED = {
     "pygls": "`gbspec lsp`",
     "lsprotocol": "`gbspec lsp`",
     "matplotlib": "a figure",
-    "plotly": "`gbspec report`",
 }
 """Packages that belong to every installation, with what needs each; one may still have been removed or be broken."""
 
