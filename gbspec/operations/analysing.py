@@ -71,7 +71,11 @@ def bifurcate(
     source: Subject, over: str, low: float, high: float, *, cycles: bool = True, doublings: int = 1
 ) -> Diagram:
     """The bifurcation diagram of a subject over one parameter, with at most `doublings` period doublings followed; for
-    a run with the uncertainty of folds and Hopf points, if its covariance is known."""
+    a run with the uncertainty of folds and Hopf points, if its covariance is known and its constants have intervals.
+
+    Without these the data are exact for all the fit can tell: what is wrong is then the approximation, of which a
+    covariance says nothing.
+    """
     from gbspec.analysis import BifurcationOptions, Certainty, CycleOptions, with_uncertainty
     from gbspec.analysis import bifurcate as run
 
@@ -80,7 +84,8 @@ def bifurcate(
     if source.run is None or source.member is None:
         return found
     covariance = source.run.certainties(source.member).covariance
-    if covariance is None:
+    shared = [record for record in source.run.fit.constants.values() if record.per_trajectory is None]
+    if covariance is None or (shared and all(record.interval is None for record in shared)):
         return found
     return with_uncertainty(found, subject, Certainty(source.evaluator.instance, covariance, tuple(source.values)))
 

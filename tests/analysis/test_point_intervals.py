@@ -24,7 +24,7 @@ from gbspec.backends.module import load_module
 from gbspec.cli.app import build
 from gbspec.diagnostics import Findings
 from gbspec.frontend import load_model
-from gbspec.runs import Certainties, Covariance
+from gbspec.runs import Certainties, ConstantRecord, Covariance
 from tests.analysis.conftest import model_of, nearly_true
 
 LOW, HIGH = 0.15, 0.3
@@ -109,6 +109,11 @@ def test_the_interval_is_in_text_json_and_figure(
     assert f"[{ends[0]:.6g}, {ends[1]:.6g}]" in text
     # What the user has set is not uncertain.
     assert json.loads(asked("--json", "--set", "B=11").stdout)["special"][0]["sd"] < 0.01 * expected
+    # A run that knows no interval of any constant knows none of a point.
+    unknown = {name: ConstantRecord(1.0, None, None, 1.0, (1.0,)) for name in ("B", "beta")}
+    run.amended(replace(run.fit, constants=unknown))
+    (point,) = json.loads(asked("--json").stdout)["special"]
+    assert (point["sd"], point["interval"]) == (None, None)
 
 
 def test_members_add_their_differences() -> None:
