@@ -42,6 +42,24 @@ def test_steps_equal_those_of_factored_matrices(text: str, ridge: float, monkeyp
     assert sketched.sketch is not None
 
 
+@pytest.mark.parametrize("ridges", [(0.0, 1e-3), (1e-3, 0.0), (1e-3, 2e-3)])
+def test_another_ridge_gives_what_new_equations_give(ridges: tuple[float, float]) -> None:
+    """With fewer residuals than weights: what is kept between calls does not depend on the ridge before."""
+    problem, parameters, theta = problem_of(model_of(URP), urp_data(6, 5.0, 1), 0.2)
+
+    def equations(ridge: float) -> NormalEquations:
+        system = linearise(problem, parameters, theta)
+        return NormalEquations(system, parameters, np.ones(len(system.residuals)), ridge, theta)
+
+    changed = equations(ridges[0])
+    assert changed.dual
+    changed.step(1e-2)
+    changed.ridge = ridges[1]
+    expected = equations(ridges[1])
+    np.testing.assert_allclose(changed.step(1e-2), expected.step(1e-2), rtol=1e-9, atol=1e-12)
+    assert changed.degrees_of_freedom(1e-2, 0) == pytest.approx(expected.degrees_of_freedom(1e-2, 0), rel=1e-9)
+
+
 def test_factored_matrices_serve_where_the_sketch_does_not_pay(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, parameters, theta = problem_of(model_of(URP), urp_data(6, 5.0, 1), 0.2)
     system = linearise(problem, parameters, theta)
