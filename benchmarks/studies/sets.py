@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import csv
 import os
+import sys
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -63,9 +65,17 @@ class Study:
     def _compute(self, path: Path, chosen: argparse.Namespace) -> None:
         done = {self.key(row) for row in read(path)}
         missing = [key for key in self.wanted(chosen) if key not in done]
+        failed = []
         with ProcessPoolExecutor(chosen.workers, mp_context=get_context("spawn")) as pool:
-            for future in as_completed([pool.submit(self.one, *key) for key in missing]):
-                self._append(path, future.result())
+            futures = {pool.submit(self.one, *key): key for key in missing}
+            for future in as_completed(futures):
+                try:
+                    self._append(path, future.result())
+                except Exception:
+                    failed.append(futures[future])
+                    print(f"failed: {futures[future]}", traceback.format_exc(), sep="\n", file=sys.stderr, flush=True)
+        if failed:
+            raise SystemExit(f"{len(failed)} sets failed: {failed}")
 
     def _append(self, path: Path, rows: Sequence[Row]) -> None:
         new = not path.is_file()
