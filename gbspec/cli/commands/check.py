@@ -98,6 +98,7 @@ def identifiability(examination: Examination) -> dict[str, object]:
             "unknowns": found.unknowns,
             "transformation": found.transformation or None,
             "with_states_measured": found.measured_states,
+            "states": found.states,
         }
         for found in answer.sets
     ]

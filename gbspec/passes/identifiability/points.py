@@ -151,7 +151,8 @@ def _follow(question: Question, values: dict[sympy.Symbol, Array]) -> None:
 
 def _values(expression: Expr, values: Mapping[sympy.Symbol, Array]) -> Array:
     count = len(next(iter(values.values())))
-    return evaluated(values, count)(expression)[..., 0]
+    with np.errstate(all="ignore"):  # where an expression has no value, the point is left out later
+        return evaluated(values, count)(expression)[..., 0]
 
 
 def _column(given: Range | None, guess: float | None, count: int, rng: np.random.Generator) -> tuple[Array, Array]:

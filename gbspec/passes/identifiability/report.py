@@ -12,9 +12,10 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir import Model
 from gbspec.passes.identifiability.branches import Branches
-from gbspec.passes.identifiability.directions import Directions, absorbers, find
+from gbspec.passes.identifiability.directions import MOST_COLUMNS, ORDERS, Directions, absorbers, at_order, find
+from gbspec.passes.identifiability.jets import size
 from gbspec.passes.identifiability.question import Question, pose
-from gbspec.passes.identifiability.symmetry import Symmetry, echelon, symmetries
+from gbspec.passes.identifiability.symmetry import Symmetry, echelon, keeps_zeros, symmetries, transformations
 from gbspec.passes.terms import larger_than
 
 MOST_STATES = 40
@@ -31,17 +32,19 @@ class Inseparable:
     """Learnable constants and unknowns that no data can separate, and a transformation that proves it if known.
 
     `measured_states`: whether they are inseparable even with every state measured, or only with the declared channels.
+    `states`: unmeasured states whose scale or origin only the unknowns fix, where no constant is concerned.
     """
 
     constants: tuple[str, ...]
     unknowns: tuple[str, ...]
     transformation: str
     measured_states: bool
+    states: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of constants and unknowns."""
-        return (*self.constants, *self.unknowns)
+        """The names of states, constants and unknowns."""
+        return (*self.states, *self.constants, *self.unknowns)
 
 
 @dataclass(frozen=True)
@@ -56,12 +59,13 @@ class Identifiability:
 
 
 def identifiability(model: Model, findings: Findings, budget: float = BUDGET) -> Identifiability:
-    """Finds sets that no data can separate and records a warning for each (GB401; GB402 for a single constant).
+    """Finds sets that no data can separate and records a warning for each (GB401; GB402 for a single constant; GB407
+    for unmeasured states that only unknowns fix).
 
     Each unknown is a free function of its arguments; first with every state measured, then with what `observe` and
     `initial` declare. `allow GB401 NAME` with any name of a set accepts it.
     """
-    if not model.learnables and len(model.unknowns) < 2:
+    if not model.learnables and not model.unknowns:
         return Identifiability(True)
     if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
         return Identifiability(False)
@@ -74,7 +78,7 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
         return Identifiability(False)
     if declared is None:
         return Identifiability(False)
-    sets = _sets(question, declared, everything)
+    sets = [*_sets(question, declared, everything), *_free_states(question, deadline)]
     reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
@@ -101,6 +105,36 @@ def _sets(question: Question, declared: Directions, everything: Directions | Non
     if len(loose) > 1 and everything is not None and set(loose) <= set(everything.functions):
         sets.append(Inseparable((), tuple(loose), "", True))
     return sets
+
+
+def _free_states(question: Question, deadline: float) -> list[Inseparable]:
+    """The unmeasured states that can be scaled or shifted together with unknowns alone, as at three orders in a row."""
+    if not question.model.unknowns or all(question.starts[i] is not None for i in question.hidden):
+        return []
+    seen: list[dict[tuple[str, ...], list[Symmetry]]] = []
+    for order in ORDERS[1:]:
+        if size(question, order) > MOST_COLUMNS:
+            return []
+        directions = at_order(question, order, deadline)
+        if directions is None:
+            return []
+        groups: dict[tuple[str, ...], list[Symmetry]] = {}
+        for one in transformations(question, directions):
+            if one.states and not one.constants and keeps_zeros(question, one):
+                groups.setdefault(tuple(sorted(one.states)), []).append(one)
+        seen.append(groups)
+        if len(seen) > 1 and not seen[-1] and not seen[-2]:
+            return []
+        if len(seen) > 2 and seen[-1] == seen[-2] == seen[-3]:
+            order_of = [state.name for state in question.model.states]
+            return [_free(states, proofs, order_of) for states, proofs in groups.items()]
+    return []
+
+
+def _free(states: Sequence[str], proofs: Sequence[Symmetry], order: Sequence[str]) -> Inseparable:
+    unknowns = tuple(dict.fromkeys(name for one in proofs for name in one.unknowns))
+    ordered = tuple(sorted(states, key=order.index))
+    return Inseparable((), unknowns, _proof(proofs, len(proofs)), False, ordered)
 
 
 def _proof(proofs: Sequence[Symmetry], count: int) -> str:
@@ -131,24 +165,27 @@ def _within(group: Array, basis: Array) -> bool:
 
 
 def _warn(model: Model, question: Question, found: Inseparable, findings: Findings) -> None:
-    code = "GB401" if len(found.names) > 1 else "GB402"
+    code = "GB407" if found.states else "GB401" if len(found.names) > 1 else "GB402"
     if any(model.accepts(code, name) for name in found.names):
         return
-    spans = {item.name: item.span for item in (*model.learnables, *model.unknowns)}
+    spans = {item.name: item.span for item in (*model.states, *model.learnables, *model.unknowns)}
     by = "any data" if found.measured_states else "what is observed"
-    if code == "GB402":
+    if code == "GB407":
+        message = f"{_free_part(found)} of {_list(found.states)} cannot be learned from {by}"
+    elif code == "GB402":
         message = f"`{found.names[0]}` cannot be learned from {by}"
     else:
         message = f"{_list(found.names)} cannot be told apart by {by}"
-    others = [(n, "learnable constant") for n in found.constants[1:]]
-    others += [(n, "unknown function") for n in found.unknowns[0 if found.constants else 1 :]]
+    others = [*((n, "state") for n in found.states), *((n, "learnable constant") for n in found.constants)]
+    others += [(n, "unknown function") for n in found.unknowns]
+    (_, kind), *others = others
     labels = [Label(span, text) for name, text in others if (span := spans.get(name)) is not None]
     place: Span | None = spans.get(found.names[0])
     findings.warning(
         code,
         message,
         place,
-        label="learnable constant" if found.constants else "unknown function",
+        label=kind,
         labels=labels,
         notes=[_note(found), *_scope(question)],
         help=_help(model, question, found, code),
@@ -156,7 +193,18 @@ def _warn(model: Model, question: Question, found: Inseparable, findings: Findin
     )
 
 
+def _free_part(found: Inseparable) -> str:
+    """What no data fix of unmeasured states, by the transformations of these states."""
+    first = found.transformation.split("; ")
+    shifted = [any(f"{name} -> {name} {sign}" in text for name in found.states for sign in "+-") for text in first]
+    return "the scale and the origin" if len(set(shifted)) > 1 else "the origin" if shifted[0] else "the scale"
+
+
 def _note(found: Inseparable) -> str:
+    if found.states:
+        return (
+            f"{found.transformation} leaves everything that is observed unchanged; a fit shows one of these solutions"
+        )
     if found.transformation:
         return f"{found.transformation} leaves everything that is observed unchanged"
     if not found.constants:
@@ -179,6 +227,8 @@ def _scope(question: Question) -> list[str]:
 
 def _help(model: Model, question: Question, found: Inseparable, code: str) -> str:
     ways: list[str] = []
+    if found.states:
+        ways.append(f"give {_list(found.states, 'or')} a known start (`initial {found.states[0]} = …`)")
     hidden = [model.states[i].name for i in question.hidden]
     if not found.measured_states and hidden:
         ways.append(f"observe {_list(hidden, 'or')}")

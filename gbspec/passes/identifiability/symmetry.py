@@ -48,6 +48,11 @@ class Symmetry:
         return [name for (what, name, _), weight in self.weights.items() if what == "constant" and weight]
 
     @property
+    def states(self) -> list[str]:
+        """The unmeasured states that it changes."""
+        return [name for (what, name, _), weight in self.weights.items() if what == "state" and weight]
+
+    @property
     def unknowns(self) -> list[str]:
         """The unknowns that it changes."""
         return list(dict.fromkeys(n for (what, n, _), w in self.weights.items() if what in _OF_FUNCTIONS and w))
@@ -57,9 +62,8 @@ class Symmetry:
         texts = [f"{key[1]} -> {self._moved(key[1], w)}" for key, w in weights.items() if key[0] == "constant"]
         texts += [f"{key[1]} -> {self._moved(key[1], w)}" for key, w in weights.items() if key[0] == "state"]
         texts += [f"{name} -> {self._function(name, weights)}" for name in self.unknowns]
-        return ", ".join(reversed(texts[: len(self.constants)])) + "".join(
-            f", {t}" for t in texts[len(self.constants) :]
-        )
+        count = len(self.constants)
+        return ", ".join([*reversed(texts[:count]), *texts[count:]])
 
     @property
     def _parameter(self) -> str:
@@ -94,6 +98,11 @@ class Symmetry:
 
 def symmetries(question: Question, directions: Directions) -> list[Symmetry]:
     """Scalings, then translations, that change some constant and keep all outputs."""
+    return [found for found in transformations(question, directions) if found.constants]
+
+
+def transformations(question: Question, directions: Directions) -> list[Symmetry]:
+    """Scalings, then translations, that keep all outputs."""
     found: list[Symmetry] = []
     arguments = {u.name: question.model.networks[u.network].arguments for u in question.model.unknowns}
     formals = {name: [a.name for a in items] for name, items in arguments.items()}
@@ -106,11 +115,21 @@ def symmetries(question: Question, directions: Directions) -> list[Symmetry]:
         for system, base in zip(directions.systems, directions.bases, strict=True):
             generators = np.stack([_column(question, system, base, key, kind) for key in keys], axis=1)
             blocks.append(system.matrix @ generators)
-        for weights in _rational_null(np.concatenate(blocks), keys):
-            symmetry = Symmetry(kind, weights, formals)
-            if symmetry.constants:
-                found.append(symmetry)
+        found += [Symmetry(kind, weights, formals) for weights in _rational_null(np.concatenate(blocks), keys)]
     return found
+
+
+def keeps_zeros(question: Question, found: Symmetry) -> bool:
+    """Whether every function that a contract makes zero somewhere (`zero at v = e`) is still zero there."""
+    for unknown in question.model.unknowns:
+        formals = [argument.name for argument in question.model.networks[unknown.network].arguments]
+        zeros = [(formals.index(c.argument or ""), c.value) for c in unknown.contracts if c.kind == "zero"]
+        changes = {(what, r) for (what, name, r), weight in found.weights.items() if name == unknown.name and weight}
+        if found.kind == "translation" and zeros and any(what in ("value", "argument") for what, _ in changes):
+            return False
+        if any((("argument", r) in changes and place != 0) or ("shift", r) in changes for r, place in zeros):
+            return False
+    return True
 
 
 def _keys(question: Question, kind: Kind) -> list[Key]:

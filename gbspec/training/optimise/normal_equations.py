@@ -227,8 +227,7 @@ class NormalEquations:
         return np.asarray(damping + self.ridge * self.penalised, dtype=np.float64)
 
     def _dual_factor(self, damping: float) -> Cholesky:
-        """Cholesky factor of I + J D^-1 J^T [m, m]; the Gram matrices are formed once, and again where a ridge begins or
-        ends."""
+        """Cholesky factor of I + J D^-1 J^T [m, m]; Gram matrices are formed once, and again where a ridge begins."""
         if self._dual_kept is None or self._dual_kept[1] != (damping, self.ridge):
             if self._grams is None or bool(len(self._grams[1])) != bool(self.ridge):
                 self._grams = self._form_grams()
