@@ -137,7 +137,7 @@ class FittedRun(Tabled):
         names, boxes = (first[0], second[0]), (first[1:], second[1:])
         return analysing.bifurcation_plane(models.learned(self.run, values, member), names, boxes)
 
-    def initial_states(self, data: str | Path | None = None, *, member: int | None = None) -> InitialStates:
+    def initial_states(self, data: Data | None = None, *, member: int | None = None) -> InitialStates:
         """Learned, bred and true initial states of the training trajectories."""
         table = tables.trained_on(self.run, data, Findings())
         return analysing.initial_states(models.learned(self.run, None, member), table)
@@ -163,7 +163,7 @@ class FittedRun(Tabled):
         name: str,
         path: str | Path | None = None,
         *,
-        data: str | Path | None = None,
+        data: Data | None = None,
         member: int | None = None,
         points: int = 6,
         iterations: int = 60,

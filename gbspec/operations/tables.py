@@ -115,20 +115,30 @@ def _kept(run: Run) -> Trajectories | None:
     return replace(found, sha256=run.fit.data.sha256, form=form_of(run.model))
 
 
-def trained_on(run: Run, path: str | Path | None, findings: Findings) -> Trajectories:
-    """The data that a run was trained on, from `path` if they were moved; continuing a fit needs the same data.
+def trained_on(run: Run, given: str | Path | Frame | Trajectories | None, findings: Findings) -> Trajectories:
+    """The data that a run was trained on, from those `given` if they were moved; continuing a fit needs the same data.
 
     Raises `UserError` (GB859) if they are not found, or differ.
     """
-    data = training_data(run, findings) if path is None else read_data(path, run.model, findings)
+    from gbspec.data import content_digest
+
+    data = _read(run, given, findings)
     if data is None:
         message = "the run was trained on data in no table, and does not keep them"
         raise UserError([Diagnostic("GB859", message, None, help="give a table with the same data: `--data TABLE`")])
-    if data.sha256 != run.fit.data.sha256:
-        message = f"`{data.path}` is not the table that the run was trained on"
+    if run.fit.data.sha256 not in (data.sha256, content_digest(data)):
+        message = f"`{data.path or 'the given data'}` is not the table that the run was trained on"
         help = "continuing the fit needs the same table, unchanged"
         raise UserError([Diagnostic("GB859", message, None, help=help)])
     return data
+
+
+def _read(run: Run, given: str | Path | Frame | Trajectories | None, findings: Findings) -> Trajectories | None:
+    from gbspec.data import Trajectories
+
+    if isinstance(given, Trajectories):
+        return given
+    return training_data(run, findings) if given is None else read_data(given, run.model, findings)
 
 
 def digest(path: Path) -> str:
