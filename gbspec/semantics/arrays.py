@@ -81,7 +81,7 @@ def _is_sum(node: ast.Node) -> bool:
 
 
 def _is_place(node: ast.Expression) -> bool:
-    return isinstance(node, ast.Name | ast.Index) or _is_sum(node)
+    return isinstance(node, ast.Name | ast.Index | ast.RateOf) or _is_sum(node)
 
 
 def _variables(statement: ast.Statement) -> tuple[ast.Name, ...]:
@@ -369,9 +369,12 @@ class _Expansion:
                     return node
                 case ast.Index():
                     return self._index(node, values, formals, within)
+                case ast.RateOf(target=ast.Index() as element):
+                    found = self._index(element, values, formals, within)
+                    return dataclasses.replace(node, target=found) if isinstance(found, ast.Name) else found
                 case ast.Call(function=ast.Name(text="sum")):
                     return self._sum(node)
-                case ast.Name() | ast.Call() | ast.Number() | ast.Unary() | ast.Binary():
+                case ast.Name() | ast.Call() | ast.Number() | ast.Unary() | ast.Binary() | ast.RateOf():
                     return node
                 case ast.Comparison() | ast.Logic() | ast.Conditional() | ast.Group():
                     return node

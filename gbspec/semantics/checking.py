@@ -12,6 +12,7 @@ from gbspec.semantics import (
     columns,
     doubts,
     graph,
+    measured_rates,
     places,
     processes,
     size,
@@ -48,12 +49,14 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     read = merge(file, local, load)
     _limited(file, len(read.items))
     merged, found = arrays.expand(read, local)
+    merged = measured_rates.expand(merged, local)
     names = table.build(merged.items, local)
     accepted = allow.allowed(merged.items, names, local, merged)
     checked = _check(merged, names, accepted, local)
     if checked is not None:
         checked = dataclasses.replace(checked, source=read.items, arrays=found)
-    findings.extend(d for d in local if not allow.is_accepted(d, accepted))
+    told = dict.fromkeys(d for d in local if not allow.is_accepted(d, accepted))
+    findings.extend(told)  # each once: a balance that a channel measures is checked in both places
     return None if findings.failed else checked
 
 

@@ -40,7 +40,7 @@ def operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
 def written_operands(node: ast.Expression) -> tuple[ast.Expression, ...]:
     """The operands of an expression in the tree as it was read, with two for each `+ - * /`."""
     match node:
-        case ast.Number() | ast.Name():
+        case ast.Number() | ast.Name() | ast.RateOf():
             return ()
         case ast.Call(arguments=arguments):
             return arguments

@@ -56,7 +56,7 @@ def with_expressions(statement: ast.Statement, change: Callable[[Place], ast.Exp
 
 def _with_operands(node: ast.Expression, parts: list[ast.Expression]) -> ast.Expression:
     match node:
-        case ast.Number() | ast.Name():
+        case ast.Number() | ast.Name() | ast.RateOf():
             return node
         case ast.Call():
             return dataclasses.replace(node, arguments=tuple(parts))

@@ -70,6 +70,8 @@ def _prefix(node: ast.Node, parts: tuple[_Prefix, ...]) -> _Prefix:
             return _written(parts[0]), list(map(_written, parts[1:]))
         case ast.Index():
             return "", [f"{_written(parts[0])}[{_written(parts[1])}]"]
+        case ast.RateOf():
+            return "", [f"{_written(parts[0])}'"]
         case ast.Conditional():
             return "if", list(map(_written, parts))
         case _:

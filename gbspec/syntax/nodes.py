@@ -64,6 +64,13 @@ class Index(Node):
 
 
 @dataclass(frozen=True)
+class RateOf(Node):
+    """`X'` in an expression: the rate of change of a state, which stands for the right side of its balance."""
+
+    target: Name | Index
+
+
+@dataclass(frozen=True)
 class Unary(Node):
     """`-a`, `+a`, or (in a condition) `not a`."""
 
@@ -114,7 +121,7 @@ class Group(Node):
     inner: Expression
 
 
-Expression = Number | Name | Call | Index | Unary | Binary | Comparison | Logic | Conditional | Group
+Expression = Number | Name | Call | Index | RateOf | Unary | Binary | Comparison | Logic | Conditional | Group
 
 
 # ---------------------------------------------------------------------------------------------------------- units

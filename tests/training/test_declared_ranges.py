@@ -24,6 +24,30 @@ observe x
 """
 
 
+CULTURE = """
+model culture
+time t
+state X
+state S in [0, 20] = 10
+unknown mu(S) >= 0
+X' = mu*X
+S' = -2*mu*X
+observe X
+"""
+
+
+@pytest.mark.parametrize("more", ["", "observe rate = X'\n"])
+def test_the_size_of_an_unknown_comes_from_the_balances_of_measured_states(more: str) -> None:
+    """The balance of an unmeasured state, whose slope is a guess of zero, would be met by an unknown that is zero."""
+    model = model_of(CULTURE + more)
+    t = np.linspace(0.0, 5.0, 30)
+    values = np.stack([np.exp(0.4 * t), 0.4 * np.exp(0.4 * t)], axis=1)[:, : len(model.channels)]
+    data = Trajectories((trajectory("1", 0.0, t, values, []),), tuple(c.name for c in model.channels))
+    context = build_context(model, load_module(model), data, TrainOptions(), 0)
+    eliminated = eliminate(model, context.module, context.points, np.zeros(0))
+    assert np.median(eliminated.outputs) == pytest.approx(0.4, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("state", "argument", "low", "high"),
     [(" in [-15, 25]", "", -15, 25), (" in [-15, 25]", " in [2, 4]", 2, 4), ("", "", -1, 1)],

@@ -115,6 +115,34 @@ def test_what_the_data_do_not_tell_stays_at_the_prior(tmp_path: Path) -> None:
     assert constants["a"].sd == pytest.approx(0.2, rel=0.3)
 
 
+SUBSTRATE = """
+model culture
+state X in [0, 20]
+state S in [0, 30] = 10
+learn Y = 0.5 in [0.1, 1]
+unknown mu(S) >= 0 by mlp(8)
+X' = mu*X
+S' = -mu*X/Y
+initial S learn
+observe X
+"""
+
+
+def test_initial_values_of_unmeasured_states_have_a_prior_from_the_range() -> None:
+    problem, parameters, theta = problem_of(model_of(SUBSTRATE), data([1.0, 2.0]), 0.5, blend=0.0)
+    priors = Priors.of(problem, parameters, solve(problem, parameters, theta))
+    assert len(priors) == 2
+    assert priors.rows(parameters.with_starts(theta, np.full((2, 2), 10.0))) == pytest.approx([0.0, 0.0], abs=1e-12)
+    moved = parameters.with_starts(theta, np.array([[1.0, 25.0], [1.0, 2.5]]))
+    assert priors.rows(moved) == pytest.approx([priors.noise, -0.5 * priors.noise])
+    step = np.random.default_rng(0).standard_normal(len(theta))
+    change = (priors.penalty(moved + 1e-6 * step) - priors.penalty(moved - 1e-6 * step)) / 2e-6
+    assert priors.gradient(moved) @ step == pytest.approx(change, rel=1e-6)
+    for text in (SUBSTRATE.replace("in [0, 30] ", ""), SUBSTRATE.replace("learn\n", "= 10\n")):
+        problem, parameters, theta = problem_of(model_of(text), data([1.0, 2.0]), 0.5, blend=0.0)
+        assert len(priors_at(TorchEngine(problem, parameters), theta)) == 0
+
+
 def test_rows_and_gradients_agree_with_differences() -> None:
     text = straight("in [0, 5] prior lognormal(1.5, 0.2)", more="learn b = 1 prior normal(2, 0.3) per trajectory\n")
     model = model_of(text.replace("x' = k", "x' = k + b*t"))

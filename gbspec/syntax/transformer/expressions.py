@@ -44,6 +44,11 @@ class ExpressionRules(Parts):
     def index(self, children: Children) -> ast.Index:
         return self.element(children)
 
+    def rate_of(self, children: Children) -> ast.RateOf:
+        *target, _ = children
+        inner = self.name(target) if len(target) == 1 else self.element(target)
+        return cast(ast.RateOf, self.nested(ast.RateOf(self.over(children), inner), (inner,)))
+
     def element(self, children: Children) -> ast.Index:
         array, _, index, _ = children
         node = ast.Index(self.over(children), self.name_at(array), self.number_value(index))

@@ -1,5 +1,9 @@
 """Prior distributions of constants in the fit: `prior normal(mean, sd)` and `prior lognormal(median, cv)`.
 
+The learned initial value of an unmeasured state has a normal prior too if the state declares a range: its mean is the
+guess of the start, else the middle of the range, its standard deviation half the range. Without it nothing keeps such
+a value near the plausible ones while the functions of this state are still wrong.
+
 Each prior is a row of the sum of squares, `noise * (k - mean) / sd`, or of logarithms under a lognormal prior, whose
 standard deviation is then sqrt(log(1 + cv^2)). `noise` is the standard deviation of the measurements' noise in units of
 the residuals. The minimum of the sum is then the most probable vector, and the inverse of the normal matrix, times the
@@ -39,7 +43,8 @@ def standardised(prior: Prior, value: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Priors:
-    """The P rows of all priors: one for each shared constant, one per trajectory for each constant per trajectory.
+    """The P rows of all priors: one for each shared constant, one per trajectory for each constant per trajectory and
+    for each initial value with a prior.
 
     `column` [P] is the entry of the trainable vector that a row depends on, `owner` [P] its trajectory (0: shared).
     """
@@ -51,7 +56,7 @@ class Priors:
 
     @staticmethod
     def of(problem: Problem, parameters: Parameters, residuals: Array) -> Priors:
-        """The priors of a model's learnables; the noise is estimated from `residuals` if not stated."""
+        """The priors of learnables and initial values; the noise is estimated from `residuals` if not stated."""
         count, local = parameters.trajectories, parameters.n_local
         columns, owners = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         for i in _with_prior(parameters):
@@ -61,6 +66,10 @@ class Priors:
             else:
                 owner = np.zeros(1, dtype=np.int64)
                 columns.append(owner + parameters.n_weights + parameters.shared.index(i))
+            owners.append(owner)
+        for i, _, _ in _guessed(parameters):
+            owner = np.flatnonzero(parameters.start_free[:, i]).astype(np.int64)
+            columns.append(parameters.n_shared + owner * local + len(parameters.own) + i)
             owners.append(owner)
         stated = problem.scaling.noise
         if stated is None:
@@ -114,6 +123,9 @@ class Priors:
             prior = parameters.model.learnables[i].prior
             if prior is not None:
                 found.append(self.noise * standardised(prior, values))
+        for i, center, sd in _guessed(parameters):
+            free = torch.from_numpy(np.flatnonzero(parameters.start_free[:, i]))
+            found.append(self.noise * (parameters.starts(theta)[free, i] - center) / sd)
         return torch.cat(found)
 
     def _slopes(self, theta: Array) -> Array:
@@ -128,10 +140,24 @@ class Priors:
 
 def priors_at(engine: Engine, theta: Array) -> Priors:
     """The priors at a vector; its residuals are computed only if the noise is estimated from them."""
-    stated = engine.problem.scaling.noise is not None or not _with_prior(engine.parameters)
-    return Priors.of(engine.problem, engine.parameters, np.zeros(0) if stated else residual_vector(engine, theta))
+    problem, parameters = engine.problem, engine.parameters
+    needed = problem.scaling.noise is None and bool(_with_prior(parameters) or _guessed(parameters))
+    return Priors.of(problem, parameters, residual_vector(engine, theta) if needed else np.zeros(0))
 
 
 def _with_prior(parameters: Parameters) -> list[int]:
     """Indices of the learnables that have a prior."""
     return [i for i, learnable in enumerate(parameters.model.learnables) if learnable.prior is not None]
+
+
+def _guessed(parameters: Parameters) -> list[tuple[int, float, float]]:
+    """Indices of the unmeasured states with learned initial values and a bounded declared range, with the mean and the
+    standard deviation of their priors: the guess (else the middle) and half the width of the range."""
+    model, found = parameters.model, []
+    measured = {channel.state for channel in model.channels}
+    for i, state in enumerate(model.states):
+        given = state.range
+        if i not in measured and given is not None and given.bounded and parameters.start_free[:, i].any():
+            center = 0.5 * (given.low + given.high) if state.start is None else state.start
+            found.append((i, center, 0.5 * (given.high - given.low)))
+    return found

@@ -23,7 +23,8 @@ EXACT = 1e-6
 
 REMEDIES = (
     "do not rely on it for simulation; what may help: a postulate or a contract for the unknown function, ranges of "
-    "unmeasured states, a measured rate or another measured state, a smaller network, `--members 5`, or another model"
+    "unmeasured states, a measured rate (`observe r = X'`) or another measured state, a smaller network, "
+    "`--members 5`, or another model"
 )
 
 

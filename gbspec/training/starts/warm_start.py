@@ -29,6 +29,8 @@ BATCH, EVALUATIONS = 256, 8192
 """Points of a minibatch; fewer if unknowns would be evaluated more often than this (arrays)."""
 ELIMINATION_WORK = 2e9
 """Limit on the multiplications in one step of the elimination; if necessary fewer points are used."""
+LESSER = 30.0
+"""By how much less the guessed slope of an unmeasured state counts than that of a curve."""
 PEAK_RATE = 5e-3
 PRIOR = 0.5
 """Standard deviation of the constants' prior around their starting values, in trainable units: a factor of e^1.5."""
@@ -61,7 +63,8 @@ class _Mismatch:
 
     `rough`: constants are not estimated, and all balances are used, for orders of magnitude: states without curves
     have a guess as their value, and a slope of zero, since on average a state of bounded range has that. The scale of
-    such a balance is the size of its terms without the networks.
+    such a balance is the size of its terms without the networks; it counts less than those with a curve, so that it
+    decides only about outputs that these leave open.
     """
 
     def __init__(self, model: Model, module: GeneratedModule, points: Points, start: Array, rough: bool) -> None:
@@ -72,7 +75,7 @@ class _Mismatch:
         if rough:
             size = self._sizes(start)
             for i in set(self.equations) - set(points.rough):
-                scale[i] = size[i] if np.isfinite(size[i]) and size[i] > 0 else 1.0
+                scale[i] = LESSER * (size[i] if np.isfinite(size[i]) and size[i] > 0 else 1.0)
         self.scale = torch.from_numpy(scale[self.equations])
 
     def _sizes(self, u: Array) -> Array:
@@ -90,6 +93,14 @@ class _Mismatch:
         self.free.values = o = torch.from_numpy(outputs).clone().requires_grad_(derivatives)
         rhs = evaluate_rhs(self.model, self.module, self.points, k, self.free.functions())
         return (rhs - torch.from_numpy(self.points.slope))[:, self.equations] / self.scale, o, k
+
+    def weights(self, r: Array, sd: float) -> tuple[Array, float]:
+        """The weights [M, E] of a mismatch, and its objective: Cauchy's, without influence of outliers; for orders of
+        magnitude least squares, as most guessed balances would agree with an unknown that is zero."""
+        square = (r / (3 * sd)) ** 2
+        if self.fixed:
+            return np.ones_like(r), float(square.sum())
+        return 1.0 / (1.0 + square), float(np.log1p(square).sum())
 
     def values(self, u: Array, outputs: Array) -> Array:
         """The mismatch."""
@@ -129,7 +140,7 @@ def eliminate(model: Model, module: GeneratedModule, points: Points, start: Arra
 
 
 def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
-    """Constants and outputs by a damped Gauss-Newton iteration with Cauchy weights, and the mask [Q] of outputs that no
+    """Constants and outputs by a damped Gauss-Newton iteration, and the mask [Q] of outputs that no
     compared balance contains."""
     model, points, count = mismatch.model, mismatch.points, len(mismatch.points)
     undetermined = np.ones(len(mismatch.free.neutral), dtype=np.bool_)
@@ -143,13 +154,12 @@ def _eliminated(mismatch: _Mismatch, start: Array) -> tuple[Eliminated, Mask]:
             break
         undetermined &= ~(jac_o != 0).any(axis=(0, 1))
         sd = max(1.4826 * float(np.median(np.abs(r))), 1e-4 * float(width))
-        w = 1.0 / (1.0 + (r / (3 * sd)) ** 2)
-        value = float(np.log1p((r / (3 * sd)) ** 2).sum())
+        w, value = mismatch.weights(r, sd)
         # Points of one curve are not independent: the prior is weighted relative to the number of measurements.
         prior = count / points.measurements * (sd / deviation) ** 2
         du, do = _eliminated_step(r, jac_o, jac_k, w, damping * count, prior, u - center)
         new_r = mismatch.values(u + du, outputs + do)
-        new = float(np.log1p((new_r / (3 * sd)) ** 2).sum()) if np.isfinite(new_r).all() else np.inf
+        new = mismatch.weights(new_r, sd)[1] if np.isfinite(new_r).all() else np.inf
         if new < value:
             u, outputs, damping = u + du, outputs + do, max(damping / 5, 1e-8)
             if abs(best - new) < 1e-6 * max(new, 1e-12):
