@@ -1,0 +1,131 @@
+"""Exports of models and runs for other programs: C, FMUs, ONNX."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError, packages
+from gbspec.operations import tables
+from gbspec.operations.models import Subject
+
+if TYPE_CHECKING:
+    from gbspec.data import SimulateOptions
+    from gbspec.exports import Example, Exported, ExportOptions
+    from gbspec.ir import Range
+
+SPAN, INTERVAL = 10.0, 0.5
+"""The duration of the trajectory that an exported program simulates, and the interval of its outputs."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was written: path, form, the model's name and fingerprint, the names of the files, the number of bytes,
+    and the largest error of each quantity that was compared with the generated module, relative to its terms."""
+
+    path: str
+    form: str
+    model: str
+    fingerprint: str
+    files: tuple[str, ...]
+    size: int
+    checked: dict[str, float]
+
+
+def forms() -> dict[str, str]:
+    """The forms of an export, each with a help line."""
+    from gbspec.exports import FORMS
+
+    return {name: form.help for name, form in FORMS.items()}
+
+
+@packages()
+def export(
+    source: Subject, path: str | Path, form: str, options: ExportOptions, findings: Findings, name: str = ""
+) -> Export:
+    """Writes a subject in one of `forms()`; `name` is what the user calls it.
+
+    Raises `UserError` (GB808 for what the form cannot express, GB880 for a folder of other files), `ComputationError`
+    if the export differs from the generated module.
+    """
+    from gbspec.backends import NotCoveredError
+    from gbspec.exports import FORMS, Exported, check, write
+
+    chosen = FORMS[form]
+    check(path, chosen.packed)
+    number = source.member
+    step = None if source.run is None or number is None else source.run.step(number)
+    subject = Exported(source.model, source.evaluator.instance, name or source.model.name, source.values, step)
+    if not source.model.states:
+        raise UserError([_refused(form, source.model.name, "it has no states")])
+    try:
+        made = chosen.make(subject, example(source, subject), options)
+    except NotCoveredError as problem:
+        raise UserError([_refused(form, source.model.name, str(problem))]) from None
+    findings.extend(made.remarks)
+    size = write(path, made.files, chosen.packed)
+    checked = {quantity.name: quantity.error for quantity in made.checked}
+    return Export(str(path), form, source.model.name, subject.fingerprint, tuple(made.files), size, checked)
+
+
+def _refused(form: str, model: str, reason: str) -> Diagnostic:
+    message = f"the form `{form}` cannot express the model `{model}`: {reason}"
+    return Diagnostic("GB808", message, None, help="`gbspec compile --emit module` expresses every model")
+
+
+def example(source: Subject, exported: Exported) -> Example:
+    """One trajectory of `gbspec simulate`, or from the initial values if that fails."""
+    from gbspec.analysis import true_starts
+    from gbspec.data import fixed
+    from gbspec.exports import Example, plain
+
+    options = _options(source, exported)
+    try:
+        held = fixed(options, source.values, source.model)
+        starts = true_starts(source.evaluator, source.model, held)
+        (item,) = tables.simulate(source, options).items
+    except (ComputationError, UserError):
+        return plain(exported)
+    command = _command(exported, options)
+    return Example(starts[0], item.start, item.times, item.condition, item.inputs, item.doses, command)
+
+
+def _options(source: Subject, exported: Exported) -> SimulateOptions:
+    """The options of the trajectory: values for everything that has no range, and a dose of 1 into each dosed state."""
+    from gbspec.data import SimulateOptions
+
+    model = source.model
+    initial = {
+        state.name: (float(value), float(value))
+        for state, value in zip(model.states, exported.states, strict=True)
+        if state.initial.kind != "expression" and state.start is None and not _bounded(state.range)
+    }
+    external: dict[str, tuple[float, float]] = {}
+    for name, value, default, range in (
+        *((c.name, v, c.default, c.range) for c, v in zip(model.conditions, exported.conditions, strict=True)),
+        *((i.name, v, i.default, i.range) for i, v in zip(model.inputs, exported.inputs, strict=True)),
+    ):
+        if default is None and not _bounded(range):
+            external[name] = (float(value), float(value))
+    doses = {dose.state: f"1@{exported.start:g}" for dose in model.doses}
+    return SimulateOptions(1, SPAN, INTERVAL, initial=initial, condition=external, dose=doses)
+
+
+def _bounded(range: Range | None) -> bool:
+    return range is not None and range.bounded
+
+
+def _command(exported: Exported, options: SimulateOptions) -> str:
+    """The command that simulates the same trajectory."""
+    parts = ["gbspec", "simulate", exported.source, "-o", "table.csv", "--trajectories", "1"]
+    for flag, boxes in (("--initial", options.initial), ("--condition", options.condition)):
+        for name, (low, _) in boxes.items():
+            parts += [flag, f"{name}={low!r}"]
+    for name, text in options.dose.items():
+        parts += ["--dose", f"{name}={text}"]
+    for name, value in exported.values.items():
+        parts += ["--set", f"{name}={value!r}"] if math.isfinite(value) else []
+    return shlex.join(parts)
