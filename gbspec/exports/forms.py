@@ -13,7 +13,25 @@ def _c(exported: Exported, example: Example, options: ExportOptions) -> Made:
     return make(exported, example, options)
 
 
+def _fmu2(exported: Exported, example: Example, options: ExportOptions) -> Made:
+    from gbspec.exports.fmi import make
+
+    return make("2", exported, options)
+
+
+def _fmu3(exported: Exported, example: Example, options: ExportOptions) -> Made:
+    from gbspec.exports.fmi import make
+
+    return make("3", exported, options)
+
+
 FORMS = {
-    form.name: form for form in (Form("c", "a C99 library without dependencies, as a folder or an archive (.zip)", _c),)
+    form.name: form
+    for form in (
+        Form("c", "a C99 library without dependencies, as a folder or an archive (.zip)", _c),
+        Form("fmu", "the same as fmu2, which most tools import", _fmu2, packed=True),
+        Form("fmu2", "a functional mock-up unit of FMI 2.0, for model exchange and co-simulation", _fmu2, packed=True),
+        Form("fmu3", "the same of FMI 3.0", _fmu3, packed=True),
+    )
 }
 """Every form by its name after `--as`."""

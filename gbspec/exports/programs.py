@@ -8,6 +8,7 @@ from functools import cached_property
 
 import sympy
 from sympy.core.function import AppliedUndef
+from sympy.core.relational import Relational
 
 from gbspec.backends import Flat, Operation, flatten
 from gbspec.ir import Expr, Model, State, Unknown, unknown_function
@@ -54,6 +55,25 @@ class Programs:
                 value = value.xreplace(values)
             out.append(value)
         return self._flat(out)
+
+    @cached_property
+    def switches(self) -> Flat:
+        """Those quantities."""
+        return self._flat(self.switched)
+
+    @cached_property
+    def switched(self) -> list[Expr]:
+        """The quantities whose signs decide which branches are taken: differences of the sides of comparisons."""
+        found: dict[Expr, None] = {}
+        for value in self.model.inlined((*self.model.balances, *(channel.value for channel in self.model.channels))):
+            for choice in sorted(value.atoms(sympy.Piecewise), key=sympy.default_sort_key):
+                for _, condition in choice.args:
+                    for relation in sorted(condition.atoms(Relational), key=sympy.default_sort_key):
+                        if not isinstance(relation, sympy.Eq | sympy.Ne):
+                            found[sympy.Add(relation.lhs, sympy.Mul(-1, relation.rhs))] = None
+        moving = {item.symbol for group in (self.model.states, self.model.inputs) for item in group}
+        moving.add(self.model.time.symbol)
+        return [value for value in found if value.free_symbols & moving]
 
     @cached_property
     def doses(self) -> Flat:

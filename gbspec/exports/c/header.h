@@ -10,6 +10,10 @@ void PREFIX_defaults(PREFIX_parameters *p);
 /* Replaces the initial values that the model gives by expressions; the others stay. */
 void PREFIX_initial(const PREFIX_parameters *p, double *x);
 
+/* The derivative of the initial state along (dp, dx). */
+void PREFIX_initial_along(const PREFIX_parameters *p, const double *x, const PREFIX_parameters *dp, const double *dx,
+                          double *out);
+
 /* The time derivative of the states, the channels, and the values of the learned functions where the model asks them.
    A vector that has no components may be NULL. */
 void PREFIX_rhs(const PREFIX_parameters *p, double t, const double *x, const double *u, double *dx);
@@ -26,6 +30,9 @@ void PREFIX_functions_along(const PREFIX_parameters *p, double t, const double *
 
 /* Whether a learned function is asked outside of the ranges that it learned from; `which` (or NULL) says it of each. */
 int PREFIX_outside(const PREFIX_parameters *p, double t, const double *x, const double *u, int *which);
+
+/* The quantities whose signs decide which branches of choices (`if`) are taken. */
+void PREFIX_switches(const PREFIX_parameters *p, double t, const double *x, const double *u, double *z);
 
 /* For each dose the fraction of it that arrives, and the lag after which it does. */
 void PREFIX_doses(const PREFIX_parameters *p, double *fraction, double *lag);

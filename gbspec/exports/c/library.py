@@ -42,6 +42,7 @@ class Library:
             "CHANNELS": len(model.channels),
             "DOSES": len(model.doses),
             "FUNCTIONS": len(self.programs.applications),
+            "SWITCHES": len(self.programs.switches.outputs),
             "NODES": len(self.exported.method.nodes),
         }
 
@@ -96,11 +97,7 @@ class Library:
         for i, (network, numbers) in enumerate(zip(model.networks, self.exported.networks, strict=True)):
             body += networks.network(i, network, numbers)
         body += self._defaults()
-        initial = Straight(programs.initial, self._place).body("start")
-        sized = [f"double start[{len(model.states)}];", "int i;", *initial]
-        sized.append(f"for (i = 0; i < {len(model.states)}; i++) x[i] = start[i];")
-        head = f"void {self.prefix}_initial(const {self.prefix}_parameters *p, double *x)"
-        body += function(head, sized, [*_unused(["p"], initial)])
+        body += self._initial()
         for name, flat in (("rhs", programs.rhs), ("observe", programs.observe), ("functions", programs.functions)):
             out = {"rhs": "dx", "observe": "y", "functions": "values"}[name]
             lines = Straight(flat, self._place).body(out)
@@ -148,6 +145,19 @@ class Library:
         lines = [f"p->{m} = {number(v)};" for m, v in zip(self.names.parameters, values, strict=True)]
         lines += ["p->unused = 0.0;"] * (not lines)
         return function(f"void {self.prefix}_defaults({self.prefix}_parameters *p)", lines)
+
+    def _initial(self) -> list[str]:
+        """The initial values, their derivatives, and what decides the choices."""
+        flat, count, p = self.programs.initial, len(self.model.states), self.prefix
+        straight = Straight(flat, self._place).body("start")
+        lines = [f"double start[{count}];", "int i;", *straight, f"for (i = 0; i < {count}; i++) x[i] = start[i];"]
+        out = function(f"void {p}_initial(const {p}_parameters *p, double *x)", lines, _unused(["p"], straight))
+        lines = Straight(flat, self._place, self._direction).body("out")
+        head = f"void {p}_initial_along(const {p}_parameters *p, const double *x, const {p}_parameters *dp, "
+        out += function(head + "const double *dx, double *out)", lines, _unused(["p", "x", "dp", "dx"], lines))
+        lines = Straight(self.programs.switches, self._place).body("z")
+        head = f"void {p}_switches({WHERE.format(p)}, double *z)"
+        return out + function(head, lines, _unused(["p", "t", "x", "u", "z"], lines))
 
     def _outside(self) -> list[str]:
         """Whether the arguments of each application lie in the range that its network learned from."""
