@@ -27,6 +27,7 @@ from .native.library import Library as Library
 from .native.library import Struct as Struct
 from .native.printer import CPrinter as CPrinter
 from .printing import RECIPROCAL as RECIPROCAL
+from .printing import UNARY as UNARY
 from .printing import Guard as Guard
 from .printing import Where as Where
 from .printing import guarded as guarded

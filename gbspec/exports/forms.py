@@ -25,6 +25,12 @@ def _fmu3(exported: Exported, example: Example, options: ExportOptions) -> Made:
     return make("3", exported, options)
 
 
+def _onnx(exported: Exported, example: Example, options: ExportOptions) -> Made:
+    from gbspec.exports.onnx import make
+
+    return make(exported, options)
+
+
 FORMS = {
     form.name: form
     for form in (
@@ -32,6 +38,7 @@ FORMS = {
         Form("fmu", "the same as fmu2, which most tools import", _fmu2, packed=True),
         Form("fmu2", "a functional mock-up unit of FMI 2.0, for model exchange and co-simulation", _fmu2, packed=True),
         Form("fmu3", "the same of FMI 3.0", _fmu3, packed=True),
+        Form("onnx", "ONNX graphs, as a folder or an archive (.zip), or one (.onnx)", _onnx, single=".onnx"),
     )
 }
 """Every form by its name after `--as`."""

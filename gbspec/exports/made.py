@@ -45,6 +45,8 @@ class Form:
     help: str
     make: Callable[[Exported, Example, ExportOptions], Made]
     packed: bool = field(default=False, kw_only=True)
+    single: str = field(default="", kw_only=True)
+    """The suffix of a path that gets one part alone."""
 
 
 def record(exported: Exported, form: str) -> bytes:

@@ -9,6 +9,7 @@ import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.files import ASIDE, writable, write_bytes
@@ -31,10 +32,21 @@ def archived(files: Mapping[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def check(path: str | Path, packed: bool) -> None:
+Layout = Literal["archive", "file", "folder"]
+
+
+def layout(path: str | Path, packed: bool, single: str = "") -> Layout:
+    """How files are written to a path: always an archive if `packed`, one file for the suffix `single`."""
+    suffix = Path(path).suffix
+    if packed or suffix == ".zip":
+        return "archive"
+    return "file" if single and suffix == single else "folder"
+
+
+def check(path: str | Path, layout: Layout) -> None:
     """Raises `UserError` if nothing can be written there (GB802, GB805), or a folder there is no export (GB880)."""
     target = Path(path)
-    if packed or target.suffix == ".zip" or not target.is_dir():
+    if layout != "folder" or not target.is_dir():
         writable(path)
         return
     if not (target / RECORD).is_file() and any(target.iterdir()):
@@ -42,12 +54,12 @@ def check(path: str | Path, packed: bool) -> None:
         raise UserError([Diagnostic("GB880", message, None, help="name a new folder, or an archive: `-o NAME.zip`")])
 
 
-def write(path: str | Path, files: Mapping[str, bytes], packed: bool) -> int:
-    """Writes the files to an archive, or to a folder unless the path ends in `.zip`; returns the number of bytes."""
-    check(path, packed)
+def write(path: str | Path, files: Mapping[str, bytes], layout: Layout) -> int:
+    """Writes the files; returns the number of bytes. As a file, the first of them."""
+    check(path, layout)
     target = Path(path)
-    if packed or target.suffix == ".zip":
-        data = archived(files)
+    if layout != "folder":
+        data = archived(files) if layout == "archive" else next(iter(files.values()))
         write_bytes(target, data)
         return len(data)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:100]}.", suffix=ASIDE))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from gbspec.operations.models import Subject
 
 if TYPE_CHECKING:
     from gbspec.data import SimulateOptions
-    from gbspec.exports import Example, Exported, ExportOptions
+    from gbspec.exports import Example, Exported, ExportOptions, Form, Layout
     from gbspec.ir import Range
 
 SPAN, INTERVAL = 10.0, 0.5
@@ -52,10 +52,12 @@ def export(
     if the export differs from the generated module.
     """
     from gbspec.backends import NotCoveredError
-    from gbspec.exports import FORMS, Exported, check, write
+    from gbspec.exports import FORMS, Exported, check, layout, write
 
     chosen = FORMS[form]
-    check(path, chosen.packed)
+    written = layout(path, chosen.packed, chosen.single)
+    check(path, written)
+    options = _suited(options, form, chosen, written)
     number = source.member
     step = None if source.run is None or number is None else source.run.step(number)
     subject = Exported(source.model, source.evaluator.instance, name or source.model.name, source.values, step)
@@ -66,9 +68,18 @@ def export(
     except NotCoveredError as problem:
         raise UserError([_refused(form, source.model.name, str(problem))]) from None
     findings.extend(made.remarks)
-    size = write(path, made.files, chosen.packed)
+    size = write(path, made.files, written)
     checked = {quantity.name: quantity.error for quantity in made.checked}
     return Export(str(path), form, source.model.name, subject.fingerprint, tuple(made.files), size, checked)
+
+
+def _suited(options: ExportOptions, form: str, chosen: Form, written: Layout) -> ExportOptions:
+    """The options for a path of one file: its part. Raises `UserError` (GB881) for an option that a form has not."""
+    if not chosen.single and (options.part is not None or options.precision != "float64"):
+        given = "part" if options.part is not None else "precision"
+        message = f"the form `{form}` has no option `{given}`"
+        raise UserError([Diagnostic("GB881", message, None, help="`--part` and `--precision` are of `--as onnx`")])
+    return replace(options, part="rhs") if written == "file" and options.part is None else options
 
 
 def _refused(form: str, model: str, reason: str) -> Diagnostic:

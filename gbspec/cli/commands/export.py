@@ -18,6 +18,8 @@ FORMS = exporting.forms()
 @command(
     "export",
     "gbspec export my_run -o my_library --as c",
+    "gbspec export my_run -o my_model.fmu --as fmu3",
+    "gbspec export my_run -o phi.onnx --as onnx --part phi --precision float32",
 )
 def run(
     output: Output,
@@ -35,6 +37,14 @@ def run(
     verify: Annotated[
         bool, typer.Option("--verify/--no-verify", help="Compare it with the generated module before it is written.")
     ] = True,
+    precision: Annotated[
+        str,
+        typer.Option("--precision", parser=choice(("float64", "float32")), metavar="TYPE", help="Of ONNX graphs."),
+    ] = "float64",
+    part: Annotated[
+        str | None,
+        typer.Option("--part", help="One ONNX graph alone: rhs, observe, step, or a learned function.", metavar="NAME"),
+    ] = None,
     set_values: Settings = None,
     member: Annotated[
         int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
@@ -45,9 +55,10 @@ def run(
     from gbspec.exports import ExportOptions
     from gbspec.operations import models
 
+    options = ExportOptions(verify, "float32" if precision == "float32" else "float64", part)
     findings = Findings()
     subject = models.subject(source, settings(set_values), findings, member)
-    made = exporting.export(subject, to, as_, ExportOptions(verify=verify), findings, source)
+    made = exporting.export(subject, to, as_, options, findings, source)
     output.findings(findings)
     worst = max(made.checked.values(), default=None)
     checked = "" if worst is None else f"; it agrees with the generated module to {worst:.0e}"

@@ -35,7 +35,7 @@ class Points:
         return self.t, self.x, self.condition, self.inputs, self.constants
 
 
-def draw(exported: Exported, count: int, seed: int = 0) -> Points:
+def draw(exported: Exported, count: int, seed: int = 0, spread: float = SPREAD) -> Points:
     """Points within the declared ranges, or around the values that are known, with constants near their own."""
     random, model = np.random.default_rng(seed), exported.model
     boxes = [
@@ -47,7 +47,7 @@ def draw(exported: Exported, count: int, seed: int = 0) -> Points:
         )
     ]
     drawn = [box[:, 0] + (box[:, 1] - box[:, 0]) * random.random((count, len(box))) for box in boxes]
-    own = exported.constants * (1 + SPREAD * random.uniform(-1, 1, (count, len(exported.constants))))
+    own = exported.constants * (1 + spread * random.uniform(-1, 1, (count, len(exported.constants))))
     own[0] = exported.constants
     t = exported.start + random.random(count)
     sizes = [1, *(len(box) for box in boxes), len(exported.constants)]

@@ -132,6 +132,18 @@ class Reference:
         return np.asarray(np.broadcast_to(found[output], len(self.points)), dtype=np.float64)
 
     # -------------------------------------------------------------- over time
+    def step(self, h: Array) -> Pair:
+        """The states [R, n] after a step of size h [R] with the inputs held, and the size of their terms."""
+        instance, math = self.exported.instance, self.exported.instance.arithmetic("numpy")
+        equations, networks = instance.equations, instance.numpy_networks()
+        nodes, found = len(self.exported.method.nodes), []
+        for size, (t, x, condition, inputs, constants) in zip(h, zip(*self.points.arguments, strict=True), strict=True):
+            field = equations.field(math, condition, tuple(constants), networks)
+            with np.errstate(all="ignore"):
+                found.append(equations.step(math, field, equations.grid(math, t, size), x, (inputs,) * nodes))
+        after = np.array(found, dtype=np.float64)
+        return after, np.abs(self.points.x) + h[:, None] * self.rhs[1]
+
     def trajectory(self, course: Course, point: int = 0) -> Array:
         """The states [T, n] of a course from the states of a point, by the module's own steps."""
         start = self.evaluator.initial(self.points.x[point], self.points.condition[point], self.points.constants[point])
