@@ -6,7 +6,7 @@ import math
 import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError, packages
 from gbspec.operations import tables
@@ -14,9 +14,11 @@ from gbspec.operations.models import Subject
 
 if TYPE_CHECKING:
     from gbspec.data import SimulateOptions
-    from gbspec.exports import Example, Exported, ExportOptions, Form, Layout
+    from gbspec.exports import Example, Exported, ExportOptions, Form, Layout, Precision
     from gbspec.ir import Range
 
+ExportForm = Literal["c", "fmu", "fmu2", "fmu3", "onnx"]
+"""The forms, for type checkers; a test compares them with those that there are."""
 SPAN, INTERVAL = 10.0, 0.5
 """The duration of the trajectory that an exported program simulates, and the interval of its outputs."""
 
@@ -24,7 +26,8 @@ SPAN, INTERVAL = 10.0, 0.5
 @dataclass(frozen=True)
 class Export:
     """What was written: path, form, the model's name and fingerprint, the names of the files, the number of bytes,
-    and the largest error of each quantity that was compared with the generated module, relative to its terms."""
+    the largest error of each quantity that was compared with the generated module, relative to its terms, and remarks
+    in words."""
 
     path: str
     form: str
@@ -33,6 +36,7 @@ class Export:
     files: tuple[str, ...]
     size: int
     checked: dict[str, float]
+    remarks: tuple[str, ...] = ()
 
 
 def forms() -> dict[str, str]:
@@ -70,7 +74,26 @@ def export(
     findings.extend(made.remarks)
     size = write(path, made.files, written)
     checked = {quantity.name: quantity.error for quantity in made.checked}
-    return Export(str(path), form, source.model.name, subject.fingerprint, tuple(made.files), size, checked)
+    remarks = tuple(remark.message for remark in made.remarks)
+    return Export(str(path), form, source.model.name, subject.fingerprint, tuple(made.files), size, checked, remarks)
+
+
+def exported(
+    source: Subject,
+    path: str | Path,
+    form: str,
+    name: str,
+    *,
+    verify: bool = True,
+    precision: Precision = "float64",
+    part: str | None = None,
+) -> Export:
+    """`export` with its options as arguments. Raises ValueError if there is no such form."""
+    from gbspec.exports import ExportOptions
+
+    if form not in forms():
+        raise ValueError(f"there is no form `{form}`; there are {', '.join(forms())}")
+    return export(source, path, form, ExportOptions(verify, precision, part), Findings(), name)
 
 
 def _suited(options: ExportOptions, form: str, chosen: Form, written: Layout) -> ExportOptions:

@@ -114,8 +114,11 @@ def test_one_graph_alone(tmp_path: Path) -> None:
     assert made.files == ("step.onnx",) and onnx.load(tmp_path / "a.onnx").graph.name == "step"
     exporting.export(subject, tmp_path / "b.onnx", "onnx", ExportOptions(), findings)
     assert onnx.load(tmp_path / "b.onnx").graph.name == "rhs"
-    for options, form in ((ExportOptions(part="psi"), "onnx"), (ExportOptions(part="rhs"), "c")):
-        with pytest.raises(UserError, match="GB881"):
+    for options, form, code in (
+        (ExportOptions(part="psi"), "onnx", "GB884"),
+        (ExportOptions(part="rhs"), "c", "GB881"),
+    ):
+        with pytest.raises(UserError, match=code):
             exporting.export(subject, tmp_path / "c", form, options, findings)
     with pytest.raises(UserError, match=r"GB881.*`precision`"):
         exporting.export(subject, tmp_path / "c", "c", ExportOptions(precision="float32"), findings)

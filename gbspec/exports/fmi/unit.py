@@ -18,6 +18,7 @@ from gbspec.exports.checking import Quantity, require
 from gbspec.exports.compiling import shared_library
 from gbspec.exports.fmi.description import Version, build_description, description
 from gbspec.exports.fmi.variables import Variables
+from gbspec.exports.fmi.verifying import verify as verify_unit
 from gbspec.exports.made import ExportOptions, Made, record
 from gbspec.exports.subject import Exported
 
@@ -51,8 +52,9 @@ def make(version: Version, exported: Exported, options: ExportOptions) -> Made:
     checked: tuple[Quantity, ...] = ()
     try:
         folder, suffix = _platform(version)
-        files[f"binaries/{folder}/{name}{suffix}"] = _binary(sources, compiled, suffix)
-        checked = tuple(verify(library)) if options.verify else ()
+        binary = _binary(sources, compiled, suffix)
+        files[f"binaries/{folder}/{name}{suffix}"] = binary
+        checked = (*verify(library), *verify_unit(binary, version, token, variables)) if options.verify else ()
     except CompilerError as problem:
         remarks.append(_without_binary(version, str(problem)))
         remarks += [unchecked(f"fmu{version}", str(problem))] if options.verify else []

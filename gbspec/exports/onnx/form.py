@@ -31,7 +31,7 @@ def make(exported: Exported, options: ExportOptions) -> Made:
     known = parts(exported.model)
     if options.part is not None and options.part not in known:
         message = f"the model `{exported.model.name}` has no graph `{options.part}`"
-        raise UserError([Diagnostic("GB881", message, None, help=f"there are {', '.join(known)}")])
+        raise UserError([Diagnostic("GB884", message, None, help=f"there are {', '.join(known)}")])
     chosen = known if options.part is None else {options.part: known[options.part]}
     writer = _Writer(exported, options)
     graphs = {part: writer.graph(part, unknown) for part, unknown in chosen.items()}
