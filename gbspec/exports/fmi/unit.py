@@ -77,7 +77,8 @@ def _sources(library: Library, variables: Variables, version: Version, token: st
     defined += f"#define GB_START {start[0]}\n#define GB_STEP {start[1]}\n\n"
     texts["gb_core.h"] = texts["gb_core.h"].replace("/* Value references", defined + "/* Value references", 1)
     texts["gb_core.c"] = texts["gb_core.c"].replace("#define ROUNDING", f"{tables}\n\n#define ROUNDING", 1)
-    return texts | {header: _text(f"headers/{header}") for header in HEADERS[version]}
+    kept = (*HEADERS[version], "LICENSE.txt")
+    return texts | {name: _text(f"headers/{name}") for name in kept}
 
 
 def _tables(library: Library, variables: Variables) -> list[str]:

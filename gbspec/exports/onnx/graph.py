@@ -115,11 +115,22 @@ class Graph:
         self._count += 1
         return f"v{self._count}"
 
+    def _needed(self) -> tuple[list[onnx.NodeProto], set[str]]:
+        """The nodes that the outputs need, in order, and the names of all values that these use."""
+        used = {one.name for one in self.outputs}
+        kept = []
+        for node in reversed(self.nodes):
+            if used.intersection(node.output):
+                used.update(node.input)
+                kept.append(node)
+        return kept[::-1], used
+
     def bytes(self, metadata: Mapping[str, str], described: str) -> bytes:
         """The model file."""
-        graph = helper.make_graph(
-            self.nodes, self.name, self.inputs, self.outputs, list(self.initializers.values()), doc_string=described
-        )
+        nodes, used = self._needed()
+        kept = [tensor for name, tensor in self.initializers.items() if name in used]
+        inputs = [one for one in self.inputs if one.name in used or one.name not in self.initializers]
+        graph = helper.make_graph(nodes, self.name, inputs, self.outputs, kept, doc_string=described)
         model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
         model.producer_name, model.producer_version = "gbspec", metadata["gbspec"]
         model.doc_string = described
