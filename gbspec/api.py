@@ -28,7 +28,7 @@ from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.keywords import SimulateKeywords, StudyKeywords, TrainKeywords, options_of
-from gbspec.operations import analysing, fitting, models
+from gbspec.operations import analysing, exporting, fitting, models
 from gbspec.report import progress_of, register
 from gbspec.studies import StudyOptions
 from gbspec.training import TrainOptions
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
     from gbspec.analysis import Diagram, Eigen, Validation
     from gbspec.data import Trajectories
+    from gbspec.exports import Precision
+    from gbspec.operations import Export, ExportForm
     from gbspec.studies import CrossValidation
     from gbspec.training import Progress
 
@@ -152,6 +154,20 @@ class Specification(Tabled):
         division, table, chosen = CrossOptions(folds, over, window), table_of(data, self.model), TrainOptions(**options)
         with progress_of(progress) as shown:
             return crossvalidate(self.model, table, Path(directory), chosen, division, lambda fold: shown)
+
+    def export(
+        self,
+        path: str | Path,
+        as_: ExportForm,
+        *,
+        verify: bool = True,
+        precision: Precision = "float64",
+        part: str | None = None,
+        values: Mapping[str, float] | None = None,
+    ) -> Export:
+        """Writes the model at its truth for other programs; see `FittedRun.export`."""
+        subject = models.reference(self.model, values)
+        return exporting.exported(subject, path, as_, self.path, verify=verify, precision=precision, part=part)
 
     def eigen(
         self,

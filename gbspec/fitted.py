@@ -12,7 +12,7 @@ from gbspec.diagnostics import Findings
 from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
 from gbspec.keywords import SimulateKeywords, options_of
-from gbspec.operations import analysing, fitting, models, reporting, tables
+from gbspec.operations import analysing, exporting, fitting, models, reporting, tables
 
 if TYPE_CHECKING:
     import polars as pl
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from gbspec.analysis import Diagram, Eigen, Forecast, InitialStates, PlaneDiagram, Validation
     from gbspec.backends import GeneratedModule
     from gbspec.data import Frame, Trajectories
+    from gbspec.exports import Precision
+    from gbspec.operations import Export, ExportForm
     from gbspec.runs import Run
     from gbspec.training import Profile
 
@@ -91,6 +93,25 @@ class FittedRun(Tabled):
     ) -> Trajectories:
         """Simulated measurements from the learned model, in the model's units; times are in that of its time."""
         return simulated(models.learned(self.run, values, member), path, like, SimulateOptions(**options))
+
+    def export(
+        self,
+        path: str | Path,
+        as_: ExportForm,
+        *,
+        verify: bool = True,
+        precision: Precision = "float64",
+        part: str | None = None,
+        values: Mapping[str, float] | None = None,
+        member: int | None = None,
+    ) -> Export:
+        """Writes the learned model for other programs; see `gbspec export`. Compared with the generated module first.
+
+        `precision` and `part` are those of ONNX graphs. Raises `UserError` for what the form cannot express (GB808),
+        `ComputationError` if the export differs from the generated module.
+        """
+        subject = models.learned(self.run, values, member)
+        return exporting.exported(subject, path, as_, str(self.run.path), verify=verify, precision=precision, part=part)
 
     def eigen(
         self,

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
+from gbspec.exports.programs import MOST_CALLS, MOST_OPERATIONS
 from gbspec.syntax.limits import (
     LONGEST_WORD,
     MOST_BYTES,
@@ -211,8 +212,8 @@ TEXT = f"""# Limits: what is read, and what oversized inputs cost
 |---|---:|
 @LIMITS@
 
-A larger model gets `GB010`, a larger table `GB732`. After {MOST_ERRORS} wrong statements a file is not read on
-(`GB011`). The rows of a text are not limited.
+A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`. After
+{MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 
 Each model below is given to `gbspec check`, each table is read for a model of one state as every command
 reads it, in a process of its own:
@@ -238,6 +239,8 @@ LIMITS = {
     "columns of a table": MOST_COLUMNS,
     "bytes of a line of a CSV or TSV table": LONGEST_LINE,
     "rows of a Parquet table": MOST_ROWS,
+    "operations of an exported function, written out for each element": MOST_OPERATIONS,
+    "calls of networks of an exported function": MOST_CALLS,
 }
 
 

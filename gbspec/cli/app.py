@@ -22,6 +22,7 @@ COMMANDS = {
     "check": "gbspec.cli.commands.check",
     "fmt": "gbspec.cli.commands.fmt",
     "compile": "gbspec.cli.commands.compile",
+    "export": "gbspec.cli.commands.export",
     "explain": "gbspec.cli.commands.explain",
     "lsp": "gbspec.cli.commands.lsp",
     "simulate": "gbspec.cli.commands.simulate",

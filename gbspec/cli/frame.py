@@ -111,7 +111,9 @@ def guarded(work: Callable[[], None], output: Output) -> int:
     return OK
 
 
-USAGE_CODES = frozenset({"GB009", "GB750", "GB754", "GB807", "GB810", "GB812", "GB814", "GB850", "GB862", "GB875"})
+USAGE_CODES = frozenset(
+    {"GB009", "GB750", "GB754", "GB807", "GB810", "GB812", "GB814", "GB850", "GB862", "GB875", "GB881"}
+)
 """Codes of diagnostics about the command line, which is wrong whatever the files, tables and runs contain.
 
 This is the rule for wrong names: one that no file could make right (of an option, a choice, a code, a form, an output's

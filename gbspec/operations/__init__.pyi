@@ -1,8 +1,11 @@
 from . import analysing as analysing
+from . import exporting as exporting
 from . import fitting as fitting
 from . import models as models
 from . import reporting as reporting
 from . import tables as tables
+from .exporting import Export as Export
+from .exporting import ExportForm as ExportForm
 from .models import Subject as Subject
 from .models import compile_file as compile_file
 from .models import forms as forms

@@ -80,17 +80,20 @@ class Flat:
     calls: list[Call] = field(default_factory=list)
 
 
-def flatten(model: Model, outputs: Sequence[Expr]) -> Flat:
-    """Flattens expressions of a model. Raises NotCoveredError for a node that has no rule."""
-    worker = _Flattener(model)
+def flatten(
+    model: Model, outputs: Sequence[Expr], most_operations: int = MOST_OPERATIONS, most_calls: int = MOST_CALLS
+) -> Flat:
+    """Flattens expressions of a model. Raises NotCoveredError for a node that has no rule, and beyond the limits."""
+    worker = _Flattener(model, most_operations, most_calls)
     values = [worker.value(guarded(node), worker.top) for node in outputs]
     calls = [step for step in worker.steps if isinstance(step, Call)]
     return Flat(worker.steps, values, worker.leaves, calls)
 
 
 class _Flattener:
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, most_operations: int, most_calls: int) -> None:
         self.model = model
+        self.most_operations, self.most_calls = most_operations, most_calls
         self.steps: list[Operation | Call] = []
         self.leaves = _leaves(model)
         self.top: Environment = {symbol: symbol for symbol in self.leaves}
@@ -137,8 +140,8 @@ class _Flattener:
         if not node.free_symbols:
             return node
         if node not in self._operations:
-            if len(self.steps) > MOST_OPERATIONS:
-                raise NotCoveredError(f"its equations have more than {MOST_OPERATIONS} operations")
+            if len(self.steps) > self.most_operations:
+                raise NotCoveredError(f"its equations have more than {self.most_operations} operations")
             symbol = temporary("v", real=not isinstance(node, Boolean))
             self.steps.append(Operation(symbol, node))
             self._operations[node] = symbol
@@ -193,8 +196,8 @@ class _Flattener:
     def _call(self, network: int, arguments: tuple[Expr, ...]) -> tuple[sympy.Symbol, ...]:
         key = (network, arguments)
         if key not in self._calls:
-            if len(self._calls) >= MOST_CALLS:
-                raise NotCoveredError(f"it applies unknowns to more than {MOST_CALLS} tuples of arguments")
+            if len(self._calls) >= self.most_calls:
+                raise NotCoveredError(f"it applies unknowns to more than {self.most_calls} tuples of arguments")
             outputs = self.model.networks[network].sizes[-1]
             call = Call(network, arguments, tuple(temporary("y") for _ in range(outputs)))
             self.steps.append(call)

@@ -198,7 +198,7 @@ def _set_networks(networks: Sequence[Network]) -> list[str]:
         lines.append(f"    net{i}->layers = {len(network.sizes) - 1};")
         lines += [f"    net{i}->size[{j}] = {size};" for j, size in enumerate(network.sizes)]
         for layer in range(len(network.hidden)):
-            parts = _parts(network, layer)
+            parts = activation_parts(network, layer)
             lines.append(f"    net{i}->kinds[{layer + 1}] = {len(parts)};")
             for j, (kind, count) in enumerate(parts):
                 width = network.hidden[layer]
@@ -208,7 +208,7 @@ def _set_networks(networks: Sequence[Network]) -> list[str]:
     return [*lines, "    (void)w;", "}"]
 
 
-def _parts(network: Network, layer: int) -> list[tuple[str, int]]:
+def activation_parts(network: Network, layer: int) -> list[tuple[str, int]]:
     """Activations of a hidden layer, each with its number of units."""
     if network.layout is None:
         return [(network.activation, network.hidden[layer])]

@@ -13,6 +13,7 @@ from .nodes import is_vector as is_vector
 from .nodes import temporary as temporary
 from .printer import MUL as MUL
 from .printer import RECIPROCAL as RECIPROCAL
+from .printer import UNARY as UNARY
 from .printer import Printer as Printer
 from .printer import PythonPrinter as PythonPrinter
 from .printer import Text as Text

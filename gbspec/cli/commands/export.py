@@ -1,0 +1,66 @@
+"""`gbspec export RUN|MODEL -o FILE --as FORM`: a model for other programs."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gbspec.cli.flags import choice
+from gbspec.cli.frame import command
+from gbspec.cli.output import Output
+from gbspec.cli.settings import Settings, settings
+from gbspec.operations import exporting
+
+FORMS = exporting.forms()
+
+
+@command(
+    "export",
+    "gbspec export my_run -o my_library --as c",
+    "gbspec export my_run -o my_model.fmu --as fmu3",
+    "gbspec export my_run -o phi.onnx --as onnx --part phi --precision float32",
+)
+def run(
+    output: Output,
+    source: Annotated[str, typer.Argument(help="A run, or a model with a truth.", metavar="RUN|MODEL")],
+    to: Annotated[str, typer.Option("--output", "-o", help="The file or folder to write.", metavar="FILE")],
+    as_: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            parser=choice(tuple(FORMS)),
+            metavar="FORM",
+            help="; ".join(f"{name}: {said}" for name, said in FORMS.items()) + ".",
+        ),
+    ],
+    verify: Annotated[
+        bool, typer.Option("--verify/--no-verify", help="Compare it with the generated module before it is written.")
+    ] = True,
+    precision: Annotated[
+        str,
+        typer.Option("--precision", parser=choice(("float64", "float32")), metavar="TYPE", help="Of ONNX graphs."),
+    ] = "float64",
+    part: Annotated[
+        str | None,
+        typer.Option("--part", help="One ONNX graph alone: rhs, observe, step, or a learned function.", metavar="NAME"),
+    ] = None,
+    set_values: Settings = None,
+    member: Annotated[
+        int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
+    ] = None,
+) -> None:
+    """Export a learned model for other programs; networks are inside, gbspec and Python are not needed."""
+    from gbspec.diagnostics import Findings
+    from gbspec.exports import ExportOptions
+    from gbspec.operations import models
+
+    options = ExportOptions(verify, "float32" if precision == "float32" else "float64", part)
+    findings = Findings()
+    subject = models.subject(source, settings(set_values), findings, member)
+    made = exporting.export(subject, to, as_, options, findings, source)
+    output.findings(findings)
+    worst = max(made.checked.values(), default=None)
+    checked = "" if worst is None else f"; it agrees with the generated module to {worst:.0e}"
+    output.say(f"wrote {to}: {made.size / 1000:.0f} kB{checked}")
+    output.document(made)

@@ -1,0 +1,12 @@
+from .example import Example as Example
+from .example import plain as plain
+from .forms import FORMS as FORMS
+from .made import ExportOptions as ExportOptions
+from .made import Form as Form
+from .made import Made as Made
+from .made import Precision as Precision
+from .subject import Exported as Exported
+from .writing import Layout as Layout
+from .writing import check as check
+from .writing import layout as layout
+from .writing import write as write

@@ -1,0 +1,21 @@
+/* One step of length h from t; `u` has the inputs at the method's nodes, node by node. */
+void PREFIX_step(const PREFIX_parameters *p, double t, double h, const double *u, double *x) {
+    double k[STAGES][PREFIX_STATES], place[PREFIX_STATES], sum;
+    int q, r, i;
+    for (q = 0; q < STAGES; q++) {
+        for (i = 0; i < PREFIX_STATES; i++) {
+            sum = 0.0;
+            for (r = 0; r < q; r++)
+                if (A[q * STAGES + r] != 0.0) sum += A[q * STAGES + r] * k[r][i];
+            place[i] = x[i] + h * sum;
+        }
+        PREFIX_rhs(p, t + C[q] * h, place, PREFIX_INPUTS ? u + AT[q] * PREFIX_INPUTS : NULL, k[q]);
+    }
+    for (i = 0; i < PREFIX_STATES; i++) {
+        sum = 0.0;
+        for (r = 0; r < STAGES; r++)
+            if (B[r] != 0.0) sum += B[r] * k[r][i];
+        x[i] += h * sum;
+    }
+}
+

@@ -1,0 +1,210 @@
+#include "gb_core.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define ROUNDING 1e-10 /* the share of a time within which two times are equal */
+
+static double *parameters(PREFIX_parameters *p) { return (double *)p; }
+
+gb_instance *gb_new(const char *name) {
+    gb_instance *g = (gb_instance *)calloc(1, sizeof(gb_instance));
+    if (!g) return NULL;
+    if (name) strncpy(g->name, name, sizeof g->name - 1);
+    gb_reset(g);
+    return g;
+}
+
+void gb_reset(gb_instance *g) {
+    gb_memory *m = &g->memory;
+    int i;
+    memset(m, 0, sizeof *m);
+    m->time = GB_START;
+    for (i = 0; i < PREFIX_STATES; i++) m->x[i] = GB_X[i];
+    for (i = 0; i < PREFIX_INPUTS; i++) m->u[i] = GB_U[i];
+    for (i = 0; i < PREFIX_DOSES; i++) {
+        m->regimen[4 * i + 1] = GB_START;
+        m->regimen[4 * i + 3] = 1.0;
+    }
+    m->step = GB_STEP;
+    PREFIX_defaults(&m->p);
+    m->mode = GB_INSTANTIATED;
+    g->fresh = 0;
+}
+
+double gb_nominal(int state) { return GB_NOMINAL[state]; }
+
+/* Computes everything that follows from the memory. Before the start, states that are given by expressions follow too. */
+void gb_evaluate(gb_instance *g) {
+    gb_memory *m = &g->memory;
+    if (g->fresh) return;
+    if (m->mode != GB_RUNNING) PREFIX_initial(&m->p, m->x);
+    PREFIX_rhs(&m->p, m->time, m->x, m->u, g->dx);
+    PREFIX_observe(&m->p, m->time, m->x, m->u, g->y);
+    PREFIX_functions(&m->p, m->time, m->x, m->u, g->f);
+    PREFIX_switches(&m->p, m->time, m->x, m->u, g->z);
+    g->outside = PREFIX_outside(&m->p, m->time, m->x, m->u, NULL);
+    g->fresh = 1;
+}
+
+int gb_get(gb_instance *g, unsigned vr, double *value) {
+    gb_memory *m = &g->memory;
+    gb_evaluate(g);
+    if (vr == VR_TIME) *value = m->time;
+    else if (vr < VR_DERIVATIVE) *value = m->x[vr - VR_STATE];
+    else if (vr < VR_INPUT) *value = g->dx[vr - VR_DERIVATIVE];
+    else if (vr < VR_PARAMETER) *value = m->u[vr - VR_INPUT];
+    else if (vr < VR_REGIMEN) *value = parameters(&m->p)[vr - VR_PARAMETER];
+    else if (vr < VR_STEP) *value = m->regimen[vr - VR_REGIMEN];
+    else if (vr == VR_STEP) *value = m->step;
+    else if (vr < VR_FUNCTION) *value = g->y[vr - VR_CHANNEL];
+    else if (vr < VR_SWITCH) *value = g->f[vr - VR_FUNCTION];
+    else if (vr < VR_OUTSIDE) *value = g->z[vr - VR_SWITCH];
+    else return 1;
+    return 0;
+}
+
+int gb_set(gb_instance *g, unsigned vr, double value) {
+    gb_memory *m = &g->memory;
+    if (vr == VR_TIME) m->time = value;
+    else if (vr < VR_DERIVATIVE) m->x[vr - VR_STATE] = value;
+    else if (vr < VR_INPUT) return 1;
+    else if (vr < VR_PARAMETER) m->u[vr - VR_INPUT] = value;
+    else if (vr < VR_REGIMEN) parameters(&m->p)[vr - VR_PARAMETER] = value;
+    else if (vr < VR_STEP) m->regimen[vr - VR_REGIMEN] = value;
+    else if (vr == VR_STEP) m->step = value;
+    else return 1;
+    g->fresh = 0;
+    return 0;
+}
+
+/* When the next dose of a kind arrives; infinite where none follows. */
+static double arrival(const gb_memory *m, int dose) {
+    const double *r = m->regimen + 4 * dose;
+    double fraction[PREFIX_DOSES + 1], lag[PREFIX_DOSES + 1];
+    if (r[0] == 0.0 || m->given[dose] >= r[3]) return HUGE_VAL;
+    PREFIX_doses(&m->p, fraction, lag);
+    return r[1] + m->given[dose] * r[2] + lag[dose];
+}
+
+static int before(double a, double b) {
+    const double size = fabs(a) > fabs(b) ? fabs(a) : fabs(b);
+    return a < b - ROUNDING * size;
+}
+
+void gb_begin(gb_instance *g, double start) {
+    g->memory.time = start;
+    g->memory.mode = GB_INITIALIZATION;
+    g->fresh = 0;
+}
+
+/* Doses that arrive before the start are not given. */
+void gb_exit_initialization(gb_instance *g) {
+    gb_memory *m = &g->memory;
+    int i;
+    PREFIX_initial(&m->p, m->x);
+    for (i = 0; i < PREFIX_DOSES; i++) {
+        m->given[i] = 0.0;
+        while (before(arrival(m, i), m->time)) m->given[i] += 1.0;
+    }
+    m->mode = GB_RUNNING;
+    g->fresh = 0;
+}
+
+int gb_next_event(const gb_instance *g, double *time) {
+    double next = HUGE_VAL;
+    int i;
+    for (i = 0; i < PREFIX_DOSES; i++)
+        if (arrival(&g->memory, i) < next) next = arrival(&g->memory, i);
+    *time = next;
+    return next < HUGE_VAL;
+}
+
+int gb_give(gb_instance *g) {
+    gb_memory *m = &g->memory;
+    double fraction[PREFIX_DOSES + 1], lag[PREFIX_DOSES + 1];
+    int i, given = 0;
+    PREFIX_doses(&m->p, fraction, lag);
+    for (i = 0; i < PREFIX_DOSES; i++)
+        while (arrival(m, i) < HUGE_VAL && !before(m->time, arrival(m, i))) {
+            m->x[GB_DOSE_STATE[i]] += m->regimen[4 * i] * fraction[i];
+            m->given[i] += 1.0;
+            given = 1;
+        }
+    if (given) g->fresh = 0;
+    return given;
+}
+
+/* Equal steps of the model's method from `from` to `to`, where inputs are those at `start` and change by their slopes. */
+static void steps(gb_memory *m, double start, double from, double to) {
+    const double wanted = m->step > 0.0 ? ceil((to - from) / m->step - 1e-9) : 1.0;
+    const long count = wanted > 1.0 ? (long)wanted : 1;
+    const double h = (to - from) / (double)count;
+    double u[PREFIX_NODES * PREFIX_INPUTS + 1];
+    long k;
+    int q, j;
+    for (k = 0; k < count; k++) {
+        const double t = from + (double)k * h;
+        for (q = 0; q < PREFIX_NODES; q++)
+            for (j = 0; j < PREFIX_INPUTS; j++)
+                u[q * PREFIX_INPUTS + j] = m->u[j] + m->slope[j] * (t + GB_NODE[q] * h - start);
+        PREFIX_step(&m->p, t, h, u, m->x);
+    }
+}
+
+int gb_advance(gb_instance *g, double from, double to) {
+    gb_memory *m = &g->memory;
+    double t = from, next;
+    int i;
+    m->time = t;
+    while (before(t, to)) {
+        gb_give(g);
+        if (!gb_next_event(g, &next) || !before(next, to)) next = to;
+        steps(m, from, t, next);
+        m->time = t = next;
+    }
+    for (i = 0; i < PREFIX_INPUTS; i++) m->u[i] += m->slope[i] * (to - from);
+    m->time = to;
+    g->fresh = 0;
+    for (i = 0; i < PREFIX_STATES; i++)
+        if (!(fabs(m->x[i]) < HUGE_VAL)) return 1;
+    return 0;
+}
+
+int gb_along(gb_instance *g, const unsigned *unknowns, size_t n_unknowns, const unsigned *knowns, size_t n_knowns,
+             const double *seed, double *found) {
+    gb_memory *m = &g->memory;
+    PREFIX_parameters dp;
+    double dx[PREFIX_STATES], own[PREFIX_STATES], du[PREFIX_INPUTS + 1] = {0.0}, dt = 0.0, outer = 0.0;
+    double rates[PREFIX_STATES], y[PREFIX_CHANNELS + 1], f[PREFIX_FUNCTIONS + 1];
+    size_t i;
+    memset(&dp, 0, sizeof dp);
+    memset(own, 0, sizeof own);
+    gb_evaluate(g);
+    for (i = 0; i < n_knowns; i++) {
+        const unsigned vr = knowns[i];
+        if (vr == VR_TIME) dt = seed[i];
+        else if (vr < VR_DERIVATIVE) own[vr - VR_STATE] = seed[i];
+        else if (vr < VR_INPUT) return 1;
+        else if (vr < VR_PARAMETER) du[vr - VR_INPUT] = seed[i];
+        else if (vr < VR_REGIMEN) parameters(&dp)[vr - VR_PARAMETER] = seed[i];
+        else if (vr <= VR_STEP) outer += seed[i]; /* a dose or the step: no continuous variable depends on it */
+        else return 1;
+    }
+    (void)outer;
+    if (m->mode == GB_RUNNING) memcpy(dx, own, sizeof dx);
+    else PREFIX_initial_along(&m->p, m->x, &dp, own, dx);
+    PREFIX_rhs_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, rates);
+    PREFIX_observe_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, y);
+    PREFIX_functions_along(&m->p, m->time, m->x, m->u, &dp, dt, dx, du, f);
+    for (i = 0; i < n_unknowns; i++) {
+        const unsigned vr = unknowns[i];
+        if (vr >= VR_STATE && vr < VR_DERIVATIVE) found[i] = dx[vr - VR_STATE];
+        else if (vr >= VR_DERIVATIVE && vr < VR_INPUT) found[i] = rates[vr - VR_DERIVATIVE];
+        else if (vr >= VR_CHANNEL && vr < VR_FUNCTION) found[i] = y[vr - VR_CHANNEL];
+        else if (vr >= VR_FUNCTION && vr < VR_SWITCH) found[i] = f[vr - VR_FUNCTION];
+        else return 1;
+    }
+    return 0;
+}

@@ -1,0 +1,2 @@
+from .form import make as make
+from .form import parts as parts

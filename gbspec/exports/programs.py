@@ -1,0 +1,140 @@
+"""The equations of a model as lists of operations and network calls, from which all exports are written."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import sympy
+from sympy.core.function import AppliedUndef
+from sympy.core.relational import Relational
+
+from gbspec.backends import Flat, Operation, flatten
+from gbspec.ir import Expr, Model, State, Unknown, unknown_function
+
+MOST_OPERATIONS = 20_000
+"""Most operations of one function: compilers take minutes for straight code that is longer."""
+MOST_CALLS = 2_000
+"""Most network calls of one function."""
+
+
+@dataclass(frozen=True)
+class Application:
+    """An application of an unknown in the model's equations: `label` is its name there, `phi` or `phi[2]`."""
+
+    unknown: Unknown
+    node: Expr
+    label: str
+
+
+class Programs:
+    """The functions of a model, each flattened once. Raises NotCoveredError for what no export can express."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    @cached_property
+    def rhs(self) -> Flat:
+        """The time derivative of each state."""
+        return self._flat(self.model.balances)
+
+    @cached_property
+    def observe(self) -> Flat:
+        """Each channel."""
+        return self._flat([channel.value for channel in self.model.channels])
+
+    @cached_property
+    def initial(self) -> Flat:
+        """The initial value of each state; that of another state is its value before."""
+        values = {s.symbol: s.initial.value for s in self.model.states if s.initial.value is not None}
+        out = []
+        for state in self.model.states:
+            value = values.get(state.symbol, state.symbol)
+            while value is not state.symbol and value.free_symbols & values.keys():
+                value = value.xreplace(values)
+            out.append(value)
+        return self._flat(out)
+
+    @cached_property
+    def switches(self) -> Flat:
+        """Those quantities."""
+        return self._flat(self.switched)
+
+    @cached_property
+    def switched(self) -> list[Expr]:
+        """The quantities whose signs decide which branches are taken: differences of the sides of comparisons."""
+        found: dict[Expr, None] = {}
+        for value in self.model.inlined((*self.model.balances, *(channel.value for channel in self.model.channels))):
+            for choice in sorted(value.atoms(sympy.Piecewise), key=sympy.default_sort_key):
+                for _, condition in choice.args:
+                    for relation in sorted(condition.atoms(Relational), key=sympy.default_sort_key):
+                        if not isinstance(relation, sympy.Eq | sympy.Ne):
+                            found[sympy.Add(relation.lhs, sympy.Mul(-1, relation.rhs))] = None
+        moving = {item.symbol for group in (self.model.states, self.model.inputs) for item in group}
+        moving.add(self.model.time.symbol)
+        return [value for value in found if value.free_symbols & moving]
+
+    @cached_property
+    def doses(self) -> Flat:
+        """For each dose the fraction of it that arrives, then its lag."""
+        return self._flat([part for dose in self.model.doses for part in (dose.fraction, dose.lag)])
+
+    @cached_property
+    def applications(self) -> tuple[Application, ...]:
+        """All applications of unknowns in balances and channels, in the order of the unknowns."""
+        model = self.model
+        if not model.unknowns:
+            return ()
+        found: dict[str, set[Expr]] = {}
+        for value in model.inlined((*model.balances, *(channel.value for channel in model.channels))):
+            for node in value.atoms(AppliedUndef):
+                found.setdefault(node.func.__name__, set()).add(node)
+        out = []
+        for unknown in model.unknowns:
+            nodes = sorted(found.get(unknown.name, ()), key=sympy.default_sort_key)
+            for i, node in enumerate(nodes):
+                out.append(Application(unknown, node, unknown.name if len(nodes) == 1 else f"{unknown.name}[{i + 1}]"))
+        return tuple(out)
+
+    @cached_property
+    def functions(self) -> Flat:
+        """The value of each application of an unknown."""
+        return self._flat([item.node for item in self.applications])
+
+    @cached_property
+    def arguments(self) -> Flat:
+        """The arguments of each application, one after the other."""
+        return self._flat([argument for item in self.applications for argument in item.node.args])
+
+    def unknown(self, unknown: Unknown) -> Flat:
+        """The value of an unknown at arguments, which are leaves of the kind `state`."""
+        formals = self.model.networks[unknown.network].arguments
+        names = {argument.name for argument in formals}
+        shadowed = replace(
+            self.model,
+            states=tuple(State(argument.name) for argument in formals),
+            conditions=tuple(item for item in self.model.conditions if item.name not in names),
+            inputs=tuple(item for item in self.model.inputs if item.name not in names),
+        )
+        if self.model.time.name in names:
+            shadowed = replace(shadowed, time=replace(shadowed.time, name=" none"))
+        return flatten(shadowed, [unknown_function(unknown.name)(*(a.symbol for a in formals))])
+
+    def _flat(self, outputs: Sequence[Expr]) -> Flat:
+        return flatten(self.model, outputs, MOST_OPERATIONS, MOST_CALLS)
+
+
+def dependencies(flat: Flat) -> list[set[sympy.Symbol]]:
+    """For each output the leaves that it depends on; a condition counts, the point of a contract does not."""
+    reached: dict[sympy.Basic, frozenset[sympy.Symbol]] = {
+        symbol: frozenset([symbol]) for symbol, leaf in flat.leaves.items() if leaf.kind != "number"
+    }
+    nothing: frozenset[sympy.Symbol] = frozenset()
+    for step in flat.steps:
+        if isinstance(step, Operation):
+            reached[step.symbol] = nothing.union(*(reached.get(s, nothing) for s in step.value.free_symbols))
+        else:
+            found = nothing.union(*(reached.get(a, nothing) for a in step.arguments))
+            reached.update(dict.fromkeys(step.results, found))
+    return [set(reached.get(output, nothing)) for output in flat.outputs]

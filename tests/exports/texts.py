@@ -1,0 +1,59 @@
+"""Models in which every construct of the language occurs that an export has to translate."""
+
+from __future__ import annotations
+
+from gbspec.backends import load_module
+from gbspec.diagnostics import Findings, Source
+from gbspec.exports import Exported
+from gbspec.frontend import load_model
+from gbspec.ir import RK4, Method, Model
+
+CHOICES = """model choices
+time t
+state x in [0, 1]
+state y in [0, 3]
+condition k in [0.5, 2]
+input u in [0, 1] held
+input w in [0, 1] linear
+const lambda = 0.7
+learn a = 1.3 in [0.1, 10]
+unknown phi(x, w) by mlp(5, activation=silu)
+x' = u - phi(x, w)*x + if(x > 0.5, sqrt(x), a*x^2) - max(x, y, lambda)
+y' = min(k*y, 2) - abs(y - x)^1.5 + sin(t)*exp(-y) - y^a + if(x > 0.2 and not(y > 1 or k > 1), 1, -1)
+observe x
+observe z = x*y + tanh(w)
+"""
+
+DOSED = """model dosed
+time t
+condition weight in [50, 90] = 70
+state depot
+state central in [0, 5]
+const part = 0.8
+learn ka = 1.1 in [0.1, 5]
+learn late = 0.02 in [0, 1]
+unknown loss(central, depot) >= 0, zero at central = 0, increasing in central by mlp(4, 4)
+initial depot = part*weight/70
+dose depot times part lag late
+dose central
+depot' = -ka*depot
+central' = ka*depot - loss(central, depot)*(weight/70)^0.75
+observe central
+"""
+
+
+def model_of(text: str) -> Model:
+    """A model from its text."""
+    return load_model("model.gb", Findings(), lambda path: Source(str(path), text))
+
+
+def exported(model: Model, method: Method = RK4, seed: int = 1) -> Exported:
+    """A model with random weights, whose inputs were trained in [0.2, 0.6]."""
+    cls = load_module(model, method)
+    instance = cls.random(seed)
+    for network in cls.networks:
+        for end, value in (("low", 0.2), ("high", 0.6)):
+            instance.weights[f"network.{network['name']}.input_{end}"] = (
+                0 * instance.weights[f"network.{network['name']}.input_center"] + value
+            )
+    return Exported(model, instance, model.name, step=0.01)
