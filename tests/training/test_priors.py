@@ -134,7 +134,7 @@ def test_initial_values_of_unmeasured_states_have_a_prior_from_the_range() -> No
     assert len(priors) == 2
     assert priors.rows(parameters.with_starts(theta, np.full((2, 2), 10.0))) == pytest.approx([0.0, 0.0], abs=1e-12)
     moved = parameters.with_starts(theta, np.array([[1.0, 25.0], [1.0, 2.5]]))
-    assert priors.rows(moved) == pytest.approx([priors.noise, -0.5 * priors.noise])
+    assert priors.rows(moved) == pytest.approx([priors.spread, -0.5 * priors.spread])
     step = np.random.default_rng(0).standard_normal(len(theta))
     change = (priors.penalty(moved + 1e-6 * step) - priors.penalty(moved - 1e-6 * step)) / 2e-6
     assert priors.gradient(moved) @ step == pytest.approx(change, rel=1e-6)

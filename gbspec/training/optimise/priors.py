@@ -46,11 +46,14 @@ class Priors:
     """The P rows of all priors: one for each shared constant, one per trajectory for each constant per trajectory and
     for each initial value with a prior.
 
-    `column` [P] is the entry of the trainable vector that a row depends on, `owner` [P] its trajectory (0: shared).
+    `noise` weighs the priors of constants; `spread`, the root mean square of the residuals if that is larger, those of
+    initial values: while the fit is bad these must not give way to errors of the functions. `column` [P] is the entry
+    of the trainable vector that a row depends on, `owner` [P] its trajectory (0: shared).
     """
 
     parameters: Parameters
     noise: float
+    spread: float
     column: Integers
     owner: Integers
 
@@ -74,7 +77,8 @@ class Priors:
         stated = problem.scaling.noise
         if stated is None:
             stated = max(typical(problem.of_noise(residuals)), LEAST_NOISE) if len(columns) > 1 else 0.0
-        return Priors(parameters, stated, np.concatenate(columns), np.concatenate(owners))
+        spread = max(stated, root_mean_square(residuals))
+        return Priors(parameters, stated, spread, np.concatenate(columns), np.concatenate(owners))
 
     def __len__(self) -> int:
         return len(self.column)
@@ -125,7 +129,7 @@ class Priors:
                 found.append(self.noise * standardised(prior, values))
         for i, center, sd in _guessed(parameters):
             free = torch.from_numpy(np.flatnonzero(parameters.start_free[:, i]))
-            found.append(self.noise * (parameters.starts(theta)[free, i] - center) / sd)
+            found.append(self.spread * (parameters.starts(theta)[free, i] - center) / sd)
         return torch.cat(found)
 
     def _slopes(self, theta: Array) -> Array:
@@ -138,10 +142,17 @@ class Priors:
         return np.asarray(gradient.numpy()[self.column], dtype=np.float64)
 
 
+def root_mean_square(residuals: Array) -> float:
+    """That of finite residuals; 0 if there are none or not all are finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = float(np.sqrt(np.mean(residuals**2))) if len(residuals) else 0.0
+    return found if np.isfinite(found) else 0.0
+
+
 def priors_at(engine: Engine, theta: Array) -> Priors:
     """The priors at a vector; its residuals are computed only if the noise is estimated from them."""
     problem, parameters = engine.problem, engine.parameters
-    needed = problem.scaling.noise is None and bool(_with_prior(parameters) or _guessed(parameters))
+    needed = bool(_guessed(parameters)) or (problem.scaling.noise is None and bool(_with_prior(parameters)))
     return Priors.of(problem, parameters, residual_vector(engine, theta) if needed else np.zeros(0))
 
 

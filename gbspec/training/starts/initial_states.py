@@ -13,7 +13,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, linearise, residual_table, residual_vector, taken
-from gbspec.training.optimise import LEAST_NOISE, Priors, huber_each, huber_weights
+from gbspec.training.optimise import LEAST_NOISE, Priors, huber_each, huber_weights, root_mean_square
 from gbspec.training.problem import Forcing, Integers, Packed, Parameters, Problem, typical
 
 POLISH_STEPS = 12
@@ -33,11 +33,11 @@ def refit_starts(engine: Engine, theta: Array, seed: int, candidates: int = 32, 
         return theta
     problem = first_rows(engine.problem, _influence(engine.problem))
     window = engine.rebound(problem, parameters)
-    if problem.scaling.noise is None:
-        # The same noise throughout, so that losses with priors are comparable.
-        noise = max(typical(problem.of_noise(residual_vector(window, theta))), LEAST_NOISE)
-        problem = replace(problem, scaling=replace(problem.scaling, noise=noise if np.isfinite(noise) else 0.0))
-        window = engine.rebound(problem, parameters)
+    # The same noise throughout, so that losses with priors are comparable.
+    residuals, stated = problem.of_noise(residual_vector(window, theta)), problem.scaling.noise
+    noise = max(typical(residuals) if stated is None else stated, root_mean_square(residuals), LEAST_NOISE)
+    problem = replace(problem, scaling=replace(problem.scaling, noise=noise if np.isfinite(noise) else 0.0))
+    window = engine.rebound(problem, parameters)
     best, losses = theta, trajectory_losses(window, theta)
     starts = _starts(parameters, theta)
     width = parameters.start_free * parameters.start_scale * radius
