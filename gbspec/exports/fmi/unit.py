@@ -29,7 +29,7 @@ HEADERS = {
 """Headers of the standard, under the licence that stands in them (BSD, 2 clauses)."""
 
 SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
+FLAGS = ("-std=c99", "-O3", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
 SPACE = uuid.UUID("6c2f4c52-6a2b-5d0e-9a7e-0f6a3b1c9d55")
 """The name space of the units' identifiers, which follow from their fingerprints."""
 
