@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from gbspec.backends import CompilerError, Evaluator
+from gbspec.backends import CompilerError, Evaluator, find_compiler
 from gbspec.data import DoseEvents, Signal
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
@@ -324,6 +324,17 @@ def test_without_a_compiler_there_are_sources(tmp_path: Path, monkeypatch: pytes
     made = exporting.export(subject, tmp_path / "x.fmu", "fmu3", ExportOptions(), findings)
     assert {found.code for found in findings} == {"GB882", "GB883"}
     assert not any(name.startswith("binaries") for name in made.files)
+
+
+def test_compilers_for_other_platforms_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that works adds a binary; one that fails does not stop the export."""
+    find_compiler()  # which remembers it
+    found = {"x86_64-w64-mingw32-gcc": str(COMPILER), "aarch64-linux-gnu-gcc": "/nowhere/gcc"}  # fails
+    monkeypatch.setattr("gbspec.exports.fmi.unit.shutil.which", found.get)
+    made = make("3", exported(model_of(SWITCHED)), ExportOptions(verify=False))
+    assert "binaries/x86_64-windows/switched.dll" in made.files
+    assert not any("aarch64-linux" in name for name in made.files)
+    assert not made.remarks
 
 
 @pytest.mark.parametrize("form", ["fmu", "fmu2", "fmu3"])
