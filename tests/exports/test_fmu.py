@@ -171,6 +171,18 @@ def test_doses_arrive_at_their_times(kind: str, version: Version, tmp_path: Path
 
 
 @VERSIONS
+def test_units_are_those_of_the_si(version: Version, tmp_path: Path) -> None:
+    text = "model units\ntime t : h\nunit cells\nstate x : mg/L\nstate n : cells\nlearn k : 1/h = 0.3 in [0, 5]\n"
+    path = unit(exported(model_of(text + "x' = -k*x\nn' = -k*n\nobserve x\nobserve n\n")), version, tmp_path)
+    assert problems(path) == []
+    named = {u.name: u.baseUnit for u in fmpy.read_model_description(str(path)).unitDefinitions}
+    assert (named["h"].s, named["h"].factor) == (1, 3600.0)
+    assert (named["mg/L"].kg, named["mg/L"].m) == (1, -3) and named["mg/L"].factor == pytest.approx(1e-3)
+    assert named["1/h"].factor == pytest.approx(1 / 3600) and named["cells"] is None
+    assert named["mg/L/h"].s == -1
+
+
+@VERSIONS
 def test_solvers_stop_where_choices_change(version: Version, tmp_path: Path) -> None:
     subject = exported(model_of(SWITCHED))
     found = fmpy.simulate_fmu(
