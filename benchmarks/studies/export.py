@@ -123,15 +123,15 @@ def units(exported: Exported, folder: Path) -> list[str]:
 
 # ------------------------------------------------------------------------------------------------------------- times
 def timed(work: Callable[[], object], seconds: float = 0.5, rounds: int = 5) -> float:
-    """The time of a call: the shortest mean over several rounds."""
+    """The processor time of a call: the shortest mean over several rounds."""
     work()
     best = np.inf
     for _ in range(rounds):
-        count, begin = 0, time.perf_counter()
-        while time.perf_counter() - begin < seconds / rounds:
+        count, begin = 0, time.process_time()
+        while time.process_time() - begin < seconds / rounds:
             work()
             count += 1
-        best = min(best, (time.perf_counter() - begin) / count)
+        best = min(best, (time.process_time() - begin) / count)
     return float(best)
 
 
@@ -258,7 +258,7 @@ def main() -> None:
         lines += [
             "## Times",
             "",
-            "One thread of a machine that other work shares. The right-hand side at a batch of 1,000 states:",
+            "Processor time of one thread, other work sharing the machine. The right-hand side at 1,000 states:",
             "",
         ]
         lines += [

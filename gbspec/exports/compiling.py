@@ -14,13 +14,18 @@ TIME_LIMIT = 300.0
 
 
 def shared_library(
-    folder: Path, sources: Mapping[str, str], target: Path, names: Sequence[str], flags: Sequence[str] = FLAGS
+    folder: Path,
+    sources: Mapping[str, str],
+    target: Path,
+    names: Sequence[str],
+    flags: Sequence[str] = FLAGS,
+    compiler: str | None = None,
 ) -> Path:
     """A shared library `target` of the C files `names` among the `sources`, which are written to a folder.
 
     Raises CompilerError if there is no compiler or it fails.
     """
-    compiler = find_compiler()
+    compiler = find_compiler() if compiler is None else compiler
     for name, text in sources.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

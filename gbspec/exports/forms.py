@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from gbspec.exports.example import Example
-from gbspec.exports.made import ExportOptions, Form, Made
-from gbspec.exports.subject import Exported
+from typing import TYPE_CHECKING
+
+from gbspec.exports.made import Form
+
+if TYPE_CHECKING:
+    from gbspec.exports.example import Example
+    from gbspec.exports.made import ExportOptions, Made
+    from gbspec.exports.subject import Exported
 
 
 def _c(exported: Exported, example: Example, options: ExportOptions) -> Made:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from gbspec.diagnostics import Diagnostic
-from gbspec.exports.checking import Quantity
-from gbspec.exports.example import Example
-from gbspec.exports.subject import Exported
+if TYPE_CHECKING:  # the command line lists the forms, and needs neither models nor numbers for that
+    from gbspec.diagnostics import Diagnostic
+    from gbspec.exports.checking import Quantity
+    from gbspec.exports.example import Example
+    from gbspec.exports.subject import Exported
 
 Precision = Literal["float64", "float32"]
 Shape = Literal["folder", "file"]

@@ -75,6 +75,15 @@ def test_greek_names_and_equal_ones(tmp_path: Path) -> None:
     assert "GREEK_STATE_alpha = 0" in header
 
 
+def test_names_of_the_library_and_of_its_files_are_kept(tmp_path: Path) -> None:
+    text = "model main\nstate x in [0, 1]\nunknown step(x) by mlp(2)\nunknown rhs_along(x) by mlp(2)\n"
+    compiled = agree(exported(model_of(text + "x' = step(x) - rhs_along(x)*x\nobserve x\n")), tmp_path)
+    assert compiled.prefix == "main_model"
+    assert {"double main_model_step_2(", "double main_model_rhs_along_2("} <= {
+        line[: line.index("(") + 1] for line in compiled.library.header().splitlines() if line.startswith("double ")
+    }
+
+
 def test_where_a_function_is_asked_outside(tmp_path: Path) -> None:
     subject = exported(reactor())
     compiled = library_of(subject, tmp_path)

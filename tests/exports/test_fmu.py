@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from gbspec.backends import CompilerError, Evaluator
+from gbspec.backends import CompilerError, Evaluator, find_compiler
 from gbspec.data import DoseEvents, Signal
 from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings
@@ -24,7 +25,7 @@ from gbspec.exports.programs import Programs
 from gbspec.exports.writing import archived
 from gbspec.frontend import load_model
 from gbspec.operations import exporting, models
-from tests.exports.texts import CHOICES, DOSED, exported, model_of
+from tests.exports.texts import CHOICES, DOSED, SWITCHED, exported, model_of
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -169,6 +170,85 @@ def test_doses_arrive_at_their_times(kind: str, version: Version, tmp_path: Path
     assert np.abs(states - known[1:]).max() <= (1e-7 if kind == "ModelExchange" else 1e-12) * np.abs(known).max()
 
 
+@VERSIONS
+def test_units_are_those_of_the_si(version: Version, tmp_path: Path) -> None:
+    text = "model units\ntime t : h\nunit cells\nstate x : mg/L\nstate n : cells\nlearn k : 1/h = 0.3 in [0, 5]\n"
+    path = unit(exported(model_of(text + "x' = -k*x\nn' = -k*n\nobserve x\nobserve n\n")), version, tmp_path)
+    assert problems(path) == []
+    named = {u.name: u.baseUnit for u in fmpy.read_model_description(str(path)).unitDefinitions}
+    assert (named["h"].s, named["h"].factor) == (1, 3600.0)
+    assert (named["mg/L"].kg, named["mg/L"].m) == (1, -3) and named["mg/L"].factor == pytest.approx(1e-3)
+    assert named["1/h"].factor == pytest.approx(1 / 3600) and named["cells"] is None
+    assert named["mg/L/h"].s == -1
+
+
+@VERSIONS
+def test_solvers_stop_where_choices_change(version: Version, tmp_path: Path) -> None:
+    subject = exported(model_of(SWITCHED))
+    found = fmpy.simulate_fmu(
+        str(unit(subject, version, tmp_path)), fmi_type="ModelExchange", output=["x", "y"], stop_time=3.0,
+        output_interval=0.5, solver="CVode", relative_tolerance=1e-11, record_events=False,
+    )  # fmt: skip
+    known = Evaluator(subject.instance).integrate(subject.states, found["time"])
+    assert np.abs(np.stack([found["x"], found["y"]], axis=1) - known).max() < 1e-7
+
+
+def test_a_unit_has_no_memory_errors(tmp_path: Path) -> None:
+    """A small importing program under the sanitizers."""
+    made = make("2", exported(model_of(DOSED)), ExportOptions(verify=False))
+    sources = {name.removeprefix("sources/"): data for name, data in made.files.items() if name.startswith("sources/")}
+    for name, data in {**sources, "host.c": HOST.encode()}.items():
+        (tmp_path / name).write_bytes(data)
+    token = ElementTree.fromstring(made.files["modelDescription.xml"]).get("guid")
+    command = [str(COMPILER), "-std=c99", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    command += [f'-DTOKEN="{token}"', *sorted(name for name in (*sources, "host.c") if name.endswith(".c"))]
+    done = subprocess.run([*command, "-lm", "-o", "host"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    if "sanitize" in done.stderr or "asan" in done.stderr:
+        pytest.skip("the compiler has no sanitizers")
+    assert done.returncode == 0, done.stderr
+    said = subprocess.run([tmp_path / "host"], capture_output=True, text=True, check=False)
+    assert (said.returncode, said.stderr) == (0, "")
+
+
+HOST = r"""
+#include "fmi2Functions.h"
+#include <stdlib.h>
+
+int main(void) {
+    fmi2ValueReference all[64], known = 1, unknown = 3;
+    fmi2Real value[64], seed = 1.0, slope, x[2], amount = 2.0;
+    fmi2FMUstate state = NULL, other = NULL;
+    fmi2EventInfo info;
+    size_t size, i, n;
+    fmi2Byte *bytes;
+    fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, TOKEN, NULL, NULL, 0, 0);
+    if (!c || fmi2Instantiate("two", fmi2CoSimulation, "another", NULL, NULL, 0, 0)) return 1;
+    for (n = 0; n < 64; n++) {
+        all[n] = (fmi2ValueReference)n;
+        if (fmi2GetReal(c, &all[n], 1, &value[n])) break;
+    }
+    if (n < 10 || n == 64) return 2;
+    fmi2SetupExperiment(c, 0, 0.0, 0.0, 0, 0.0);
+    fmi2EnterInitializationMode(c);
+    for (i = 5; i < n; i++) /* the amount of a dose is among what can be set */
+        fmi2SetReal(c, &all[i], 1, i == 9 ? &amount : &value[i]);
+    fmi2ExitInitializationMode(c);
+    if (fmi2GetFMUstate(c, &state) || fmi2SerializedFMUstateSize(c, state, &size)) return 3;
+    bytes = malloc(size);
+    if (fmi2SerializeFMUstate(c, state, bytes, size) || fmi2DeSerializeFMUstate(c, bytes, size, &other)) return 4;
+    if (fmi2NewDiscreteStates(c, &info) || fmi2DoStep(c, 0.0, 0.1, 1) || fmi2GetContinuousStates(c, x, 2)) return 5;
+    if (fmi2GetDirectionalDerivative(c, &unknown, 1, &known, 1, &seed, &slope)) return 6;
+    fmi2SetFMUstate(c, other);
+    fmi2FreeFMUstate(c, &state);
+    fmi2FreeFMUstate(c, &other);
+    free(bytes);
+    fmi2Reset(c);
+    fmi2FreeInstance(c);
+    return 0;
+}
+"""
+
+
 def test_inputs_between_communication_points(tmp_path: Path) -> None:
     """With their derivatives, which FMI 2.0 has, inputs are linear within a step."""
     subject = exported(model_of(CHOICES))
@@ -256,6 +336,17 @@ def test_without_a_compiler_there_are_sources(tmp_path: Path, monkeypatch: pytes
     made = exporting.export(subject, tmp_path / "x.fmu", "fmu3", ExportOptions(), findings)
     assert {found.code for found in findings} == {"GB882", "GB883"}
     assert not any(name.startswith("binaries") for name in made.files)
+
+
+def test_compilers_for_other_platforms_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that works adds a binary; one that fails does not stop the export."""
+    find_compiler()  # which remembers it
+    found = {"x86_64-w64-mingw32-gcc": str(COMPILER), "aarch64-linux-gnu-gcc": "/nowhere/gcc"}  # fails
+    monkeypatch.setattr("gbspec.exports.fmi.unit.shutil.which", found.get)
+    made = make("3", exported(model_of(SWITCHED)), ExportOptions(verify=False))
+    assert "binaries/x86_64-windows/switched.dll" in made.files
+    assert not any("aarch64-linux" in name for name in made.files)
+    assert not made.remarks
 
 
 @pytest.mark.parametrize("form", ["fmu", "fmu2", "fmu3"])

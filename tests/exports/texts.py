@@ -42,6 +42,18 @@ observe central
 """
 
 
+SWITCHED = """model switched
+time t
+state x in [0, 2] = 0
+state y in [-3, 3] = 0
+learn a = 1.3 in [0.1, 10]
+x' = if(t > 1.234567, 0.5, a)
+y' = if(x > 0.7, 1, -2) + if(y < -1 and x < 1.5, -0.5, 0)
+observe x
+observe y
+"""
+
+
 def model_of(text: str) -> Model:
     """A model from its text."""
     return load_model("model.gb", Findings(), lambda path: Source(str(path), text))

@@ -10,7 +10,7 @@ from importlib import resources
 
 from gbspec.backends import Leaf
 from gbspec.exports.c import networks
-from gbspec.exports.c.names import CNames
+from gbspec.exports.c.names import OWN, CNames
 from gbspec.exports.c.printer import ascii_text, distinct, helpers, number, table
 from gbspec.exports.c.straight import Place, Straight, function
 from gbspec.exports.programs import Programs
@@ -193,7 +193,7 @@ class Library:
         """The C name and the parameters of each learned function."""
         names = distinct(
             (unknown.name for unknown in self.model.unknowns),
-            ("rhs", "observe", "initial", "step", "simulate", "defaults", "doses", "functions", "outside", "course"),
+            {*OWN, *(f"{name}_along" for name in OWN)},
         )
         for name, unknown in zip(names, self.model.unknowns, strict=True):
             formals = [argument.name for argument in self.model.networks[unknown.network].arguments]

@@ -9,6 +9,26 @@ from gbspec.exports.c.printer import distinct, identifier
 from gbspec.exports.programs import Programs
 from gbspec.ir import Model
 
+FILES = frozenset(["main", "host", "gb_core", "fmi2", "fmi3", "math", "stddef", "stdio", "stdlib", "string"])
+"""Names of files that stand beside the model's."""
+OWN = frozenset(
+    [
+        "parameters",
+        "course",
+        "defaults",
+        "initial",
+        "rhs",
+        "observe",
+        "functions",
+        "switches",
+        "outside",
+        "doses",
+        "step",
+        "simulate",
+    ]
+)
+"""What follows the prefix in names of the library itself."""
+
 
 @dataclass(frozen=True)
 class CNames:
@@ -18,8 +38,9 @@ class CNames:
 
     @cached_property
     def prefix(self) -> str:
-        """The model's name."""
-        return identifier(self.model.name)
+        """The model's name, unless a file of an export, or one of C's headers, has it."""
+        name = identifier(self.model.name)
+        return f"{name}_model" if name.lower() in FILES else name
 
     @property
     def upper(self) -> str:

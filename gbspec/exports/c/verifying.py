@@ -21,7 +21,7 @@ FLAGS = ("-std=c99", "-O1", "-fPIC", "-shared")
 
 def verify(library: Library) -> list[Quantity]:
     """The errors of all functions of the library. Raises CompilerError if there is no compiler."""
-    with tempfile.TemporaryDirectory(prefix="gbspec-export-") as folder:
+    with tempfile.TemporaryDirectory(prefix="gbspec-export-", ignore_cleanup_errors=True) as folder:
         name = library.prefix
         sources = {f"{name}.h": library.header(), f"{name}.c": library.source()}
         path = shared_library(Path(folder), sources, Path(folder) / f"{name}.so", [f"{name}.c"], FLAGS)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Literal
 from xml.etree import ElementTree as Xml
 
+from gbspec.exports.fmi.units import base_unit
 from gbspec.exports.fmi.variables import Variable, Variables, units
 from gbspec.version import __version__
 
@@ -66,7 +67,9 @@ def _units(root: Xml.Element, variables: Sequence[Variable]) -> None:
     if named:
         definitions = Xml.SubElement(root, "UnitDefinitions")
         for name in named:
-            Xml.SubElement(definitions, "Unit", name=name)
+            unit, based = Xml.SubElement(definitions, "Unit", name=name), base_unit(name)
+            if based is not None:
+                Xml.SubElement(unit, "BaseUnit", based)
 
 
 def _number(value: float | None) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import platform
+import shutil
 import sys
 import tempfile
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -29,7 +31,12 @@ HEADERS = {
 """Headers of the standard, under the licence that stands in them (BSD, 2 clauses)."""
 
 SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("win", ".dll")}
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
+FLAGS = ("-std=c99", "-O3", "-fPIC", "-shared", "-fvisibility=hidden", "-s")
+CROSS = {
+    "x86_64-w64-mingw32-gcc": ("win64", "x86_64-windows", ".dll"),
+    "aarch64-linux-gnu-gcc": ("", "aarch64-linux", ".so"),
+}
+"""Compilers for other platforms: the folder of binaries in FMI 2.0 (empty: it has none) and 3.0, and the suffix."""
 SPACE = uuid.UUID("6c2f4c52-6a2b-5d0e-9a7e-0f6a3b1c9d55")
 """The name space of the units' identifiers, which follow from their fingerprints."""
 
@@ -54,6 +61,7 @@ def make(version: Version, exported: Exported, options: ExportOptions) -> Made:
         folder, suffix = _platform(version)
         binary = _binary(sources, compiled, suffix)
         files[f"binaries/{folder}/{name}{suffix}"] = binary
+        files |= _crossed(sources, compiled, name, version, folder)
         checked = (*verify(library), *verify_unit(binary, version, token, variables)) if options.verify else ()
     except CompilerError as problem:
         remarks.append(_without_binary(version, str(problem)))
@@ -109,11 +117,25 @@ def _platform(version: Version) -> tuple[str, str]:
     return f"{architecture}-{'windows' if system == 'win' else system}", suffix
 
 
-def _binary(sources: dict[str, str], compiled: Sequence[str], suffix: str) -> bytes:
+def _binary(sources: dict[str, str], compiled: Sequence[str], suffix: str, compiler: str | None = None) -> bytes:
     with tempfile.TemporaryDirectory(prefix="gbspec-fmu-") as folder:
         target = Path(folder) / f"unit{suffix}"
         flags = tuple(flag for flag in FLAGS if flag != "-s" or sys.platform.startswith("linux"))
-        return shared_library(Path(folder), sources, target, compiled, flags).read_bytes()
+        return shared_library(Path(folder), sources, target, compiled, flags, compiler).read_bytes()
+
+
+def _crossed(
+    sources: dict[str, str], compiled: Sequence[str], name: str, version: Version, own: str
+) -> dict[str, bytes]:
+    """Binaries for other platforms, by the compilers for these that are there."""
+    found = {}
+    for compiler, (old, new, suffix) in CROSS.items():
+        folder, path = (old if version == "2" else new), shutil.which(compiler)
+        if path is None or not folder or folder == own:
+            continue
+        with suppress(CompilerError):
+            found[f"binaries/{folder}/{name}{suffix}"] = _binary(sources, compiled, suffix, path)
+    return found
 
 
 def _without_binary(version: Version, reason: str) -> Diagnostic:

@@ -230,7 +230,7 @@ def _rate(unit: str | None, time: str | None) -> str | None:
     """The unit of a derivative."""
     if unit is None or time is None:
         return None
-    return f"1/({time})" if unit == "1" else f"({unit})/({time})" if "/" in unit else f"{unit}/({time})"
+    return f"{unit}/{time if time.isidentifier() else f'({time})'}"
 
 
 def units(variables: Sequence[Variable]) -> list[str]:
