@@ -26,8 +26,10 @@ from .forms import scale as scale
 from .forms import softplus as softplus
 from .methods import METHODS as METHODS
 from .methods import RK4 as RK4
+from .methods import STIFF as STIFF
 from .methods import Explicit as Explicit
 from .methods import Method as Method
+from .methods import RosenbrockW as RosenbrockW
 from .methods import listed as listed
 from .methods import method_named as method_named
 from .methods import unknown_method as unknown_method
