@@ -201,6 +201,10 @@ STIFF = ROS34PW2
 """The method that `--solver auto` takes for stiff equations."""
 
 
+AUTO = "auto"
+"""The name after `--solver` that lets the training choose."""
+
+
 def listed() -> str:
     """The names of the methods with their descriptions, for a help line."""
     return "; ".join(f"`{name}`, {method.help}" for name, method in METHODS.items())
@@ -208,7 +212,7 @@ def listed() -> str:
 
 def unknown_method(name: str) -> Diagnostic:
     """The diagnostic (GB850) for a name that no method has."""
-    known = ", ".join(f"`{each}`" for each in METHODS)
+    known = ", ".join(f"`{each}`" for each in (*METHODS, AUTO))
     return Diagnostic("GB850", f"`--solver {name}` must be one of {known}", None, subject="solver")
 
 

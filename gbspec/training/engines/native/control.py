@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -25,6 +25,8 @@ class Planner:
     """Plans paths with a kernel, as `engines.torch.control` does with torch."""
 
     kernel: Kernel
+    room: list[int] = field(default_factory=lambda: [0])
+    """The room that was needed so far."""
 
     def __call__(self, problem: Problem, parameters: Parameters, theta: Array, path: Path) -> Path:
         """The path with the steps and matrices of the solution at a vector."""
@@ -39,7 +41,7 @@ class Planner:
         library, control = self.kernel.library, problem.control
         n = len(problem.model.states)
         matrices = isinstance(METHODS[problem.module.solver], RosenbrockW)
-        room = ROOM + 2 * int(tables.steps[who].max(initial=0))
+        room = max(ROOM, self.room[0]) + 2 * int(tables.steps[who].max(initial=0))
         while True:
             taken, cell = np.zeros(TILE, dtype=np.int64), np.zeros((TILE, room), dtype=np.int32)
             begin, length = np.zeros((TILE, room)), np.zeros((TILE, room))
@@ -64,6 +66,7 @@ class Planner:
             if library.control(tables.data(library), inputs.struct(library), walk, space):
                 break
             room *= 4
+            self.room[0] = room
         used = np.arange(room) < taken[:, None]
         used[len(who) :] = False
         lane = np.nonzero(used)[0]
