@@ -78,6 +78,12 @@ class Context:
         first = TOLERANCE if self.options.tolerance is None else self.options.tolerance
         return first * 0.1 ** float(-np.log2(fraction)) if self.adaptive else None
 
+    def steps(self, fraction: float) -> dict[str, float | None]:
+        """The largest step of the solver, or the tolerance of adaptive ones, as stored with the weights."""
+        if self.adaptive:
+            return {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
+        return {"max_step": self.max_step * fraction}
+
     def control(self, fraction: float = 1.0) -> Control | None:
         """The control of adaptive steps; None for fixed ones."""
         rtol = self.tolerance(fraction)

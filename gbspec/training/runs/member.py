@@ -309,7 +309,7 @@ class _Runner:
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
-            **self._steps(step_fraction([stage.name for stage in fitted])),
+            **self.context.steps(step_fraction([stage.name for stage in fitted])),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,
@@ -335,12 +335,6 @@ class _Runner:
             result.own_sd = factor * position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
         return result
-
-    def _steps(self, fraction: float) -> dict[str, float | None]:
-        """The largest step of the last fit of the weights, or the tolerance of its adaptive steps."""
-        if self.context.adaptive:
-            return {"max_step": self.context.options.max_step, "tolerance": self.context.tolerance(fraction)}
-        return {"max_step": self.context.max_step * fraction}
 
     def _summary(self, result: MemberResult) -> Summary:
         """What the weights file says of the fit."""
