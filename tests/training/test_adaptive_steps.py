@@ -16,6 +16,7 @@ from gbspec.ir.methods import METHODS
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.native.control import Planner
 from gbspec.training.engines.native.engine import NativeEngine
+from gbspec.training.engines.native.inputs import Latest
 from gbspec.training.engines.native.kernel import Kernel, kernel_of
 from gbspec.training.engines.objective import predicted
 from gbspec.training.engines.torch.control import planned
@@ -101,7 +102,7 @@ def test_kernel_and_torch_choose_the_same_steps(name: str, case: str, blend: flo
     problem, parameters, theta = problem_of(model_of(text), make(), 10.0, blend=blend, method=METHODS[name])
     problem = controlled(problem, 1e-5)
     given = Paths(problem).at(parameters, theta)
-    ours = Planner(kernel(problem))(problem, parameters, theta, given)
+    ours = Planner(kernel(problem), Latest())(problem, parameters, theta, given)
     graph = planned(problem, parameters, theta, given)
     assert ours.packed.substeps > given.packed.substeps
     for field in ("t", "h", "inputs", "steps", "row_step"):

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import TILE
 from gbspec.ir import METHODS, RosenbrockW
-from gbspec.training.engines.native.inputs import KernelInputs
+from gbspec.training.engines.native.inputs import KernelInputs, Latest
 from gbspec.training.engines.native.kernel import Kernel
 from gbspec.training.engines.native.tables import Tables
 from gbspec.training.engines.native.threads import workspace
@@ -25,13 +24,13 @@ class Planner:
     """Plans paths with a kernel, as `engines.torch.control` does with torch."""
 
     kernel: Kernel
+    latest: Latest
     room: list[int] = field(default_factory=lambda: [0])
     """The room that was needed so far."""
 
     def __call__(self, problem: Problem, parameters: Parameters, theta: Array, path: Path) -> Path:
         """The path with the steps and matrices of the solution at a vector."""
-        with torch.no_grad():
-            inputs = KernelInputs.of(problem, parameters, torch.from_numpy(theta))
+        inputs = self.latest.at(problem, parameters, theta)
         tables, order = Tables(problem, path), np.argsort(-path.packed.steps, kind="stable").astype(np.int64)
         parts = [self._tile(problem, tables, inputs, order[i : i + TILE]) for i in range(0, len(order), TILE)]
         return meshed(path, Steps.joined(parts)) if parts else path
