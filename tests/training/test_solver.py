@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.validation import step_check
+from gbspec.arrays import Array
 from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, UserError
@@ -20,6 +21,7 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.profile import likelihood
 from gbspec.training.recipe.stiffness import chosen_solver
 from gbspec.training.runs.variations import points
+from gbspec.training.starts import Search
 from tests.training.conftest import Recorder, model_of, trajectory, urp_data
 
 KNOWN = """model known_urp
@@ -198,6 +200,24 @@ def test_times_over_many_decades_get_the_stiff_method() -> None:
     data = Trajectories((trajectory("0", 0.0, times, values, []),), ("x", "y"))
     name, reason = chosen_solver(model, load_module(model), data, options)
     assert name == "ros34pw2" and reason is not None and "spread over several decades" in reason
+
+
+@pytest.mark.parametrize(("stiff", "expected"), [(0.2, "ros34pw2"), (0.95, "rk4")])
+def test_draws_that_only_the_stiff_method_solves_count_where_they_are_better(
+    stiff: float, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The warm start shows nothing; of the draws the explicit method solves one, with a loss of 1."""
+
+    def losses(search: Search, theta: Array) -> tuple[Array, Array]:
+        explicit = search.engine.problem.control is None
+        return np.zeros((3, 1)), np.array([np.inf, 1.0, np.nan]) if explicit else np.array([stiff, 1.0, np.nan])
+
+    monkeypatch.setattr(Search, "losses", losses)
+    model = model_of(KNOWN)
+    name, reason = chosen_solver(model, load_module(model), urp_data(3, 2.0, 5), TrainOptions(backend="torch"))
+    assert name == expected
+    assert (reason is not None) == (expected == "ros34pw2")
+    assert reason is None or "2 cannot be solved with `rk4`" in reason
 
 
 def test_a_tolerance_makes_the_steps_of_an_explicit_method_adaptive(tmp_path: Path) -> None:

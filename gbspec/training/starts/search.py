@@ -97,8 +97,7 @@ class Search:
 
         Raises ComputationError if the model can be solved from none of them.
         """
-        candidates = self._candidates(theta)
-        losses = np.array([self._loss(candidate) for candidate in candidates])
+        candidates, losses = self.losses(theta)
         if not np.isfinite(losses).any():
             raise self._none_survived(theta, len(losses))
         order = [i for i in self._order(losses) if np.isfinite(losses[i])]
@@ -111,6 +110,11 @@ class Search:
             "survived": np.array(float(np.isfinite(losses).sum())),
             "drawn": np.array(float(len(losses))),
         }
+
+    def losses(self, theta: Array) -> tuple[Array, Array]:
+        """The points from which the search starts [n, size], and their losses; not finite without a solution."""
+        candidates = self._candidates(theta)
+        return candidates, np.array([self._loss(candidate) for candidate in candidates])
 
     def _order(self, losses: Array) -> list[int]:
         """The order of the starts: the first two, and the draws from the best one on.
