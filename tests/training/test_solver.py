@@ -16,6 +16,7 @@ from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir.methods import METHODS, RK4, Explicit
 from gbspec.operations import analysing, fitting, models
+from gbspec.report.text import run_summary
 from gbspec.runs import Run, open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.profile import likelihood
@@ -183,6 +184,7 @@ def test_stiff_equations_get_the_stiff_method_and_a_reason(tmp_path: Path) -> No
     made = train(model, data, TrainOptions(method="lm", epochs=8, workers=1), tmp_path / "run", seen)
     assert made.fit.solver == made.module.solver == "ros34pw2" and made.fit.options["solver"] == "auto"
     assert made.fit.solver_reason is not None and made.fit.solver_reason.startswith("the equations are stiff")
+    assert f"solver `ros34pw2`: {made.fit.solver_reason}" in run_summary(made)
     assert any("the solver is `ros34pw2`: the equations are stiff" in text for text in seen.messages)
     assert made.member().info["tolerance"] == 1e-5 and made.member().info["max_step"] is None
     assert made.fit.constants["k"].value == pytest.approx(0.5, rel=1e-4)
