@@ -24,10 +24,14 @@ from .forms import logistic as logistic
 from .forms import raw as raw
 from .forms import scale as scale
 from .forms import softplus as softplus
+from .methods import AUTO as AUTO
+from .methods import DOPRI5 as DOPRI5
 from .methods import METHODS as METHODS
 from .methods import RK4 as RK4
+from .methods import STIFF as STIFF
 from .methods import Explicit as Explicit
 from .methods import Method as Method
+from .methods import RosenbrockW as RosenbrockW
 from .methods import listed as listed
 from .methods import method_named as method_named
 from .methods import unknown_method as unknown_method

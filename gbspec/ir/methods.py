@@ -1,8 +1,7 @@
-"""Integrators as data: adding an explicit Runge-Kutta method takes one entry of `METHODS` and no other change.
+"""Integrators as data: adding a method of a kind that there is takes one entry of `METHODS` and no other change.
 
 All code that takes steps reads the method from here: the generated module, the native kernel, casadi and its C code,
-the packing of inputs, and `--solver`. `docs/architecture.md` ("Integrators") says how implicit and adaptive methods
-will join.
+the packing of inputs, and `--solver`. `docs/architecture.md` ("Integrators") describes the kinds.
 """
 
 from __future__ import annotations
@@ -68,7 +67,65 @@ class Explicit:
         return tuple(sorted({Fraction(0), Fraction(1), *self.c[: self.advancing]}))
 
 
-Method: TypeAlias = Explicit
+@dataclass(frozen=True)
+class RosenbrockW:
+    """A Rosenbrock-W method: with any constant matrix M = h W, at best W = df/dx at the step's start,
+
+        (I - gamma M) k_i = f(t + c[i] h, x + h sum_j a[i][j] k_j) + M sum_j g[i][j] k_j,    x + h sum_i b[i] k_i.
+
+    Its order does not depend on M, on which only its stability does. Coefficients are exact decimals of what was
+    published; `b_error` and `embedded_order` are those of the error estimate, as for explicit methods.
+
+    Raises ValueError if rows have wrong lengths, or a node lies outside the step.
+    """
+
+    name: str
+    order: int
+    gamma: Fraction
+    a: tuple[Row, ...]
+    g: tuple[Row, ...]
+    b: Row
+    source: str
+    help: str
+    b_error: Row
+    embedded_order: int
+
+    def __post_init__(self) -> None:
+        rows = (*self.a, *self.g)
+        count = len(self.b)
+        fits = all(len(row) == i % count for i, row in enumerate(rows)) and len(rows) == 2 * count
+        if not fits or len(self.b_error) != count or not self.gamma > 0:
+            raise ValueError(f"the coefficients of `{self.name}` are not those of a Rosenbrock-W method")
+        if not all(0 <= c <= 1 for c in self.c):
+            raise ValueError(f"a node of `{self.name}` lies outside the step")
+
+    @cached_property
+    def c(self) -> Row:
+        """The nodes of the Runge-Kutta stages as fractions of the step."""
+        return tuple(sum(row, Fraction(0)) for row in self.a)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """The names of the inputs at the nodes in functions of one step."""
+        return tuple(f"u{i}" for i in range(len(self.nodes)))
+
+    @property
+    def advancing(self) -> int:
+        """The number of Runge-Kutta stages of a step."""
+        return len(self.b)
+
+    @cached_property
+    def nodes(self) -> Row:
+        """The distinct fractions of a step at which inputs are needed, in increasing order, with both ends."""
+        return tuple(sorted({Fraction(0), Fraction(1), *self.c}))
+
+    @cached_property
+    def coupling(self) -> tuple[Row, ...]:
+        """`g / gamma`: with v_i = sum_j coupling[i][j] k_j, k_i = (I - gamma M)^-1 (f_i + v_i) - v_i needs no M."""
+        return tuple(tuple(value / self.gamma for value in row) for row in self.g)
+
+
+Method: TypeAlias = Explicit | RosenbrockW
 """Every kind of method. Match on it with `assert_never`, so that mypy reports places that lack a new kind."""
 
 
@@ -119,8 +176,33 @@ DOPRI5 = Explicit(
 )
 """The last Runge-Kutta stage is the first of the next step; it serves the error estimate."""
 
-METHODS: dict[str, Method] = {method.name: method for method in (RK4, RK38, DOPRI5)}
-"""Every method by its name after `--solver`; the first is the default."""
+ROS34PW2 = RosenbrockW(
+    "ros34pw2",
+    3,
+    gamma=Fraction("0.435866521508459"),
+    a=_rows("", "0.87173304301691801", "0.84457060015369423 -0.11299064236484185", "0 0 1"),
+    g=_rows(
+        "",
+        "-0.87173304301691801",
+        "-0.90338057013044082 0.054180672388095326",
+        "0.24212380706095346 -1.2232505839045147 0.54526025533510214",
+    ),
+    b=_row("0.24212380706095346 -1.2232505839045147 1.545260255335102 0.435866521508459"),
+    b_error=_row("-0.13598522439724023 -1.12720829169209152 1.045260255335102 0.2179332607542295"),
+    embedded_order=2,
+    source="Rang and Angermann (2005), BIT Numer. Math. 45, 761",
+    help="a Rosenbrock-W method of order 3 for stiff equations (L-stable, stiffly accurate), with adaptive steps",
+)
+
+METHODS: dict[str, Method] = {method.name: method for method in (RK4, RK38, DOPRI5, ROS34PW2)}
+"""Every method by its name after `--solver`."""
+
+STIFF = ROS34PW2
+"""The method that `--solver auto` takes for stiff equations."""
+
+
+AUTO = "auto"
+"""The name after `--solver` that lets the training choose."""
 
 
 def listed() -> str:
@@ -130,7 +212,7 @@ def listed() -> str:
 
 def unknown_method(name: str) -> Diagnostic:
     """The diagnostic (GB850) for a name that no method has."""
-    known = ", ".join(f"`{each}`" for each in METHODS)
+    known = ", ".join(f"`{each}`" for each in (*METHODS, AUTO))
     return Diagnostic("GB850", f"`--solver {name}` must be one of {known}", None, subject="solver")
 
 

@@ -190,6 +190,8 @@ def run_summary(run: Run) -> str:
         lines = [[str(i), number(m.loss), f"{m.seconds:.0f} s"] for i, m in enumerate(members)]
         parts.append(table(["member", "loss", "time"], lines))
         parts.append(_channels(members))
+    if run.fit.solver_reason:
+        parts.append(f"solver `{run.fit.solver}`: {run.fit.solver_reason}")
     parts += [
         f"{stage.name}{f' of member {i}' if len(members) > 1 else ''}: {stage.remark}"
         for i, m in enumerate(members)

@@ -232,10 +232,11 @@ class FitRecord:
 
     `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
     deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
-    `gbspec.ir.methods`; `step_checks` has one entry per member and is empty if no check was made; `scales` are missing
-    in older runs. `backend` is missing where the number of sub-steps or an option decided. `finished` is false while
-    members are fitted and after an interruption: files of members may then be newer than this record. `files` are
-    the digests of the run's other files by name. `others` are keys that this version does not know; they are kept.
+    `gbspec.ir.methods`, and `solver_reason` why it was chosen, where the training chose it for a reason; `step_checks`
+    has one entry per member and is empty if no check was made; `scales` are missing in older runs. `backend` is missing
+    where the number of sub-steps or an option decided. `finished` is false while members are fitted and after an
+    interruption: files of members may then be newer than this record. `files` are the digests of the run's other files
+    by name. `others` are keys that this version does not know; they are kept.
     """
 
     gbspec: str
@@ -249,6 +250,7 @@ class FitRecord:
     warnings: tuple[str, ...]
     correlations: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     solver: str = RK4.name
+    solver_reason: str | None = field(default=None, metadata=OMITTED)
     step_checks: tuple[StepRecord, ...] = ()
     interface: int = OLDEST
     scales: ScalesRecord | None = field(default=None, metadata=OMITTED)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from gbspec.diagnostics import Findings
-from gbspec.ir import METHODS, RK4, listed, unknown_method
+from gbspec.ir import AUTO, METHODS, RK4, STIFF, listed, unknown_method
 from gbspec.training.stages import UNNAMED, Effort, StageName
 
 if TYPE_CHECKING:
@@ -41,8 +41,20 @@ class TrainOptions:
         },
     )
     solver: str = field(
-        default=RK4.name,
-        metadata={"help": f"Integration method of the solver's steps: {listed()}.", "metavar": "NAME"},
+        default=AUTO,
+        metadata={
+            "help": f"Integration method of the solver's steps: {listed()}; `auto` is `{RK4.name}`, or "
+            f"`{STIFF.name}` where the equations are stiff.",
+            "metavar": "NAME",
+        },
+    )
+    tolerance: float | None = field(
+        default=None,
+        metadata={
+            "help": "Relative tolerance of adaptive steps, for a method with an error estimate; default: fixed steps, "
+            f"except with `{STIFF.name}`, where it is chosen from the data.",
+            "metavar": "RTOL",
+        },
     )
     method: Method = field(
         default="auto",
@@ -200,8 +212,15 @@ class TrainOptions:
         number = _number(self.forcing)
         if self.forcing not in ("teacher", "autoregressive") and (number is None or not 0 <= number <= 1):
             report("forcing", self.forcing, "`teacher`, `autoregressive`, or a number from 0 to 1")
-        if self.solver not in METHODS:
+        if self.solver not in METHODS and self.solver != AUTO:
             findings.add(unknown_method(self.solver))
+        if self.tolerance is not None:
+            known = METHODS.get(self.solver)
+            if not 0 < self.tolerance < 1:
+                report("tolerance", self.tolerance, "above 0 and below 1")
+            elif known is not None and known.b_error is None:
+                reason = f"left out with `--solver {self.solver}`, which has no error estimate"
+                report("tolerance", self.tolerance, reason)
         chosen = {"method": Method, "effort": Effort, "initial": Initial, "device": Device, "backend": Backend}
         for name, allowed in chosen.items():
             if getattr(self, name) not in allowed.__args__:  # type: ignore[attr-defined]  # literal types list their values there
@@ -215,10 +234,11 @@ class TrainOptions:
     def settings(self, left_out: Collection[str]) -> dict[str, str | int | float | bool | None]:
         """The options that a result depends on, for a fingerprint, without those in `left_out`.
 
-        The default solver is omitted, so that fingerprints from versions without this option stay valid.
+        Defaults of the solver are omitted, so that fingerprints from versions without these options stay valid.
         """
+        usual = {"solver": AUTO, "tolerance": None}
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
-        return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
+        return {name: value for name, value in kept.items() if name not in usual or value != usual[name]}
 
     @classmethod
     def recorded(cls, options: Mapping[str, Option], run: Path) -> TrainOptions:

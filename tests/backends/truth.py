@@ -11,7 +11,7 @@ import sympy
 from numpy.typing import NDArray
 
 from gbspec.ir.forms import described, logistic, softplus
-from gbspec.ir.methods import RK4, Method
+from gbspec.ir.methods import RK4, Method, RosenbrockW
 from gbspec.ir.model import NN, Expr, Model, Network
 from tests.strategies import Point
 
@@ -56,20 +56,40 @@ class Truth:
         return found
 
     def step(self, point: Point, h: float, method: Method = RK4) -> list[Any]:
-        """One step of a Runge-Kutta method, by its tableau."""
+        """One step of a method, by its coefficients."""
         with mpmath.workdps(30):
             slopes: list[list[Any]] = []
-            for row, c in zip(method.a, method.c, strict=True):
+            matrix = mpmath.mpf(h) * self.slopes(point) if isinstance(method, RosenbrockW) else None
+            for stage, (row, c) in enumerate(zip(method.a, method.c, strict=True)):
                 x = [
                     mpmath.mpf(value) + sum(mpmath.mpf(h) * _mp(a) * slopes[j][i] for j, a in enumerate(row))
                     for i, value in enumerate(point.x)
                 ]
                 at = Point(mpmath.mpf(point.t) + _mp(c) * h, x, point.condition, point.inputs, point.constants)  # type: ignore[arg-type]
-                slopes.append(self.rhs(at))
+                rate = self.rhs(at)
+                if isinstance(method, RosenbrockW):
+                    n = len(rate)
+                    summed = [sum(_mp(g) * slopes[j][i] for j, g in enumerate(method.g[stage])) for i in range(n)]
+                    right = mpmath.matrix(rate) + matrix * mpmath.matrix(summed)
+                    rate = list(mpmath.lu_solve(mpmath.eye(n) - _mp(method.gamma) * matrix, right))
+                slopes.append(rate)
             return [
                 mpmath.mpf(value) + sum(mpmath.mpf(h) * _mp(b) * slopes[j][i] for j, b in enumerate(method.b))
                 for i, value in enumerate(point.x)
             ]
+
+    def slopes(self, point: Point) -> Any:
+        """The Jacobian of the right-hand side, by differences at 30 digits."""
+        n, found = len(point.x), mpmath.zeros(len(point.x))
+        for j in range(n):
+            size = mpmath.mpf(10) ** -9 * max(1, abs(point.x[j]))
+            ends = []
+            for sign in (1, -1):
+                x = [mpmath.mpf(value) + (sign * size if i == j else 0) for i, value in enumerate(point.x)]
+                ends.append(self.rhs(Point(point.t, x, point.condition, point.inputs, point.constants)))  # type: ignore[arg-type]
+            for i in range(n):
+                found[i, j] = (ends[0][i] - ends[1][i]) / (2 * size)
+        return found
 
     def _evaluate(self, expressions: Sequence[Expr], point: Point) -> list[Any]:
         model = self.model

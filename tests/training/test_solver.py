@@ -10,14 +10,20 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.validation import step_check
+from gbspec.arrays import Array
+from gbspec.backends.module import load_module
+from gbspec.data.trajectories import Trajectories
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir.methods import METHODS, RK4, Explicit
 from gbspec.operations import analysing, fitting, models
+from gbspec.report.text import run_summary
 from gbspec.runs import Run, open_run
 from gbspec.training import TrainOptions, train
 from gbspec.training.profile import likelihood
+from gbspec.training.recipe.stiffness import chosen_solver
 from gbspec.training.runs.variations import points
-from tests.training.conftest import Recorder, model_of, urp_data
+from gbspec.training.starts import Search
+from tests.training.conftest import Recorder, model_of, trajectory, urp_data
 
 KNOWN = """model known_urp
 state x1 in [0, 1]
@@ -31,6 +37,17 @@ observe x1
 observe x2
 truth B = 11
 truth beta = 3
+"""
+FAST = """model fast
+time t from 0
+state x in [0, 1] = 1
+state y in [0, 1] = 0.3
+learn k = 1 in [0.01, 10]
+learn c = 0.5 in [0.01, 10]
+x' = -k*x
+y' = 5000*(c*x - y)
+observe x
+observe y
 """
 HEUN = Explicit(
     "heun",
@@ -104,9 +121,11 @@ def test_a_run_is_resumed_with_its_method_alone(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         train(model, data, TrainOptions(solver="dopri5", **QUICK), tmp_path / "run", Recorder(3))  # type: ignore[arg-type]
     with pytest.raises(UserError) as caught:
-        train(model, data, TrainOptions(resume=True, **QUICK), tmp_path / "run")  # type: ignore[arg-type]
+        train(model, data, TrainOptions(solver="rk4", resume=True, **QUICK), tmp_path / "run")  # type: ignore[arg-type]
     assert "`--solver dopri5`, not rk4" in caught.value.diagnostics[0].message
-    again = train(model, data, TrainOptions(solver="dopri5", resume=True, **QUICK), tmp_path / "run")  # type: ignore[arg-type]
+    # A solver that is left to the training is the one that the run was begun with.
+    again = train(model, data, TrainOptions(resume=True, **QUICK), tmp_path / "run")  # type: ignore[arg-type]
+    assert again.fit.solver == again.module.solver == "dopri5"
     assert np.array_equal(again.member().weights["constants"], whole.member().weights["constants"])
 
 
@@ -145,6 +164,73 @@ def test_a_wrong_name_is_told_with_the_right_ones(tmp_path: Path) -> None:
     assert diagnostic.code == "GB850" and diagnostic.subject == "solver"
     assert diagnostic.message.startswith("`--solver euler` must be one of `rk4`, `rk38`, `dopri5`")
     assert not (tmp_path / "run").exists()
+
+
+# ------------------------------------------------------------------------------------------------ auto
+def test_equations_that_are_not_stiff_keep_the_classical_method(tmp_path: Path) -> None:
+    chosen, named = (trained(solver, tmp_path / solver) for solver in ("auto", "rk4"))
+    assert chosen.fit.solver == "rk4" and chosen.fit.solver_reason is None
+    assert chosen.fit.options["solver"] == "auto"
+    assert np.array_equal(chosen.member().weights["constants"], named.member().weights["constants"])
+
+
+def test_stiff_equations_get_the_stiff_method_and_a_reason(tmp_path: Path) -> None:
+    """A fast decay (rate 5000) that the starting values of the constants show; the data are spaced by 0.2."""
+    model = model_of(FAST)
+    times = np.linspace(0.0, 4.0, 21)
+    values = np.stack([np.exp(-0.5 * times), 0.3 * np.exp(-0.5 * times)], 1)
+    data = Trajectories((trajectory("0", 0.0, times, values, []),), ("x", "y"))
+    seen = Recorder()
+    made = train(model, data, TrainOptions(method="lm", epochs=8, workers=1), tmp_path / "run", seen)
+    assert made.fit.solver == made.module.solver == "ros34pw2" and made.fit.options["solver"] == "auto"
+    assert made.fit.solver_reason is not None and made.fit.solver_reason.startswith("the equations are stiff")
+    assert f"solver `ros34pw2`: {made.fit.solver_reason}" in run_summary(made)
+    assert any("the solver is `ros34pw2`: the equations are stiff" in text for text in seen.messages)
+    assert made.member().info["tolerance"] == 1e-5 and made.member().info["max_step"] is None
+    assert made.fit.constants["k"].value == pytest.approx(0.5, rel=1e-4)
+    assert made.fit.constants["c"].value == pytest.approx(0.3, rel=1e-3)
+    opened = open_run(tmp_path / "run")
+    states = opened.member().simulate([1.0, 0.3], times).detach().numpy()
+    assert np.abs(states - values).max() < 1e-3, "steps are adaptive there too"
+    assert not opened.fit.step_checks and analysing.validate(opened, data).step_check.half_step is None
+
+
+def test_times_over_many_decades_get_the_stiff_method() -> None:
+    model, options = model_of(FAST), TrainOptions()
+    times = np.logspace(-5, 5, 30)
+    values = np.stack([np.exp(-0.5 * times), 0.3 * np.exp(-0.5 * times)], 1)
+    data = Trajectories((trajectory("0", 0.0, times, values, []),), ("x", "y"))
+    name, reason = chosen_solver(model, load_module(model), data, options)
+    assert name == "ros34pw2" and reason is not None and "spread over several decades" in reason
+
+
+@pytest.mark.parametrize(("stiff", "expected"), [(0.2, "ros34pw2"), (0.95, "rk4")])
+def test_draws_that_only_the_stiff_method_solves_count_where_they_are_better(
+    stiff: float, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The warm start shows nothing; of the draws the explicit method solves one, with a loss of 1."""
+
+    def losses(search: Search, theta: Array) -> tuple[Array, Array]:
+        explicit = search.engine.problem.control is None
+        return np.zeros((3, 1)), np.array([np.inf, 1.0, np.nan]) if explicit else np.array([stiff, 1.0, np.nan])
+
+    monkeypatch.setattr(Search, "losses", losses)
+    model = model_of(KNOWN)
+    name, reason = chosen_solver(model, load_module(model), urp_data(3, 2.0, 5), TrainOptions(backend="torch"))
+    assert name == expected
+    assert (reason is not None) == (expected == "ros34pw2")
+    assert reason is None or "2 cannot be solved with `rk4`" in reason
+
+
+def test_a_tolerance_makes_the_steps_of_an_explicit_method_adaptive(tmp_path: Path) -> None:
+    made = trained("auto", tmp_path / "run", tolerance=1e-5)
+    assert made.fit.solver == "dopri5" and made.member().info["tolerance"] == 1e-5
+    for name, true in (("B", 11), ("beta", 3)):
+        assert made.fit.constants[name].value == pytest.approx(true, rel=2e-3)
+    with pytest.raises(UserError) as caught:
+        trained("rk4", tmp_path / "other", tolerance=1e-5)
+    (diagnostic,) = caught.value.diagnostics
+    assert diagnostic.code == "GB850" and "which has no error estimate" in diagnostic.message
 
 
 def test_fingerprints_from_before_there_was_a_choice_are_met() -> None:

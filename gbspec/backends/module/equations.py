@@ -29,10 +29,12 @@ from gbspec.backends.printing import (
     temporary,
 )
 from gbspec.diagnostics import Defect
-from gbspec.ir import NN, Explicit, Expr, Method, Model, Network, Unknown, Vector
+from gbspec.ir import NN, Explicit, Expr, Method, Model, Network, RosenbrockW, Unknown, Vector
 
 WIDTH = 120 - 8
 """The length of a line of a method, whose class stands in the model's."""
+SIMPLE = 10**6
+"""Fractions with larger denominators are written as decimal numbers."""
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
 
@@ -251,16 +253,20 @@ def solver_methods(method: Method) -> list[str]:
     """`grid` and `step`: one step of an integration method."""
     match method:
         case Explicit():
-            return [_grid_method(method), _step_method(method)]
+            return [
+                _grid_method(method, [_multiple(factor, "column") for factor in _sizes(method)]),
+                _step_method(method),
+            ]
+        case RosenbrockW():
+            return [_grid_method(method, ["column"]), _rosenbrock_method(method)]
         case _:
             assert_never(method)
 
 
-def _grid_method(method: Explicit) -> str:
+def _grid_method(method: Method, sizes: Sequence[str]) -> str:
     """`grid`: times and sizes within a step, for `step`."""
     times = ", ".join(map(step_time, method.nodes))
-    sizes = _comma(_multiple(factor, "column") for factor in _sizes(method))
-    body = ["column = math.column(h)  # to multiply vectors", f"return ({times}), ({sizes})"]
+    body = ["column = math.column(h)  # to multiply vectors", f"return ({times}), ({_comma(sizes)})"]
     document = (
         f"The nodes of a step of size h from t ({method.name.upper()}): times of its inputs, and fractions of its size."
     )
@@ -282,6 +288,35 @@ def _step_method(method: Explicit) -> str:
     times = ", ".join(map(step_time, nodes))
     document = f"One step ({method.name.upper()}) of state' = rhs(time, state, inputs); `inputs` are those at {times}."
     return _method("@staticmethod", "step", ["math", "rhs", "grid", "state", "inputs"], document, body)
+
+
+def _rosenbrock_method(method: RosenbrockW) -> str:
+    """`step`: one step of a Rosenbrock-W method."""
+    nodes = method.nodes
+    body = [
+        f"({_targets(f't{i}' for i in range(len(nodes)))}), (h,) = grid",
+        f"{_targets(f'u{i}' for i in range(len(nodes)))} = inputs",
+        f"solve = solve or math.factored(rhs, t0, state, u0, {float(method.gamma)!r} * h)",
+    ]
+    for i, (row, coupling, c) in enumerate(zip(method.a, method.coupling, method.c, strict=True)):
+        at = f"math.ahead(state, h, {_weighted(row)})" if any(row) else "state"
+        rate = f"rhs(t{nodes.index(c)}, {at}, u{nodes.index(c)})"
+        if any(coupling):
+            body.append(f"v{i + 1} = {_weighted(coupling)}")
+        body.append(f"k{i + 1} = solve({rate} + v{i + 1}) - v{i + 1}" if any(coupling) else f"k{i + 1} = solve({rate})")
+    body.append(f"return math.ahead(state, h, {_weighted(method.b)})")
+    times = ", ".join(map(step_time, nodes))
+    document = (
+        f"One step ({method.name.upper()}) of state' = rhs(time, state, inputs); `inputs` are those at {times}.\n\n"
+        "`solve` divides by I - gamma h W; without it W is the Jacobian at the step's start."
+    )
+    return _method("@staticmethod", "step", ["math", "rhs", "grid", "state", "inputs", "solve=None"], document, body)
+
+
+def _weighted(row: Sequence[Fraction]) -> str:
+    """A weighted sum of Runge-Kutta stages, with decimal weights."""
+    terms = (f"{float(b)!r} * k{i + 1}" if b != 1 else f"k{i + 1}" for i, b in enumerate(row) if b)
+    return " + ".join(terms).replace("+ -", "- ")
 
 
 def _sizes(method: Explicit) -> list[Fraction]:
@@ -319,7 +354,9 @@ def step_time(c: Fraction) -> str:
 
 
 def _multiple(factor: Fraction, name: str) -> str:
-    """`h/2`, `2*h`, `h`."""
+    """`h/2`, `2*h`, `h`; `0.87*h` for a factor that is not simple."""
+    if factor.denominator > SIMPLE:
+        return f"{float(factor)!r}*{name}"
     above = name if factor.numerator == 1 else f"{factor.numerator}*{name}"
     return above if factor.denominator == 1 else f"{above}/{factor.denominator}"
 
@@ -387,7 +424,14 @@ def _comma(names: Iterable[str]) -> str:
 
 
 def _method(decorator: str, name: str, parameters: Sequence[str], document: str, body: Iterable[str]) -> str:
-    typed = [parameter if parameter == "cls" else f"{parameter}: Any" for parameter in parameters]
+    typed = [
+        parameter
+        if parameter == "cls"
+        else ": Any = ".join(parameter.split("="))
+        if "=" in parameter
+        else f"{parameter}: Any"
+        for parameter in parameters
+    ]
     head = f"def {name}({', '.join(typed)}) -> Any:"
     if len(head) > WIDTH:
         head = f"def {name}(\n    {', '.join(typed)}\n) -> Any:"

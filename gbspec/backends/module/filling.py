@@ -9,7 +9,7 @@ from importlib import resources
 
 from gbspec.diagnostics import Defect
 
-PARTS = ("model", "vectors", "weights", "networks", "directions", "arithmetic", "slopes", "tensors")
+PARTS = ("model", "stepping", "vectors", "weights", "networks", "directions", "arithmetic", "slopes", "tensors")
 """The template's files in the order of the generated module."""
 
 PLACE = re.compile(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from importlib import resources
 from itertools import pairwise
@@ -12,7 +13,7 @@ from typing import Literal, assert_never
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
 from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
-from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network
+from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network, RosenbrockW
 
 Precision = Literal["float64", "float32"]
 
@@ -77,6 +78,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     before, after = ("runtime", "networks", "work"), ["steps", "rows", "driver"]
     # Only least-squares fits need the Jacobian, and they run in double precision.
     after += ["jacobian"] if precision == "float64" else []
+    after += ["control"] if precision == "float64" and method.b_error else []
     parts = [*map(_text, before), *_equations(model, rhs, observe), *map(_text, after)]
     return Source(
         "\n".join([*head, *parts]), {name: value for name, value in numbers.items() if isinstance(value, int)}
@@ -138,18 +140,39 @@ def _numbers(
 
 
 def _tableau(method: Method) -> list[str]:
+    """The coefficients; with an error estimate all Runge-Kutta stages, else those that a step needs."""
+    n = len(method.b) if method.b_error else method.advancing
+    places = [method.nodes.index(c) for c in method.c[: method.advancing]]
+    lines = [
+        _table("A", method.a, n),
+        f"static const double TABLEAU_B[{n}] = {_braces(map(float, method.b[:n]))};",
+        f"static const double TABLEAU_C[{n}] = {_braces(map(float, method.c[:n]))};",
+        f"static const int TABLEAU_NODE[{n}] = {_braces(places)};",
+    ]
+    if method.b_error and method.embedded_order is not None:
+        lines += [
+            f"#define TRIED {n} /* Runge-Kutta stages with those of the error estimate */",
+            f"#define ORDER {method.embedded_order + 1}",
+            f"static const double TABLEAU_E[{n}] = {_braces(map(float, method.b_error))};",
+        ]
     match method:
         case Explicit():
-            n = method.advancing
-            rows = [[*map(float, row), *[0.0] * (n - len(row))] for row in method.a[:n]]
+            return [*lines, "#define MATRICES 0"]
+        case RosenbrockW():
             return [
-                f"static const double TABLEAU_A[{n}][{n}] = {{{', '.join(map(_braces, rows))}}};",
-                f"static const double TABLEAU_B[{n}] = {_braces(map(float, method.b[:n]))};",
-                f"static const double TABLEAU_C[{n}] = {_braces(map(float, method.c[:n]))};",
-                f"static const int TABLEAU_NODE[{n}] = {_braces(map(method.nodes.index, method.c[:n]))};",
+                *lines,
+                "#define MATRICES 1",
+                f"#define GAMMA {float(method.gamma)!r}",
+                _table("V", method.coupling, n),
             ]
         case _:
             assert_never(method)
+
+
+def _table(name: str, rows: Sequence[Sequence[Fraction]], n: int) -> str:
+    """A lower triangular table."""
+    filled = [[*map(float, row), *[0.0] * (n - len(row))] for row in rows[:n]]
+    return f"static const double TABLEAU_{name}[{n}][{n}] = {{{', '.join(map(_braces, filled))}}};"
 
 
 def _braces(values: Iterable[object]) -> str:

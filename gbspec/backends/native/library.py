@@ -71,7 +71,7 @@ class Library:
     def __init__(self, source: Source) -> None:
         self.sizes, self._library = source.sizes, compiled(source.text)
         for name, (result, parameters) in FUNCTIONS.items():
-            function = getattr(self._library, name, None)  # the Jacobian's functions exist in double precision only
+            function = getattr(self._library, name, None)  # some functions exist in double precision only
             if function is not None:
                 function.restype = None if result == "void" else ctypes.c_int64
                 function.argtypes = [_argument(parameter) for parameter in parameters]
@@ -99,6 +99,10 @@ class Library:
     def chain(self, links: Struct) -> None:
         """Chains the derivatives of intervals and computes those of the residuals."""
         self._library.chain(links.pointer)
+
+    def control(self, data: Struct, inputs: Struct, walk: Struct, space: AnyArray) -> bool:
+        """Finds the steps of a tile of trajectories; whether there was room for all."""
+        return bool(self._library.control(data.pointer, inputs.pointer, walk.pointer, space.ctypes.data))
 
 
 def _argument(parameter: str) -> type:

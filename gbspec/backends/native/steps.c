@@ -56,6 +56,53 @@ INLINE void add_weighted(const int count, const double *weights, real rows[][STA
             for (int i = 0; i < STATES * TILE; i++) sum[i] += R(weights[p]) * rows[p][i];
 }
 
+#if MATRICES
+/* b /= the factored matrix (LAPACK's factors, row by row), or its transpose. */
+static void divide(const double *lu, const int32_t *pivots, int transposed, double *b) {
+    const int n = STATES;
+    if (!transposed) {
+        for (int i = 0; i < n; i++) {
+            const int p = pivots[i] - 1;
+            const double swapped = b[p];
+            b[p] = b[i];
+            b[i] = swapped;
+            for (int j = 0; j < i; j++) b[i] -= lu[i * n + j] * b[j];
+        }
+        for (int i = n - 1; i >= 0; i--) {
+            for (int j = i + 1; j < n; j++) b[i] -= lu[i * n + j] * b[j];
+            b[i] /= lu[i * n + i];
+        }
+        return;
+    }
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < i; j++) b[i] -= lu[j * n + i] * b[j];
+        b[i] /= lu[i * n + i];
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        for (int j = i + 1; j < n; j++) b[i] -= lu[j * n + i] * b[j];
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        const int p = pivots[i] - 1;
+        const double swapped = b[p];
+        b[p] = b[i];
+        b[i] = swapped;
+    }
+}
+
+/* The same for a vector of each lane, with the matrices of step s. */
+static void divide_lanes(const Work *w, int64_t s, int transposed, real *vector) {
+    double b[STATES];
+    for (int t = 0; t < TILE; t++) {
+        const int moves = w->active[t] && s < w->steps[t];
+        const int64_t at = w->who[t] * w->data->depth + (moves ? w->first[t] + s : 0);
+        if (!moves) continue;
+        for (int i = 0; i < STATES; i++) b[i] = vector[i * TILE + t];
+        divide(w->data->lu + at * (STATES * STATES), w->data->pivots + at * STATES, transposed, b);
+        for (int i = 0; i < STATES; i++) vector[i * TILE + t] = R(b[i]);
+    }
+}
+#endif
+
 static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
     Step step;
     real k[STAGES][STATES * TILE], sum[STATES * TILE];
@@ -71,6 +118,13 @@ static void step_forward(Work *w, int64_t s, size_t slot, real *x) {
         add_weighted(q, TABLEAU_A[q], k, sum);
         for (int i = 0; i < STATES * TILE; i++) place[i] = x[i] + step.h[i % TILE] * sum[i];
         rhs_forward(w, slot * STAGES + q, place, step.time[q], step.inputs[q], k[q]);
+#if MATRICES
+        zero(sum, STATES * TILE);
+        add_weighted(q, TABLEAU_V[q], k, sum);
+        for (int i = 0; i < STATES * TILE; i++) k[q][i] += sum[i];
+        divide_lanes(w, s, 0, k[q]);
+        for (int i = 0; i < STATES * TILE; i++) k[q][i] -= sum[i];
+#endif
     }
     zero(sum, STATES * TILE);
     add_weighted(STAGES, TABLEAU_B, k, sum);
@@ -121,6 +175,9 @@ static void length_reverse(double weight, const real *bar, const real *rates, re
 static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
     Step step;
     real sb[STAGES][STATES * TILE], ob[STATES * TILE];
+#if MATRICES
+    real vb[STAGES][STATES * TILE];
+#endif
     real tb[STAGES][TILE] = {{0}}, ub[STAGES][INPUTS * TILE + 1] = {{0}}, hb[TILE] = {0};
     const int cut = TIMED && at_cut(w, s);
     read_step(w, s, &step);
@@ -131,6 +188,12 @@ static void step_reverse(Work *w, int64_t s, size_t slot, real *xb) {
         add_weighted(1, &TABLEAU_B[q], (real(*)[STATES * TILE])xb, ob);
         for (int p = q + 1; p < STAGES; p++) add_weighted(1, &TABLEAU_A[p][q], &sb[p], ob);
         for (int i = 0; i < STATES * TILE; i++) ob[i] *= step.h[i % TILE];
+#if MATRICES
+        for (int p = q + 1; p < STAGES; p++) add_weighted(1, &TABLEAU_V[p][q], &vb[p], ob);
+        for (int i = 0; i < STATES * TILE; i++) vb[q][i] = -ob[i];
+        divide_lanes(w, s, 1, ob);
+        for (int i = 0; i < STATES * TILE; i++) vb[q][i] += ob[i];
+#endif
         zero(sb[q], STATES * TILE);
         rhs_reverse(w, slot * STAGES + q, place, step.time[q], step.inputs[q], ob, sb[q], w->kb, tb[q], ub[q]);
         for (int p = 0; cut && p < q; p++) length_reverse(TABLEAU_A[q][p], sb[q], rate(w, slot, p), hb);

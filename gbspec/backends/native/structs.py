@@ -83,6 +83,8 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _places("arrival_cuts", "arrivals", "whether it moves the start of its sub-step", optional=True),
         _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, if sub-steps are cut", optional=True),
         _places("logarithmic", "CHANNELS"),
+        _reals("lu", "trajectories, depth, STATES, STATES", "factored matrices, for methods with any", optional=True),
+        _places("pivots", "trajectories, depth, STATES", "their exchanges of rows, from 1", optional=True),
     ),
     # Data that depend on the parameter vector.
     "Inputs": (
@@ -144,6 +146,21 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _found("sum", "owners, STATES, columns", "derivatives of the owners' states"),
         _found("out", "residuals, columns", "rows of the Jacobian"),
     ),
+    # The accepted steps of a tile of trajectories, each on its own solution.
+    "Walk": (
+        Field("count", "trajectories, at most TILE"),
+        Field("room", "most steps of a trajectory"),
+        Field("most", "attempts between two full resets"),
+        _wholes("who", "TILE"),
+        _reals("rtol", "one", "tolerance of the error estimate; negative: each sub-step is one step"),
+        _reals("floor", "STATES", "added to the sizes of the states"),
+        Field("taken", "number of steps", "int64_t", "TILE", written=True),
+        Field("cell", "sub-step that a step is part of", "int32_t", "TILE, room", written=True),
+        _found("begin", "TILE, room", "after its start"),
+        _found("length", "TILE, room", "NaN: there is no solution"),
+        _found("factors", "TILE, room, STATES, STATES", "of its matrix", optional=True),
+        Field("exchanges", "of rows", "int32_t", "TILE, room, STATES", written=True, optional=True),
+    ),
 }
 """The structs, by name."""
 
@@ -156,6 +173,7 @@ FUNCTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "interval_bytes": ("int64_t", ("int64_t depth",)),
     "intervals": ("void", ("Data", "Inputs", "Intervals", SPACE)),
     "chain": ("void", ("Links",)),
+    "control": ("int64_t", ("Data", "Inputs", "Walk", SPACE)),
 }
 """The exported functions: the type of the result and the parameters, structs by their names."""
 

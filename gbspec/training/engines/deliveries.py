@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.ir import METHODS, Explicit
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.problem import Parameters, Path, Problem, path_of
 
@@ -44,15 +45,32 @@ def delivered(problem: Problem, constants: Tensor) -> tuple[Tensor, Tensor]:
     return fraction * constants.new_tensor(doses.amount), constants.new_tensor(doses.time) + lag
 
 
-class Paths:
-    """The paths of a problem; the most recent one is kept."""
+Planner = Callable[[Problem, Parameters, Array, Path], Path]
+"""Chooses the steps and computes the frozen matrices of a path at a vector."""
 
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
+
+class Paths:
+    """The paths of a problem; the most recent one is kept. `planner` is needed only for adaptive and implicit steps."""
+
+    def __init__(self, problem: Problem, planner: Planner | None = None) -> None:
+        self._problem, self._planner = problem, planner
+        explicit = isinstance(METHODS[problem.module.solver], Explicit)
+        self._fixed = planner is None or (problem.control is None and explicit)
         self._path: Path | None = None
+        self._theta: Array | None = None
 
     def at(self, parameters: Parameters, theta: Array) -> Path:
         """The path at a vector."""
+        if self._fixed or self._planner is None:
+            return self._arranged(parameters, theta)
+        if self._path is None or self._theta is None or not np.array_equal(theta, self._theta, equal_nan=True):
+            self._path = None  # the path of doses is computed again, since steps have replaced its cells
+            self._path = self._planner(self._problem, parameters, theta, self._arranged(parameters, theta))
+            self._theta = theta.copy()
+        return self._path
+
+    def _arranged(self, parameters: Parameters, theta: Array) -> Path:
+        """The packing, cut where doses arrive."""
         time = self._problem.packed.doses.time
         if len(time):
             with torch.no_grad():

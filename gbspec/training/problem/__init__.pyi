@@ -5,9 +5,15 @@ from .autocorrelation import share_that_counts as share_that_counts
 from .bounds import STRETCH as STRETCH
 from .bounds import Bijection as Bijection
 from .bounds import Bijections as Bijections
+from .division import meshed as meshed
 from .forcing import Forcing as Forcing
 from .forcing import measured_states as measured_states
 from .forcing import teacher_forcing as teacher_forcing
+from .mesh import MOST_STEPS as MOST_STEPS
+from .mesh import Control as Control
+from .mesh import Factors as Factors
+from .mesh import Pivots as Pivots
+from .mesh import Steps as Steps
 from .packing import Packed as Packed
 from .packing import default_max_step as default_max_step
 from .packing import pack as pack

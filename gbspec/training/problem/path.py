@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.training.problem.arrivals import Integers
+from gbspec.training.problem.mesh import Factors
 from gbspec.training.problem.packing import Packed
 
 
@@ -24,7 +25,8 @@ class Path:
 
     For each dose [E]: `time`, the time of arrival, `step`, the sub-step at whose start it arrives (-1: it does not),
     `following`, the next dose there (-1: none), and `cuts`, whether that start is its time of arrival. `slope` [T, N,
-    n_inputs]: the slopes in time of the inputs in sub-steps that were cut.
+    n_inputs]: the slopes in time of the inputs in sub-steps that were cut. `factors`: the frozen matrices of the
+    sub-steps, where the method has any.
     """
 
     packed: Packed
@@ -33,6 +35,7 @@ class Path:
     following: Integers
     cuts: NDArray[np.bool_]
     slope: Array
+    factors: Factors | None = None
 
     @cached_property
     def doses(self) -> Integers:

@@ -17,19 +17,24 @@ from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
 from gbspec.ir import METHODS, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
+from gbspec.training.problem.mesh import Control
 from gbspec.training.problem.packing import Packed
 from gbspec.training.problem.scaling import Scaling
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A training problem, independent of the engine. `module` is an instance of the generated class."""
+    """A training problem, independent of the engine. `module` is an instance of the generated class.
+
+    With `control` steps are adaptive: a path divides the sub-steps of the packing by the error estimate.
+    """
 
     model: Model
     module: GeneratedModule
     packed: Packed
     forcing: Forcing
     scaling: Scaling
+    control: Control | None = None
 
     def __post_init__(self) -> None:
         if self.packed.nodes != tuple(map(float, METHODS[self.module.solver].nodes)):

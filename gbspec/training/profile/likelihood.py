@@ -214,8 +214,9 @@ class _Profiler:
 
     def __init__(self, run: Run, name: str, trajectories: Trajectories, member: int, iterations: int) -> None:
         options = replace(TrainOptions.recorded(run.fit.options, run.path), random_substeps=False)
-        step = run.member(member).info.get("max_step")
-        options = replace(options, max_step=float(step) if isinstance(step, int | float) else options.max_step)
+        info = run.member(member).info
+        used = {name: float(v) for name in ("max_step", "tolerance") if isinstance(v := info.get(name), int | float)}
+        options = replace(options, **used)  # type: ignore[arg-type]  # both options are numbers
         options = agreed(run.fit.backend, run.model, run.module, options)
         self.model, self.name, self.iterations = run.model, name, iterations
         self.weights: dict[str, Array] = run.member(member).weights

@@ -9,3 +9,5 @@ from .planning import FIRST_RIDGE as FIRST_RIDGE
 from .planning import plan as plan
 from .preparation import prepare as prepare
 from .recognition_network import recognition as recognition
+from .stiffness import chosen_solver as chosen_solver
+from .stiffness import solver_of as solver_of

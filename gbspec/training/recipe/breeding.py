@@ -18,7 +18,7 @@ from gbspec.arrays import Array
 from gbspec.data import Trajectories, Trajectory
 from gbspec.training.engines import predicted, residual_vector
 from gbspec.training.optimise import Outcome, State
-from gbspec.training.problem import Parameters, Problem, mean_loss, pack, teacher_forcing
+from gbspec.training.problem import Parameters, Problem, mean_loss, teacher_forcing
 from gbspec.training.recipe.context import Context
 from gbspec.training.stages import StageName
 from gbspec.training.starts import refit_starts
@@ -52,9 +52,8 @@ def _early_problem(context: Context, blend: float) -> Problem:
     """The problem of trajectories that begin earlier, each with a row at its present initial time."""
     items = tuple(_begun_earlier(item) for item in context.trajectories.items)
     data: Trajectories = replace(context.trajectories, items=items)
-    packed = pack(data, context.model, context.max_step, method=context.method)
-    scaling = context.scaling(packed)
-    return Problem(context.model, context.module, packed, teacher_forcing(context.model, packed, blend), scaling)
+    packed = context.pack(data)
+    return context.posed(packed, teacher_forcing(context.model, packed, blend))
 
 
 def _begun_earlier(item: Trajectory) -> Trajectory:

@@ -9,10 +9,12 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Estimated, Scales, Trajectories, scales_of
-from gbspec.ir import METHODS, Method, Model
+from gbspec.ir import METHODS, Method, Model, RosenbrockW
 from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import (
+    Control,
+    Forcing,
     Packed,
     Parameters,
     Problem,
@@ -25,6 +27,14 @@ from gbspec.training.problem import (
     teacher_forcing,
 )
 from gbspec.training.starts import Curves, Points, collocate, fit_curves, with_derived
+
+TOLERANCE = 1e-5
+"""The first relative tolerance of adaptive steps; later stages take less where errors show."""
+
+
+def is_adaptive(method: Method, options: TrainOptions) -> bool:
+    """Whether a method takes adaptive steps: a stiff one always, an explicit one with a tolerance."""
+    return isinstance(method, RosenbrockW) or options.tolerance is not None
 
 
 @dataclass
@@ -55,25 +65,55 @@ class Context:
 
     @property
     def method(self) -> Method:
-        """The Runge-Kutta method of the solver."""
+        """The method of the solver."""
         return METHODS[self.module.solver]
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether steps are chosen by the error estimate."""
+        return is_adaptive(self.method, self.options)
+
+    def tolerance(self, fraction: float = 1.0) -> float | None:
+        """The relative tolerance of adaptive steps: a tenth for every halving of `fraction`; None for fixed steps."""
+        first = TOLERANCE if self.options.tolerance is None else self.options.tolerance
+        return first * 0.1 ** float(-np.log2(fraction)) if self.adaptive else None
+
+    def steps(self, fraction: float) -> dict[str, float | None]:
+        """The largest step of the solver, or the tolerance of adaptive ones, as stored with the weights."""
+        if self.adaptive:
+            return {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
+        return {"max_step": self.max_step * fraction}
+
+    def control(self, fraction: float = 1.0) -> Control | None:
+        """The control of adaptive steps; None for fixed ones."""
+        rtol = self.tolerance(fraction)
+        return None if rtol is None else Control(rtol, self.state_scale)
 
     def packed(self, fraction: float = 1.0, draw: int | None = None) -> Packed:
         """The packing at `fraction` of the largest step; with random sub-steps, `draw` is the number of the draw."""
-        draw = draw if self.options.random_substeps else None
-        key = (fraction, draw)
+        draw = draw if self.options.random_substeps and not self.adaptive else None
+        key = (1.0 if self.adaptive else fraction, draw)
         if key not in self._packed:
             rng = None if draw is None else np.random.default_rng([self.seed, 31, draw])
             if draw is not None:
                 self._packed = {k: v for k, v in self._packed.items() if k[1] is None}
-            self._packed[key] = pack(self.trajectories, self.model, fraction * self.max_step, rng, self.method)
+            self._packed[key] = self.pack(self.trajectories, fraction, rng)
         return self._packed[key]
+
+    def pack(self, trajectories: Trajectories, fraction: float = 1.0, rng: np.random.Generator | None = None) -> Packed:
+        """The packing of some trajectories for the solver's method; adaptive steps divide its sub-steps."""
+        most = self.max_step if self.adaptive else fraction * self.max_step
+        return pack(trajectories, self.model, most, rng, self.method)
+
+    def posed(self, packed: Packed, forcing: Forcing, fraction: float = 1.0) -> Problem:
+        """The problem of packed data."""
+        return Problem(self.model, self.module, packed, forcing, self.scaling(packed), self.control(fraction))
 
     def problem(self, blend: float = 1.0, fraction: float = 1.0, draw: int | None = None) -> Problem:
         """The training problem with teacher forcing of strength `blend`."""
         packed = self.packed(fraction, draw)
         forcing = teacher_forcing(self.model, packed, blend)
-        return Problem(self.model, self.module, packed, forcing, self.scaling(packed))
+        return self.posed(packed, forcing, fraction)
 
     def scaled(self, estimated: Estimated | None) -> Scales:
         """The scales of the channels with these estimates of their noise."""
@@ -108,10 +148,13 @@ def build_context(
 ) -> Context:
     """The context: splits off the held-out data and prepares the rest; `smooth` selects smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)
-    max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
+    method = METHODS[module.solver]
+    max_step = options.max_step
+    if max_step is None:
+        max_step = np.inf if is_adaptive(method, options) else default_max_step(trajectories)
     instance = module.random(seed)
     curves = with_derived(model, instance, kept, fit_curves(model, kept, smooth))
-    packed = pack(kept, model, max_step, method=METHODS[module.solver])
+    packed = pack(kept, model, max_step, method=method)
     state_scale = state_scales(model, packed, kept)
     value, free = start_states(model, kept, curves, packed)
     context = Context(

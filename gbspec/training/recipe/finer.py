@@ -36,7 +36,11 @@ class LastFit:
     constants: bool
 
 
-def step_shows(now: Engine, half: Engine, theta: Array, constants: bool) -> bool:
+LEAST_ADAPTIVE = 1e-8
+"""The same fraction for adaptive steps, which cost little more at a smaller tolerance."""
+
+
+def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: float = LEAST_ERROR) -> bool:
     """Whether halving the step changes solutions by more than a share of the noise, or, with `constants`, moves a
     constant.
 
@@ -52,7 +56,7 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool) -> bool
         if not (rows.any() and np.isfinite(after[rows, i]).all() and np.isfinite(before[rows, i]).all()):
             continue
         change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
-        if change <= LEAST_ERROR:
+        if change <= least:
             continue
         if change > SHOWS * noise:
             return True
@@ -68,9 +72,9 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool) -> bool
 class FinerStep(LevenbergMarquardt):
     """Levenberg-Marquardt with a finer step, which it shows."""
 
-    def __init__(self, of: LevenbergMarquardt, step: float) -> None:
+    def __init__(self, of: LevenbergMarquardt, remark: str) -> None:
         super().__init__(StageName.FINER.value, of.total, of.engine_at, of.options)
-        self.remark = f"largest step {step:.3g}"
+        self.remark = remark
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration, with the step in its remark."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.training.engines import Engine, predicted, residual_vector
-from gbspec.training.problem import Parameters, Problem, mean_loss, pack, teacher_forcing
+from gbspec.training.problem import Parameters, Problem, mean_loss, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
 from gbspec.training.starts import fit_curves, refit_starts
 
@@ -40,14 +40,14 @@ def _fitted(
 ) -> tuple[Engine, Array]:
     """The engine of the held-out data, with the vector in which their own parameters are fitted."""
     held, model = context.held, context.model
-    packed = pack(held, model, fraction * context.max_step, method=context.method)
+    packed = context.pack(held, fraction)
     scaling = context.scaling(packed)
     single = len(held) == 1 and held.items[0].label == context.trajectories.items[0].label
     if single:  # only the rows that are not fitted count
         earlier = (packed.row_time <= context.trajectories.items[0].end)[:, None]
         packed = replace(packed, weights=np.where(earlier, 0.0, packed.weights))
     forcing = teacher_forcing(model, packed, 0.0 if single else blend)
-    problem = Problem(model, context.module, packed, forcing, scaling)
+    problem = replace(context.posed(packed, forcing, fraction), scaling=scaling)
     value, free = start_states(model, held, fit_curves(model, held), packed)
     local = replace(parameters, start_value=value, start_free=free)
     own = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)

@@ -14,7 +14,15 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
-from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, FinerStep, LastFit, step_shows
+from gbspec.training.recipe.finer import (
+    HALVINGS,
+    LEAST_ADAPTIVE,
+    LEAST_ERROR,
+    NETWORK_HALVINGS,
+    FinerStep,
+    LastFit,
+    step_shows,
+)
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
@@ -139,7 +147,8 @@ class _Planner:
         ]
 
     def _finer(self, number: int, last: Callable[[Reached], LastFit | None]) -> Planned:
-        """Continues the last fit at half its step, where its error shows and the step is not one that the user gave."""
+        """Continues the last fit at half its step (adaptive: a tenth of its tolerance), where the error shows and the
+        step is not one that the user gave."""
         most = self._most(StageName.FINER)
 
         def make(reached: Reached) -> Stage:
@@ -147,17 +156,21 @@ class _Planner:
             assert found is not None, "the stage has begun"
             chosen = replace(found.options(reached.theta), damping=STEADY)
             newton = LevenbergMarquardt(StageName.FINER, most, self._at(found.blend, fraction, found.layout), chosen)
-            return FinerStep(newton, fraction * self.context.max_step)
+            rtol = self.context.tolerance(fraction)
+            said = f"largest step {fraction * self.context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
+            return FinerStep(newton, said)
 
         def shows(reached: Reached) -> bool:
             found = last(reached)
-            if self.options.max_step is not None or found is None:
+            given = self.options.tolerance if self.context.adaptive else self.options.max_step
+            if given is not None or found is None:
                 return False
             if list(reached.begun).count(StageName.FINER) != number - 1:
                 return False
             size = step_fraction(reached.begun)
             now, half = (self.context.engine(found.layout, found.seen, part) for part in (size, size / 2))
-            return step_shows(now, half, reached.theta, found.constants)
+            least = LEAST_ADAPTIVE if self.context.adaptive else LEAST_ERROR
+            return step_shows(now, half, reached.theta, found.constants, least)
 
         return Planned(StageName.FINER, most, make, possible=shows)
 

@@ -65,13 +65,13 @@ def _imputed_residuals(context: Context, parameters: Parameters, theta: Array) -
 
 
 def _attempt(context: Context) -> Prepared:
-    parameters, theta = _initial(context)
+    parameters, theta = initial(context)
     if context.options.warm_start:
         theta = regress_slopes(parameters, context.module, context.points, theta, context.seed)
     return Prepared(context, parameters, theta, mean_loss(_imputed_residuals(context, parameters, theta)))
 
 
-def _initial(context: Context) -> tuple[Parameters, Array]:
+def initial(context: Context) -> tuple[Parameters, Array]:
     """Random weights and networks scaled by the data; constants as declared, or from elimination (warm start)."""
     model = context.model
     learnables = Bijections.of(model.learnables)

@@ -16,7 +16,7 @@ from gbspec.backends import INTERFACE, generate, load_module
 from gbspec.data import Trajectories, content_digest, scales_of, to_arrays
 from gbspec.diagnostics import ComputationError, Diagnostic, Findings, UserError
 from gbspec.files import clear, finite, is_aside
-from gbspec.ir import METHODS, Model
+from gbspec.ir import AUTO, METHODS, Model
 from gbspec.runs import (
     DAMAGED,
     DataRecord,
@@ -33,7 +33,7 @@ from gbspec.runs import (
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe import build_context, plan
+from gbspec.training.recipe import build_context, chosen_solver, plan, solver_of
 from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
     EXACT,
@@ -109,7 +109,7 @@ class Fitting:
         options.check(findings)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
-        module = load_module(model, METHODS[options.solver])
+        module = load_module(model, METHODS[solver_of(options)])
         if options.scheduler is None:
             device_of(options.device)
             if options.backend == "native":
@@ -128,16 +128,31 @@ class Fitting:
         """Creates the directory, or finds the run to resume. Raises UserError if this is impossible."""
         if (self.path / files.FIT).is_file():
             before = _prepare(self.path, self.model, self.record, self.options)
-            self.record = replace(self.record, backend=before.backend)
+            taken = replace(self.record, backend=before.backend, solver=before.solver)
+            self.record = replace(taken, solver_reason=before.solver_reason)
+            self._module = load_module(self.model, METHODS[before.solver])
         else:
-            found = faster_backend(self.model, self._module, self.trajectories, self.options, self.progress)
+            self._choose_solver()
+            options = replace(self.options, solver=self.record.solver)
+            found = faster_backend(self.model, self._module, self.trajectories, options, self.progress)
             self.record = _prepare(self.path, self.model, replace(self.record, backend=found), self.options)
         if not _in_table(self.trajectories):
             files.write_tensors(self.path / files.DATA, *to_arrays(self.trajectories))
 
+    def _choose_solver(self) -> None:
+        """Chooses the solver where that is left to the training."""
+        if self.options.solver != AUTO:
+            return
+        name, reason = chosen_solver(self.model, self._module, self.trajectories, self.options)
+        self.record = replace(self.record, solver=name, solver_reason=reason)
+        self._module = load_module(self.model, METHODS[name])
+        if name != solver_of(self.options):
+            self.progress.message(f"the solver is `{name}`: {reason}")
+
     def jobs(self, first: int = 0) -> list[Job]:
         """One job per member, numbered from `first`."""
-        options = agreed(self.record.backend, self.model, self._module, self.options)
+        chosen = replace(self.options, solver=self.record.solver)
+        options = agreed(self.record.backend, self.model, self._module, chosen)
         return [
             Job(self.model, self.trajectories, options, member, self.path, first + member)
             for member in range(self.options.members)
@@ -188,7 +203,7 @@ def _record(model: Model, trajectories: Trajectories, options: TrainOptions, pat
         noise={},
         members=(),
         warnings=(),
-        solver=options.solver,
+        solver=solver_of(options),
         interface=INTERFACE,
         scales=ScalesRecord.of(scales_of(model, trajectories)),
         finished=False,
@@ -235,7 +250,7 @@ def _prepare(path: Path, model: Model, record: FitRecord, options: TrainOptions)
         raise UserError([Diagnostic("GB852", message, None, help=DAMAGED)])
     path.mkdir(parents=True, exist_ok=True)
     files.write_bytes(path / files.MODEL, model.text.encode("utf-8"))
-    files.write_bytes(path / files.MODULE, generate(model, METHODS[options.solver]).encode("utf-8"))
+    files.write_bytes(path / files.MODULE, generate(model, METHODS[before.solver]).encode("utf-8"))
     if not begun:
         record.write(path)
     return before
@@ -280,6 +295,8 @@ def _check_resumable(path: Path, model: Model, record: FitRecord) -> FitRecord:
         findings.error("GB855", f"the run `{path}` was started with other data", None, help=_OTHER)
     may_change = {"members", "workers", "threads", "device", "backend"}
     began = TrainOptions.recorded(before.options, path).to_json()
+    if _same_solver(record.options.get("solver"), began["solver"], before.solver):
+        may_change.add("solver")
     for name, value in record.options.items():
         old = began[name]
         if name not in may_change and old != value:
@@ -289,6 +306,11 @@ def _check_resumable(path: Path, model: Model, record: FitRecord) -> FitRecord:
             )
     findings.raise_if_failed()
     return before
+
+
+def _same_solver(now: object, began: object, used: str) -> bool:
+    """Whether a run can go on with its solver: it is left to the training now, or it is the one that was chosen."""
+    return bool(now == AUTO or (began == AUTO and now == used))
 
 
 _OTHER = "continue it with the original settings, or name another directory with `-o`"

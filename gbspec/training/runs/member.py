@@ -309,8 +309,7 @@ class _Runner:
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
             weights |= recognition(self.context, self.parameters, position.best, blend)
         info = {
-            # The largest step used in the last fit of the weights.
-            "max_step": self.context.max_step * step_fraction([stage.name for stage in fitted]),
+            **self.context.steps(step_fraction([stage.name for stage in fitted])),
             "solver": self.context.method.name,
             "seed": self.context.seed,
             "labels": result.labels,

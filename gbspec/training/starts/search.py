@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,9 @@ SAME, CLOSE = 1e-3, 1e-10
 """Losses of the same minimum differ by less than this, relatively or absolutely."""
 ITERATIONS, FORCED = 60, 15
 """Largest numbers of iterations from one start: of whole solutions, and with teacher forcing before them."""
-OPTIONS = LevenbergOptions(robust=False, tolerance=1e-4, damping=1e-1, enough=1e-14)
+EXACT = 1e-14
+"""Mean loss at which a start needs no further iteration."""
+OPTIONS = LevenbergOptions(robust=False, tolerance=1e-4, damping=1e-1)
 WORK = 2e7
 """Sub-steps times columns over which the improvements of all starts may extend, so that large data get fewer starts."""
 FEWEST = 6
@@ -95,8 +97,7 @@ class Search:
 
         Raises ComputationError if the model can be solved from none of them.
         """
-        candidates = self._candidates(theta)
-        losses = np.array([self._loss(candidate) for candidate in candidates])
+        candidates, losses = self.losses(theta)
         if not np.isfinite(losses).any():
             raise self._none_survived(theta, len(losses))
         order = [i for i in self._order(losses) if np.isfinite(losses[i])]
@@ -109,6 +110,11 @@ class Search:
             "survived": np.array(float(np.isfinite(losses).sum())),
             "drawn": np.array(float(len(losses))),
         }
+
+    def losses(self, theta: Array) -> tuple[Array, Array]:
+        """The points from which the search starts [n, size], and their losses; not finite without a solution."""
+        candidates = self._candidates(theta)
+        return candidates, np.array([self._loss(candidate) for candidate in candidates])
 
     def _order(self, losses: Array) -> list[int]:
         """The order of the starts: the first two, and the draws from the best one on.
@@ -217,7 +223,11 @@ class Search:
 
     def _descended(self, engine: Engine, theta: Array, iterations: int) -> Array:
         """The vector after some iterations of Levenberg-Marquardt, or the last one from which they were possible."""
-        stage = LevenbergMarquardt(self.name, iterations, lambda i: engine, OPTIONS)
+        control = engine.problem.control
+        # Adaptive steps: below a tenth of the tolerance, residuals are the error of the steps.
+        least = 0.0 if control is None else 0.5 * (0.1 * control.rtol) ** 2
+        options = replace(OPTIONS, enough=max(EXACT, least))
+        stage = LevenbergMarquardt(self.name, iterations, lambda i: engine, options)
         state = stage.begin(theta)
         for i in range(iterations):
             try:

@@ -75,7 +75,8 @@ def _series(times: Array, values: Array) -> tuple[Array, Array]:
 
 
 def smoothed(t: Array, y: Array, unit: float | None = None) -> SmoothCurve | None:
-    """A smoothing spline, its penalty by generalised cross-validation; None with fewer than 8 points.
+    """A smoothing spline, its penalty by generalised cross-validation; None with fewer than 8 points, or where
+    their spacings differ so much that there is none.
 
     Penalties are searched between 0 and the number of points, with times in multiples of `unit` (None: the span).
     """
@@ -86,7 +87,10 @@ def smoothed(t: Array, y: Array, unit: float | None = None) -> SmoothCurve | Non
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        spline = make_smoothing_spline((t - t[0]) / width, (y - y.mean()) / deviation)
+        try:
+            spline = make_smoothing_spline((t - t[0]) / width, (y - y.mean()) / deviation)
+        except (ValueError, np.linalg.LinAlgError):  # the equations are singular: spacings differ by many decades
+            return None
     return SmoothCurve(spline, float(t[0]), float(width), float(y.mean()), float(deviation))
 
 

@@ -16,6 +16,8 @@ import numpy as np
 # a new one in the shape and type of `like`, `column` appends an axis, `columns` to each of several; `fill(like, x)` is
 # a number for each point of a batch. On vectors along the last axis, `part` takes components, `entry` one, `total`
 # their sum; `join` concatenates vectors, `repeat` repeats a scalar, `indices` is a range of integers.
+# `factored(rhs, t, x, u, size)` returns a function that divides vectors by I - size times the Jacobian of rhs(t, x, u)
+# at x, which is a constant in torch's derivatives.
 
 
 @functools.cache
@@ -64,6 +66,16 @@ def _torch_arithmetic() -> Any:
         x = column(x) if isinstance(x, Tensor) else like.new_tensor(x)
         return x.expand(*np.broadcast_shapes(like.shape[:-1], x.shape[:-1]), count)
 
+    def factored(rhs: Any, t: Any, x: Any, u: Any, size: Any) -> Any:
+        with torch.enable_grad():
+            at = x.detach().requires_grad_()
+            rates = rhs(t, at, u) + 0.0 * at  # which depends on the state even where the rates do not
+            rows = [torch.autograd.grad(rate.sum(), at, retain_graph=True)[0] for rate in rates.unbind(-1)]
+        step = size.detach().unsqueeze(-1) if isinstance(size, Tensor) and size.ndim else size
+        unit = torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)
+        factors = torch.linalg.lu_factor(unit - step * torch.stack(rows, -2))
+        return lambda b: torch.linalg.lu_solve(*factors, b.unsqueeze(-1)).squeeze(-1)
+
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt abs sign"
     return SimpleNamespace(
         **{name: unary(getattr(torch, name)) for name in names.split()},
@@ -88,6 +100,7 @@ def _torch_arithmetic() -> Any:
         total=lambda x: x.sum(-1),
         join=join,
         repeat=repeat,
+        factored=factored,
         indices=lambda like, *ends: torch.arange(*ends, dtype=like.dtype, device=like.device).expand(
             *like.shape[:-1], ends[1] - ends[0]
         ),
@@ -100,6 +113,12 @@ def _torch_arithmetic() -> Any:
 @functools.cache
 def _casadi_arithmetic() -> Any:
     import casadi as ca
+
+    def factored(rhs: Any, t: Any, x: Any, u: Any, size: Any) -> Any:
+        at = type(x).sym("at", x.shape[0])
+        slopes = ca.substitute(ca.jacobian(rhs(t, at, u), at), at, x)
+        matrix = ca.densify(ca.DM.eye(x.shape[0]) - size * slopes)
+        return lambda b: ca.solve(matrix, b, "qr") if isinstance(matrix, ca.MX) else ca.solve(matrix, b)
 
     names = "exp log sin cos tan tanh sinh cosh asin acos atan asinh acosh atanh sqrt sign atan2"
     return SimpleNamespace(
@@ -125,6 +144,7 @@ def _casadi_arithmetic() -> Any:
         total=ca.sum1,
         join=lambda like, *parts: ca.vertcat(*parts),
         repeat=lambda like, x, count: ca.repmat(type(like)(x), count, 1),
+        factored=factored,
         indices=lambda like, *ends: type(like)(ca.DM(range(*ends))),
         pi=np.pi,
         inf=np.inf,
@@ -141,6 +161,13 @@ def _numpy_arithmetic() -> Any:
 
     def repeat(like: Any, x: Any, count: int) -> Any:
         return np.broadcast_to(np.expand_dims(x, -1), (*np.broadcast_shapes(np.shape(like)[:-1], np.shape(x)), count))
+
+    def factored(rhs: Any, t: Any, x: Any, u: Any, size: Any) -> Any:
+        change = 6e-6 * np.maximum(np.abs(x), 1e-6)[..., None] * np.eye(x.shape[-1])  # a row for each state
+        ends = [[rhs(t, x + s * change[..., i, :], u) for s in (1, -1)] for i in range(x.shape[-1])]
+        columns = [(a - b) / (2 * change[..., i, i, None]) for i, (a, b) in enumerate(ends)]
+        matrix = np.eye(x.shape[-1]) - (size[..., None] if np.ndim(size) else size) * np.stack(columns, -1)
+        return lambda b: np.linalg.solve(matrix, b[..., None])[..., 0]
 
     names = "exp log sin cos tan tanh sinh cosh sqrt abs sign minimum maximum logical_and logical_or logical_not where"
     return SimpleNamespace(
@@ -164,6 +191,7 @@ def _numpy_arithmetic() -> Any:
         total=lambda x: np.sum(x, -1),
         join=join,
         repeat=repeat,
+        factored=factored,
         indices=lambda like, *ends: np.broadcast_to(
             np.arange(*ends, dtype=np.float64), (*np.shape(like)[:-1], ends[1] - ends[0])
         ),

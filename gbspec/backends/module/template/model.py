@@ -24,6 +24,7 @@ from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arith
 from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
+from gbspec.backends.module.template.stepping import _Adaptive
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 from gbspec.backends.module.template.vectors import _by_name, _tensor, _vector
 from gbspec.backends.module.template.weights import _array, _described, _misfits, _random_weights, _required_shapes
@@ -267,12 +268,14 @@ class Template:  # {{class}}
         inputs: Any = None,
         max_step: float | None = None,
         constants: Any = None,
+        tolerance: float | None = None,
     ) -> Any:
         """States [..., n_times, n_states] at increasing `times` [n_times] from x0 [..., n_states], by `solver`.
 
         `inputs`: values at the times [..., n_times, n_inputs], held or interpolated as the model declares, or a
         function of time that returns [..., n_inputs]. Between two times the steps are equal and at most
-        `max_step` (default: that of the training if stored with the weights, else one step). Differentiable.
+        `max_step` (default: that of the training if stored with the weights, else one step), or adaptive with a
+        relative `tolerance` (default: that of a training with adaptive steps). Differentiable.
         """
         import torch
 
@@ -291,13 +294,21 @@ class Template:  # {{class}}
         x = x.expand(*batch, x.shape[-1])
         path, m = [x], _torch_arithmetic()
         rhs = self.equations.field(m, condition, k, f)
+        accuracy = self.info.get("tolerance") if tolerance is None and max_step is None else tolerance
+        adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
+
+            def step(t: float, h: float, x: Any, i: int = i) -> Any:
+                nodes, sizes = self.equations.grid(m, t, h)
+                u = tuple(signal(i, node) for node in nodes)
+                return self.equations.step(m, rhs, ([_tensor(node, x) for node in nodes], sizes), x, u)
+
             count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))
             h = (end - start) / count
-            for j in range(count):
-                nodes, sizes = self.equations.grid(m, start + j * h, h)
-                u = tuple(signal(i, t) for t in nodes)
-                x = self.equations.step(m, rhs, ([_tensor(t, x) for t in nodes], sizes), x, u)
+            if adaptive is not None:
+                x = adaptive.across(step, x, start, end)
+            for j in range(count if adaptive is None else 0):
+                x = step(start + j * h, h, x)
             path.append(x)
         return torch.stack(path, -2)
 

@@ -14,11 +14,13 @@ from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group
 from gbspec.training.engines.linearised import Jacobian
+from gbspec.training.engines.native.control import Planner
 from gbspec.training.engines.native.gradient import HalfSquares
-from gbspec.training.engines.native.inputs import KernelInputs
+from gbspec.training.engines.native.inputs import KernelInputs, Latest
 from gbspec.training.engines.native.jacobian import jacobian
 from gbspec.training.engines.native.kernel import Kernel, Swept
 from gbspec.training.engines.native.tables import Tables
+from gbspec.training.engines.torch import planned
 from gbspec.training.problem import Integers, Parameters, Path, Problem, residual_slopes
 
 
@@ -27,7 +29,8 @@ class NativeEngine:
 
     def __init__(self, problem: Problem, parameters: Parameters, kernel: Kernel) -> None:
         self.problem, self.parameters, self.kernel = problem, parameters, kernel
-        self._paths = Paths(problem)
+        self._latest = Latest()
+        self._paths = Paths(problem, Planner(kernel, self._latest) if kernel.plans else planned)
         self._tables: Tables | None = None
 
     def rebound(self, problem: Problem, parameters: Parameters) -> Self:
@@ -48,7 +51,7 @@ class NativeEngine:
         """The predictions at a vector."""
         vector = torch.from_numpy(theta)
         with torch.no_grad():
-            inputs = KernelInputs.of(self.problem, self.parameters, vector)
+            inputs = self._latest.at(self.problem, self.parameters, theta)
             before = self.kernel.sweep(self.tables(path), inputs, False).states
             mean = self._observed(vector, before, inputs.constants)
         return Moments(mean, before, self.problem.forcing.reset(before), inputs.initial.numpy())

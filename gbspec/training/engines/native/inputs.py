@@ -49,6 +49,22 @@ class KernelInputs:
         return library.struct("Inputs", numbers=self.numbers, **arrays)
 
 
+class Latest:
+    """The inputs at the most recent vector, without derivatives: a plan and a solution at a vector need the same."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[Problem, Parameters, Array, KernelInputs] | None = None
+
+    def at(self, problem: Problem, parameters: Parameters, theta: Array) -> KernelInputs:
+        """The inputs at a vector."""
+        kept = self._kept
+        if kept is None or not (kept[0] is problem and kept[1] is parameters and np.array_equal(kept[2], theta)):
+            with torch.no_grad():
+                found = KernelInputs.of(problem, parameters, torch.from_numpy(theta))
+            kept = self._kept = problem, parameters, theta.copy(), found
+        return kept[3]
+
+
 def _layer_weights(networks: list[NetworkLayers], like: Tensor) -> Tensor:
     """All layers' weights and biases in the kernel's order, multiplied by the networks' scales."""
     parts = [part.reshape(-1) for network in networks for layer in network.folded for part in layer]

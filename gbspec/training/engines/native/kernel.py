@@ -53,12 +53,14 @@ class Swept:
 class Kernel:
     """The compiled solver of one model with one method in one precision.
 
-    Raises NotCoveredError for a model that it does not cover, CompilerError if it cannot be compiled.
+    `plans`: it can choose adaptive steps. Raises NotCoveredError for a model that it does not cover, CompilerError if
+    it cannot be compiled.
     """
 
     def __init__(self, model: Model, precision: Precision = "float64", method: Method = RK4) -> None:
         self.model, self.precision = model, precision
         self.library = Library(source(model, precision, method))
+        self.plans = precision == "float64" and method.b_error is not None
 
     def work_bytes(self, depth: int) -> int:
         """Bytes that a thread needs besides data and results, for trajectories of at most `depth` steps."""

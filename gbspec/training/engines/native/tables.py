@@ -35,6 +35,8 @@ class Tables:
             "weight": problem.forcing.weight,
             "logarithmic": problem.scaling.log.astype(np.int32),
             **_arrivals(problem.model, path),
+            "lu": None if path.factors is None else path.factors.lu.swapaxes(0, 1),
+            "pivots": None if path.factors is None else path.factors.pivots.swapaxes(0, 1),
         }
         self._arrays = {name: None if a is None else np.ascontiguousarray(a) for name, a in arrays.items()}
         self._data: tuple[Library, Struct] | None = None

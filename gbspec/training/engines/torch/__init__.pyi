@@ -1,1 +1,2 @@
+from .control import planned as planned
 from .engine import TorchEngine as TorchEngine

@@ -13,6 +13,7 @@ from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Moments, by_group, taken
 from gbspec.training.engines.linearised import Jacobian
+from gbspec.training.engines.torch.control import planned
 from gbspec.training.engines.torch.jacobian import jacobian
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.unroll import Unrolled, graph_residuals, unroll
@@ -34,7 +35,7 @@ class TorchEngine:
         self.problem, self.parameters, self.device, self.batch = problem, parameters, device, batch
         self.precision = precision
         self._dtype = torch.float32 if precision == "float32" else torch.float64
-        self._paths = Paths(problem)
+        self._paths = Paths(problem, planned)
         self._schedule: tuple[Path, Schedule] | None = None
 
     def rebound(self, problem: Problem, parameters: Parameters) -> Self:

@@ -10,6 +10,7 @@ from gbspec.arrays import Array
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
+from gbspec.training.engines.torch.control import planned
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
 from gbspec.training.problem import Parameters, Problem
 
@@ -43,7 +44,7 @@ def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stag
 def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tuple[int, float, str, Array] | None:
     """The first trajectory and time whose state is not finite, the responsible balance, and the last finite state."""
     module, m, vector = problem.module, torch_arithmetic(problem.module), torch.from_numpy(theta)
-    path = Paths(problem).at(parameters, theta)
+    path = Paths(problem, planned).at(parameters, theta)
     packed, names = path.packed, [s.name for s in problem.model.states]
     networks = module.torch_networks(parameters.weights(vector))
     k = tuple(parameters.constants(vector).unbind(1))

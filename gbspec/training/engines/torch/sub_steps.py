@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,13 +19,15 @@ from gbspec.training.problem import Integers, Path, Problem
 @dataclass(frozen=True)
 class SubStep:
     """A sub-step of each of B rows: start `t` and length `h` [B], the inputs at the method's nodes, [B, n_inputs] each,
-    and the result of the generated `grid` for `t` and `h`. `arrivals`: the doses, None if there are none."""
+    and the result of the generated `grid` for `t` and `h`. `arrivals`: the doses, None if there are none; `factors`:
+    the frozen matrices, factored [B, n, n], and their pivots [B, n]."""
 
     t: Tensor
     h: Tensor
     nodes: tuple[Tensor, ...]
     grid: Value
     arrivals: Arrivals | None = None
+    factors: tuple[Tensor, Tensor] | None = None
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,11 @@ def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like:
             slope = path.slope[steps, who] if path.cuts.any() else np.zeros((len(steps), packed.inputs.shape[3]))
             arrivals = Arrivals(doses, begin, end, like.new_tensor(slope))
     grid = problem.module.equations.grid(torch_arithmetic(problem.module), t, h)
-    return SubStep(t, h, inputs.unbind(1), grid, arrivals)
+    factors = None
+    if path.factors is not None:
+        pivots = torch.from_numpy(path.factors.pivots[steps, who]).to(like.device)
+        factors = like.new_tensor(path.factors.lu[steps, who]), pivots
+    return SubStep(t, h, inputs.unbind(1), grid, arrivals, factors)
 
 
 @dataclass(frozen=True)
@@ -116,5 +122,11 @@ def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field) -> Ten
         x = deliveries.added(x, step.arrivals)
         if (step.arrivals.begin >= 0).any() or (step.arrivals.end >= 0).any():
             grid, nodes = deliveries.moved(step, step.arrivals)
-    out: Tensor = problem.module.equations.step(torch_arithmetic(problem.module), rhs, grid, x, nodes)
+    solve = () if step.factors is None else (solver_of(*step.factors),)
+    out: Tensor = problem.module.equations.step(torch_arithmetic(problem.module), rhs, grid, x, nodes, *solve)
     return out
+
+
+def solver_of(lu: Tensor, pivots: Tensor) -> Callable[[Tensor], Tensor]:
+    """The division of vectors [B, n] by factored matrices, which are constants in derivatives."""
+    return lambda b: torch.linalg.lu_solve(lu, pivots, b.unsqueeze(-1)).squeeze(-1)

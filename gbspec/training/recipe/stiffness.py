@@ -1,0 +1,126 @@
+"""The choice of the solver where it is left to the training: explicit unless the equations are stiff.
+
+Equations are stiff for a step where their fastest decay is beyond the step's limit of stability. This is looked at
+before the first fit, at the measured states (curves through the data) with the constants of gradient matching: known
+parts of the equations show it, the slope of an unknown function does not. Where all forms are known, and the explicit
+solver fails at many constants within their ranges, the draws of the search are compared by both solvers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.backends import GeneratedModule, load_module
+from gbspec.data import Trajectories, evenly_spaced
+from gbspec.ir import AUTO, DOPRI5, RK4, STIFF, Model
+from gbspec.training.engines import rate_slopes, torch_arithmetic
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem import Parameters, default_max_step
+from gbspec.training.recipe.context import Context, build_context
+from gbspec.training.recipe.preparation import initial
+from gbspec.training.recipe.stages import imputed_forcing
+from gbspec.training.starts import Search
+
+LIMIT = 2.8
+"""The limit of stability of `rk4`: step times rate of a decay."""
+SHARE = 0.1
+"""Equations count as stiff where at least this share of the points is beyond the limit."""
+MANY = 1000
+"""With more fixed steps than this between two rows on average, times spread over so many scales that steps have to."""
+UNSOLVED, BETTER = 0.2, 0.9
+"""Draws of constants are looked at with the stiff solver too where at least this share cannot be solved with the
+explicit one; their best loss must be below this share of the best one there."""
+LOOKED_AT = 8
+"""Most trajectories that are looked at."""
+
+
+def solver_of(options: TrainOptions) -> str:
+    """The solver by the options alone: the one named, else the explicit one."""
+    explicit = RK4 if options.tolerance is None else DOPRI5
+    return explicit.name if options.solver == AUTO else options.solver
+
+
+def chosen_solver(
+    model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions
+) -> tuple[str, str | None]:
+    """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one."""
+    step = options.max_step if options.max_step is not None else default_max_step(trajectories)
+    steps, rows = _fixed_steps(trajectories, step)
+    if options.max_step is None and steps > MANY * rows:
+        return STIFF.name, (
+            f"the times of the data spread over several decades: fixed steps would be {steps:.2g} between {rows} rows; "
+            "dynamics on such different scales are usually stiff"
+        )
+    chosen = evenly_spaced(len(trajectories), LOOKED_AT)
+    looking = replace(options, backend="torch", device="cpu", max_step=step, tolerance=None, holdout=0.0)
+    some = trajectories if len(chosen) == len(trajectories) else trajectories.subset(chosen)
+    context = build_context(model, module, some, looking, options.seed)
+    parameters, theta = initial(context)
+    rates = decays(context, parameters, theta)
+    fast = float(np.quantile(rates, 1 - SHARE)) if len(rates) else 0.0
+    if not step * fast > LIMIT:
+        reason = _by_draws(model, module, some, options, theta) if model.complete else None
+        return (solver_of(options), None) if reason is None else (STIFF.name, reason)
+    reason = (
+        f"the equations are stiff: at the data they have rates of {fast:.3g}, which times the step of {step:.3g} is "
+        f"{step * fast:.3g}, and an explicit method is stable up to {LIMIT}"
+    )
+    return STIFF.name, reason
+
+
+def _by_draws(
+    model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, theta: Array
+) -> str | None:
+    """The reason for the stiff solver where constants are drawn from their ranges, as the search does: that the best
+    draws cannot be solved by the explicit one; else None."""
+
+    def losses(of: type[GeneratedModule]) -> Array:
+        context = build_context(model, of, trajectories, replace(options, holdout=0.0), options.seed)
+        parameters = initial(context)[0]
+        return Search(context.engine(parameters, 0.0), None, context.seed, "low").losses(theta)[1]
+
+    explicit = losses(module)
+    failed = ~np.isfinite(explicit)
+    if failed.mean() < UNSOLVED:
+        return None
+    stiff = losses(load_module(model, STIFF))
+    best = int(np.argmin(np.where(np.isfinite(stiff), stiff, np.inf)))
+    if not (failed[best] and stiff[best] < BETTER * float(np.min(explicit, initial=np.inf, where=~failed))):
+        return None
+    return (
+        f"of {len(explicit)} points drawn from the ranges of the constants, {int(failed.sum())} cannot be solved with "
+        f"`{module.solver}`, among them the one that is nearest to the data"
+    )
+
+
+def _fixed_steps(trajectories: Trajectories, step: float) -> tuple[float, int]:
+    """The number of fixed steps that the data need, and the number of rows."""
+    gaps = [
+        np.diff(np.concatenate([[item.start], item.times[item.times >= item.start]])) for item in trajectories.items
+    ]
+    return float(sum(np.ceil(each / step).sum() for each in gaps)), sum(len(each) for each in gaps)
+
+
+def decays(context: Context, parameters: Parameters, theta: Array) -> Array:
+    """The rates of the fastest modes at the measured states [P], 0 where such a mode grows; points where the equations
+    have no finite derivatives are left out."""
+    problem = context.problem()
+    packed, curves = problem.packed, imputed_forcing(context, problem)
+    vector, owner = torch.from_numpy(theta), packed.row_trajectory
+    starts = parameters.starts(vector).numpy()
+    states = np.where(curves.weight > 0, curves.value, starts[owner])
+    constants = tuple(parameters.constants(vector)[owner].unbind(1))
+    networks = problem.module.torch_networks(parameters.weights(vector))
+    condition = torch.from_numpy(packed.condition)[owner]
+    rhs = problem.module.equations.field(torch_arithmetic(problem.module), condition, constants, networks)
+    found = rate_slopes(rhs, *map(torch.from_numpy, (packed.row_time, states, packed.row_inputs))).detach().numpy()
+    found = found[np.isfinite(found).all(axis=(1, 2))]
+    if not found.size:
+        return np.zeros(0)
+    modes = np.linalg.eigvals(found)
+    fastest = modes[np.arange(len(modes)), np.abs(modes).argmax(axis=1)]
+    return np.where(fastest.real < 0, np.abs(fastest), 0.0)
