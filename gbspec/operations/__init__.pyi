@@ -1,4 +1,5 @@
 from . import analysing as analysing
+from . import comparing as comparing
 from . import fitting as fitting
 from . import models as models
 from . import reporting as reporting

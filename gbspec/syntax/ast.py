@@ -25,6 +25,7 @@ from gbspec.syntax.nodes import (
     Distribution,
     Expression,
     Group,
+    Grouping,
     Index,
     Interval,
     Logic,
@@ -51,7 +52,9 @@ from gbspec.syntax.statements import (
     ConditionStatement,
     ConserveStatement,
     ConstStatement,
+    CorrelateStatement,
     DoseStatement,
+    EffectStatement,
     Formula,
     FunctionStatement,
     InitialStatement,
@@ -73,6 +76,7 @@ from gbspec.syntax.statements import (
 
 __all__ = [
     "MAX_DEPTH",
+    "RESERVED",
     "STATEMENTS",
     "WORDS",
     "About",
@@ -89,14 +93,17 @@ __all__ = [
     "ConserveStatement",
     "ConstStatement",
     "Contract",
+    "CorrelateStatement",
     "Declarator",
     "Distribution",
     "DoseStatement",
+    "EffectStatement",
     "Expression",
     "File",
     "Formula",
     "FunctionStatement",
     "Group",
+    "Grouping",
     "Index",
     "InitialStatement",
     "InputStatement",
@@ -141,6 +148,8 @@ Statement = (
     | InputStatement
     | ConstStatement
     | LearnStatement
+    | EffectStatement
+    | CorrelateStatement
     | LetStatement
     | FunctionStatement
     | UnknownStatement
@@ -161,6 +170,9 @@ STATEMENTS: tuple[type[Statement], ...] = get_args(Statement)
 
 WORDS: tuple[str, ...] = tuple(kind.entry.word for kind in STATEMENTS if kind.entry.spelled)
 """The words that begin a statement."""
+
+RESERVED = frozenset(kind.entry.word for kind in STATEMENTS if kind.entry.spelled and kind.entry.reserved)
+"""Those that no state may be called."""
 
 
 @dataclass(frozen=True)

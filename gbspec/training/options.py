@@ -64,6 +64,14 @@ class TrainOptions:
         default=None,
         metadata={"help": "Passes over the data for `adam`; iterations for `lbfgs` and `lm`.", "metavar": "N"},
     )
+    quadrature: int = field(
+        default=1,
+        metadata={
+            "help": "Nodes of adaptive Gauss-Hermite quadrature for each distributed constant of a population; 1 is "
+            "Laplace's method (FOCEI).",
+            "metavar": "NODES",
+        },
+    )
     holdout: float = field(
         default=0.0,
         metadata={
@@ -177,6 +185,7 @@ class TrainOptions:
             ("batch_size", 1),
             ("epochs", 1),
             ("threads", 1),
+            ("quadrature", 1),
         ):
             value = getattr(self, name)
             low = 0 if name == "seed" else 1
@@ -215,10 +224,11 @@ class TrainOptions:
     def settings(self, left_out: Collection[str]) -> dict[str, str | int | float | bool | None]:
         """The options that a result depends on, for a fingerprint, without those in `left_out`.
 
-        The default solver is omitted, so that fingerprints from versions without this option stay valid.
+        Options that earlier versions did not have are omitted at their defaults, so that fingerprints stay valid.
         """
-        kept = {name: value for name, value in self.to_json().items() if name not in left_out}
-        return kept if self.solver != RK4.name else {name: v for name, v in kept.items() if name != "solver"}
+        defaults = {"solver": RK4.name, "quadrature": 1}
+        found = {name: value for name, value in self.to_json().items() if name not in left_out}
+        return {name: value for name, value in found.items() if name not in defaults or value != defaults[name]}
 
     @classmethod
     def recorded(cls, options: Mapping[str, Option], run: Path) -> TrainOptions:

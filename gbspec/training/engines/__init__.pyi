@@ -13,4 +13,5 @@ from .objective import loss_and_gradient as loss_and_gradient
 from .objective import predicted as predicted
 from .objective import residual_table as residual_table
 from .objective import residual_vector as residual_vector
+from .torch.engine import TorchEngine as TorchEngine
 from .torch.failure import explain_failure as explain_failure
