@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gbspec.backends import load_module
-from gbspec.data import Trajectories
+from gbspec.data import Trajectories, shipped_model
 from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Model
@@ -57,6 +57,19 @@ observe x
 """
 
 
+PHENOBARBITAL = """model phenobarbital
+time t : h from 0
+state A : mg
+learn CL : L/h = 0.006 in [0.0005, 0.1] per trajectory ~ lognormal
+learn V : L = 1.4 in [0.1, 10] per trajectory ~ lognormal
+dose A
+A' = -CL/V*A
+initial A = 0
+observe conc = A/V : mg/L
+"""
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
 def model_of(text: str, folder: Path) -> Model:
     (folder / "model.gb").write_text(text)
     findings = Findings()
@@ -90,9 +103,11 @@ def decays(folder: Path, text: str = DECAY, count: int = 5) -> tuple[Model, Traj
     return model, tables.read_data(table(folder, values, times), model, Findings())
 
 
-def marginal_of(model: Model, data: Trajectories, nodes: int = 1) -> tuple[Marginal, np.ndarray, np.ndarray]:
+def marginal_of(
+    model: Model, data: Trajectories, nodes: int = 1, step: float = 0.5
+) -> tuple[Marginal, np.ndarray, np.ndarray]:
     """The marginal likelihood, u at the starts, and the networks' weights."""
-    options = TrainOptions(backend="torch", max_step=0.5)
+    options = TrainOptions(backend="torch", max_step=step)
     context = build_context(model, load_module(model, METHODS["rk4"]), data, options, 0)
     fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
     parameters = context.parameters(fixed)
@@ -220,3 +235,25 @@ def test_an_unknown_start_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
     assert [found.code for found in caught.value.diagnostics] == ["GB776"]
+
+
+@pytest.mark.parametrize(
+    ("name", "natural", "minus2ll"),
+    [
+        ("theophylline", (1.590, 2.7515, 31.81, 0.634, 0.263, 0.138, 0.694), 359.403),
+        ("phenobarbital", (0.00589, 1.442, 0.445, 0.449, 2.796), 1010.473),
+    ],
+)
+def test_published_likelihoods_are_found(
+    tmp_path: Path, name: str, natural: tuple[float, ...], minus2ll: float
+) -> None:
+    path = SHARED / f"{name}.csv"
+    if not path.is_file():
+        pytest.skip(f"{name}.csv is not there: the shared tables are not part of the project")
+    bundled = shipped_model("theophylline_population").read_text(encoding="utf-8")
+    model = model_of(bundled if name == "theophylline" else PHENOBARBITAL, tmp_path)
+    data = tables.read_data(path, model, Findings())
+    made, _, weights = marginal_of(model, data, step=0.2 if name == "theophylline" else 4.0)
+    u = made.layout.bijections.from_natural(np.array(natural))
+    found = made.value(u, weights, np.zeros((len(data), made.layout.effects)))
+    assert found.total == pytest.approx(minus2ll, abs=0.05)
