@@ -28,6 +28,7 @@ class TrainKeywords(TypedDict, total=False):
     stages: str | None
     effort: Effort
     epochs: int | None
+    quadrature: int
     holdout: float
     workers: int | None
     device: Literal["cpu", "cuda", "auto"]

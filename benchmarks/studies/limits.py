@@ -212,6 +212,10 @@ TEXT = f"""# Limits: what is read, and what oversized inputs cost
 |---|---:|
 @LIMITS@
 
+Not offered yet, and said so: constants that differ between groups of another column than the trajectory
+(GB421), noises with constants of single trajectories (GB425), values of single trajectories without a
+distribution beside others with one (GB426), profiles of models with populations (GB777).
+
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 

@@ -32,6 +32,7 @@ from .simulation.simulate import true_starts as true_starts
 from .systems.bands import function_bands as function_bands
 from .systems.fence import extrapolation_of as extrapolation_of
 from .systems.fence import fences as fences
+from .systems.individuals import Individuals as Individuals
 from .systems.steady import ordered_eigenvalues as ordered_eigenvalues
 from .systems.system import Box as Box
 from .systems.system import System as System

@@ -9,6 +9,8 @@ from .module.loader import load_module as load_module
 from .module.render import INTERFACE as INTERFACE
 from .module.render import class_name as class_name
 from .module.render import generate as generate
+from .module.swept import Swept as Swept
+from .module.swept import swept as swept
 from .native.compiler import CompilerError as CompilerError
 from .native.compiler import find_compiler as find_compiler
 from .native.flat import NUMBER_WORDS as NUMBER_WORDS

@@ -33,6 +33,7 @@ COMMANDS = {
     "eigen": "gbspec.cli.commands.eigen",
     "bifurcate": "gbspec.cli.commands.bifurcate",
     "profile": "gbspec.cli.commands.profile",
+    "compare": "gbspec.cli.commands.compare",
     "plot": "gbspec.cli.commands.plot",
     "report": "gbspec.cli.commands.report",
     "crossvalidate": "gbspec.cli.commands.crossvalidate",

@@ -15,7 +15,7 @@ GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
         "Solver": ("max_step", "solver", "tolerance", "random_substeps"),
         "Where it runs": ("workers", "threads", "device", "backend", "scheduler"),
         "Stages": ("initial", "forcing", "stages", "method", "warm_start", "half_step"),
-        "Details of the fit": ("ridge", "output_scale", "epochs", "batch_size", "learning_rate"),
+        "Details of the fit": ("ridge", "quadrature", "output_scale", "epochs", "batch_size", "learning_rate"),
     },
     "SimulateOptions": {
         FIRST: ("trajectories", "span", "dt", "noise", "seed"),

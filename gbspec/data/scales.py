@@ -117,7 +117,7 @@ def _stated(model: Model, trajectories: Trajectories) -> Array:
     sd = np.concatenate([none, *(item.sd for item in trajectories.items)])
     found = np.full(len(model.channels), np.nan)
     for i, channel in enumerate(model.channels):
-        if channel.noise is not None:
+        if channel.noise is not None and channel.noise.value is None:
             scale = channel.noise.scale
             found[i] = np.sqrt(np.log1p(scale**2)) if channel.noise.kind == "lognormal" else scale
         elif np.isfinite(sd[:, i]).any():

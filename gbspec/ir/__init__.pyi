@@ -9,6 +9,10 @@ from .derivatives import derivative as derivative
 from .derivatives import has_rule as has_rule
 from .derivatives import ordered as ordered
 from .derivatives import partials as partials
+from .distributions import PREDICTION as PREDICTION
+from .distributions import Distribution as Distribution
+from .distributions import Noise as Noise
+from .distributions import Spread as Spread
 from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language

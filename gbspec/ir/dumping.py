@@ -8,6 +8,7 @@ from sympy.core.numbers import Float
 from sympy.printing.str import StrPrinter
 
 from gbspec.ir.arrays import Family, StateArray
+from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
 
 
@@ -124,9 +125,12 @@ def _declarations(model: Model) -> list[str]:
             f"{_head(k)} = {k.start!r}{_range(k.range)}"
             + ("" if k.prior is None else f" prior {k.prior.kind}({k.prior.location!r}, {k.prior.scale!r})")
             + (" per trajectory" if k.per_trajectory else "")
+            + ("" if k.distribution is None else _distribution(k.distribution))
             for k in model.learnables
         ),
     )
+    lines += _section("implied", (f"{_head(k)} = {k.start!r}{_range(k.range)}" for k in model.implied))
+    lines += _section("correlated", (", ".join(names) for names in model.correlated))
     return lines + _section("networks", (_network(network) for network in model.networks))
 
 
@@ -157,7 +161,7 @@ def _mathematics(model: Model) -> list[str]:
         (
             f"{_head(c)} = {written(c.value)}"
             + ("" if c.state is None else f"  (state {c.state})")
-            + ("" if c.noise is None else f" noise {c.noise.kind}({c.noise.scale!r})")
+            + ("" if c.noise is None else f" noise {c.noise.kind}({_scale(c.noise)})")
             + _column(c.name, c.column)
             for c in model.channels
         ),
@@ -167,6 +171,14 @@ def _mathematics(model: Model) -> list[str]:
     lines += _section("families", map(_family, model.families))
     claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)
     return lines + _section("claims", claims)
+
+
+def _distribution(found: Distribution) -> str:
+    return f" ~ {found.kind}({found.spread if found.spread is not None else repr(found.fixed)})"
+
+
+def _scale(noise: Noise) -> str:
+    return repr(noise.scale) if noise.value is None else written(noise.value)
 
 
 def _array(array: StateArray) -> Iterable[str]:

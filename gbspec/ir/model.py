@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise
 from typing import Literal, TypeAlias
@@ -22,6 +22,7 @@ from sympy.printing.printer import Printer
 
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
+from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.forms import Form, Layout
 
 Expr: TypeAlias = sympy.Expr
@@ -158,12 +159,24 @@ class Prior:
 
 @dataclass(frozen=True)
 class Learnable(Declared):
-    """A constant to be learned, inside `range` (open ends if a bound is strict; infinite without a bound)."""
+    """A constant to be learned, inside `range` (open ends if a bound is strict; infinite without a bound).
+
+    With a `distribution` between trajectories, start, range and prior are those of its median.
+    """
 
     start: float = 1.0
     range: Range = Range()
     prior: Prior | None = None
     per_trajectory: bool = False
+    distribution: Distribution | None = None
+
+    @property
+    def individual(self) -> Learnable:
+        """The value of a single trajectory, with the range that its distribution allows."""
+        if self.distribution is None or self.distribution.kind == "logitnormal":
+            return self
+        low = 0.0 if self.distribution.kind == "lognormal" else -math.inf
+        return replace(self, range=Range(low, math.inf), prior=None)
 
 
 @dataclass(frozen=True)
@@ -258,14 +271,6 @@ class Process(Declared):
 
 
 @dataclass(frozen=True)
-class Noise:
-    """`normal(sd)` in the channel's unit, or `lognormal(cv)`."""
-
-    kind: Literal["normal", "lognormal"]
-    scale: float
-
-
-@dataclass(frozen=True)
 class Channel(Declared):
     """A measured quantity; `state` is the index of the state measured directly, None if it is an expression."""
 
@@ -322,6 +327,10 @@ class Model:
     inputs: tuple[Input, ...] = ()
     constants: tuple[Constant, ...] = ()
     learnables: tuple[Learnable, ...] = ()
+    implied: tuple[Learnable, ...] = ()
+    """What is learned beside the declared constants: medians, spreads and correlations of distributions, noises."""
+    correlated: tuple[tuple[str, ...], ...] = ()
+    """Groups of learnables whose deviations are correlated."""
     networks: tuple[Network, ...] = ()
     unknowns: tuple[Unknown, ...] = ()
     intermediates: tuple[Intermediate, ...] = ()
@@ -349,6 +358,17 @@ class Model:
     def constant_names(self) -> tuple[str, ...]:
         """Names of all constants, known then learnable: the order of the constants' vector everywhere."""
         return (*(c.name for c in self.constants), *(k.name for k in self.learnables))
+
+    @cached_property
+    def distributed(self) -> tuple[Learnable, ...]:
+        """The learnables with a distribution between trajectories."""
+        return tuple(k for k in self.learnables if k.distribution is not None)
+
+    @cached_property
+    def marginal(self) -> bool:
+        """Whether its likelihood has learned spreads or noises, so that it is fitted by the marginal likelihood."""
+        learned = any(c.noise is not None and c.noise.value is not None for c in self.channels)
+        return bool(self.distributed) or learned
 
     @cached_property
     def state_index(self) -> Mapping[str, int]:

@@ -13,14 +13,16 @@ from typing import cast
 import sympy
 
 from gbspec.diagnostics import Findings
-from gbspec.ir import Expr, symbol, unknown_function
+from gbspec.ir import PREDICTION as PREDICTED
+from gbspec.ir import Expr, Noise, symbol, unknown_function
 from gbspec.ir import model as ir
+from gbspec.lower import populations
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
 from gbspec.semantics import Checked, Term, default_start, network_activation, network_widths, truth_parameters
-from gbspec.syntax import Kind, ast, target_name
+from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
 
 def lower(checked: Checked, findings: Findings) -> ir.Model:
@@ -147,7 +149,7 @@ class _Lowering:
             conditions=tuple(self._condition(s) for s in self._checked.all(ast.ConditionStatement)),
             inputs=tuple(self._input(s) for s in self._checked.all(ast.InputStatement)),
             constants=tuple(self._constant(s) for s in self._checked.all(ast.ConstStatement)),
-            learnables=tuple(self._learnable(s) for s in self._checked.all(ast.LearnStatement)),
+            learnables=self._learnables(),
             networks=networks,
             unknowns=functions,
             intermediates=tuple(self._intermediate(name) for name in self._checked.order),
@@ -169,6 +171,7 @@ class _Lowering:
             text=self._text(),
             allowed=self._checked.allowed,
         )
+        model = populations.completed(model, self._checked)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
     def _with_short_forms(self, model: ir.Model) -> ir.Model:
@@ -263,6 +266,12 @@ class _Lowering:
             span=s.name.span,
         )
 
+    def _learnables(self) -> tuple[ir.Learnable, ...]:
+        """The constants that are learned, then the effects."""
+        constants = (self._learnable(s) for s in self._checked.all(ast.LearnStatement))
+        effects = (populations.effect(s, string(s.description)) for s in self._checked.all(ast.EffectStatement))
+        return (*constants, *effects)
+
     def _learnable(self, s: ast.LearnStatement) -> ir.Learnable:
         low, high = self._checked.numbers.bounds(s) or (-math.inf, math.inf)
         start = self._checked.numbers.start(s)
@@ -271,7 +280,8 @@ class _Lowering:
             start if start is not None and low <= start <= high else default_start(low, high),
             ir.Range(low, high),
             self._prior(s.prior),
-            s.per_trajectory,
+            s.per is not None,
+            populations.distribution(s, self._checked),
             unit=unit_text(s.unit),
             description=string(s.description),
             span=s.name.span,
@@ -314,8 +324,7 @@ class _Lowering:
         value = symbol(name) if s.value is None else self._expression(s.value)
         noise = None
         if s.noise is not None:
-            scale = self._number(s.noise.arguments[0]) or 0.0
-            noise = ir.Noise("lognormal" if s.noise.kind.text == "lognormal" else "normal", scale)
+            noise = self._noise(s.noise, name)
         return ir.Channel(
             name,
             value,
@@ -326,6 +335,15 @@ class _Lowering:
             description=string(s.description),
             span=target_name(s.target).span,
         )
+
+    def _noise(self, noise: ast.Distribution, name: str) -> Noise:
+        """A noise: a number, or an expression that is learned."""
+        argument, kind = noise.arguments[0], "lognormal" if noise.kind.text == "lognormal" else "normal"
+        value = self._fixed(argument, {PREDICTION: PREDICTED, name: PREDICTED})
+        learned = {s for s in value.free_symbols if s == PREDICTED or self._table[s.name].kind is Kind.LEARN}
+        if not learned:
+            return Noise("lognormal" if kind == "lognormal" else "normal", self._number(argument) or 0.0)
+        return Noise("lognormal" if kind == "lognormal" else "normal", math.nan, value)
 
     def _dose(self, s: ast.DoseStatement) -> ir.Dose:
         fraction = self._fixed(s.fraction) if s.fraction is not None else sympy.S.One

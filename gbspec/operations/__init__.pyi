@@ -1,4 +1,5 @@
 from . import analysing as analysing
+from . import comparing as comparing
 from . import exporting as exporting
 from . import fitting as fitting
 from . import models as models

@@ -12,6 +12,7 @@ from gbspec.diagnostics import Defect, Findings, Source, packages
 from gbspec.ir import RK4, Method, method_named
 
 if TYPE_CHECKING:
+    from gbspec.analysis import Individuals
     from gbspec.backends import Evaluator
     from gbspec.ir import Model
     from gbspec.runs import Run
@@ -23,7 +24,8 @@ class Subject:
     """A model at its truth (already substituted in `model`), or a `member` of a run at its learned parameters, for
     evaluation.
 
-    `values` are those set by the user; `model` and the evaluator already have them.
+    `values` are those set by the user; `model` and the evaluator already have them. `individuals` is how constants are
+    distributed between trajectories, if they are; the evaluator has the medians.
     """
 
     model: Model
@@ -31,6 +33,7 @@ class Subject:
     run: Run | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     member: int | None = None
+    individuals: Individuals | None = None
 
 
 @dataclass(frozen=True)
@@ -95,11 +98,13 @@ def subject(path: str | Path, values: Mapping[str, float], findings: Findings, m
 @packages()
 def learned(run: Run, values: Mapping[str, float] | None = None, member: int | None = None) -> Subject:
     """A run at the learned parameters of a member (default: the best one). Raises `UserError` (GB804, GB854)."""
+    from gbspec.analysis import Individuals
     from gbspec.backends import Evaluator
 
     run = set_values(run, values)
     number = run.best if member is None else member
-    return Subject(run.model, Evaluator(run.member(number)), run, run.values, number)
+    own = run.member(number)
+    return Subject(run.model, Evaluator(own), run, run.values, number, Individuals.of_member(own, run.model))
 
 
 @packages()
@@ -108,13 +113,15 @@ def reference(model: Model, values: Mapping[str, float] | None = None, method: M
 
     Raises `UserError`: GB803 for unknowns without a truth, GB804 for wrong `values`.
     """
+    from gbspec.analysis import Individuals
     from gbspec.backends import Evaluator, load_module
     from gbspec.passes import with_truth, with_values
 
+    individuals = Individuals.of_model(model, model.constant_names)
     known = frontend.verified(with_truth(model), "with_truth")
     if values:
         known = frontend.verified(with_values(known, values), "with_values")
-    return Subject(known, Evaluator(load_module(known, method)()), values=values or {})
+    return Subject(known, Evaluator(load_module(known, method)()), values=values or {}, individuals=individuals)
 
 
 def truth_of(source: Subject) -> Subject | None:

@@ -29,7 +29,8 @@ def simulate(
     from gbspec.analysis import simulate as run
     from gbspec.data import fixed
 
-    return run(source.evaluator, source.model, fixed(options, source.values, source.model), like, progress)
+    chosen = fixed(options, source.values, source.model)
+    return run(source.evaluator, source.model, chosen, like, progress, source.individuals)
 
 
 def far_outside(data: Trajectories, model: Model) -> list[str]:

@@ -35,7 +35,7 @@ from gbspec.report.content import (
     Residuals,
     TrajectoryFit,
 )
-from gbspec.runs import Run
+from gbspec.runs import PopulationTables, Run, files, read_tables
 
 DENSE, DENSEST = 240, 8000
 """Smallest and largest number of points of a curve over one trajectory; between them, twice the number of its rows."""
@@ -318,3 +318,8 @@ def visited(fitted: Fitted, network: int, limit: int = 2000) -> Array:
         calls += network_arguments(member, t, x, condition, inputs, own)[network]
     found = np.concatenate([np.zeros((0, len(fitted.model.networks[network].arguments))), *calls])
     return found[:: max(1, len(found) // limit)]
+
+
+def population_tables(run: Run) -> PopulationTables | None:
+    """The tables of a population fit, of the best member; None where there are none."""
+    return read_tables(files.member_directory(run.path, run.best))

@@ -97,6 +97,27 @@ KINDS = (
         "units that the fit uses.",
         also=("residual",),
     ),
+    Kind(
+        "predictive-check",
+        "quantiles of the data within those of simulated populations",
+        f"{_HERE}.predictive_check",
+        heading="Visual predictive check",
+        note="Lines: the 5 %, 50 % and 95 % quantiles of the measurements in intervals of time. Bands: the 90 % range "
+        "of the same quantiles of populations that were simulated with the trajectories, times and conditions of the "
+        "data.",
+        also=("vpc",),
+        optional=True,
+    ),
+    Kind(
+        "weighted-residuals",
+        "conditional weighted residuals of a population over time and prediction",
+        f"{_HERE}.weighted_residuals",
+        heading="Conditional weighted residuals",
+        note="Standard normal if model and noise are right. The third panel compares measurements with the predictions "
+        "of the population and of each trajectory's own constants.",
+        also=("cwres",),
+        optional=True,
+    ),
     Kind("history", "the loss and the constants over the training", f"{_HERE}.history", heading="Training"),
     Kind(
         "eigenvalues",

@@ -117,6 +117,10 @@ def _learnable(learnable: Learnable) -> str:
     limited = math.isfinite(learnable.range.low) or math.isfinite(learnable.range.high)
     where = f" in {_range(learnable.range)}" if limited else ""
     scope = " per trajectory" if learnable.per_trajectory else ""
+    made = learnable.distribution
+    if made is not None:
+        apart = f"({made.spread or made.fixed})" if made.kind != "standard" else ""
+        scope += f" ~ {'normal(0, 1)' if made.kind == 'standard' else made.kind}{apart}"
     return f"{learnable.name} from {number(learnable.start)}{where}{scope}"
 
 
@@ -157,6 +161,31 @@ def _own_constants(run: Run) -> list[str]:
     return [table(header, lines)] + (left_out if more > 0 else [])
 
 
+def population_lines(run: Run) -> list[str]:
+    """The likelihood of a population and its distributions; nothing for other runs."""
+    found = run.fit.population
+    if found is None:
+        return []
+    rows = []
+    for name, one in found.effects.items():
+        between = f"{number(one.sd_interval[0])} to {number(one.sd_interval[1])}" if one.sd_interval else "-"
+        shrinkage = "-" if one.shrinkage is None else f"{100 * one.shrinkage:.0f} %"
+        rows.append([name, one.distribution, number(one.median, 6), number(one.sd, 4), between, shrinkage])
+    way = "Laplace's method" if found.nodes == 1 else f"quadrature with {found.nodes} nodes"
+    said = f"-2 log likelihood {found.minus2ll:.4f} ({way}), {found.parameters:.4g} parameters"
+    if found.aic is not None and found.bic is not None:
+        said += f", AIC {found.aic:.2f}, BIC {found.bic:.2f}"
+    lines = [table(["distributed", "as", "median", "sd", "interval of sd", "shrinkage"], rows)] if rows else []
+    pairs = [
+        f"correlation of {a} and {b}: {value:.3f}"
+        for i, (a, row) in enumerate(found.correlations.items())
+        for b, value in row.items()
+        if b not in list(found.correlations)[: i + 1]
+    ]
+    noises = [f"noise of {name}: {number(value)}" for name, value in run.fit.noise.items()]
+    return [*lines, "\n".join([said, *pairs, *noises])]
+
+
 def interval_of(profile: ProfileRecord | None) -> str:
     """The interval of a profile; a dash where none was made or some fit has not converged."""
     if profile is None or (all(end is None for end in profile.interval) and profile.trust in ("fit", "neither")):
@@ -184,6 +213,7 @@ def run_summary(run: Run) -> str:
         header = ["constant", "value", "sd", "interval", "profile", "truth"]
         keep = [i for i in range(len(header)) if i < 4 or any(row[i] != "-" for row in rows)]
         parts.append(table([header[i] for i in keep], [[row[i] for i in keep] for row in rows]))
+    parts += population_lines(run)
     parts += _own_constants(run)
     members = run.fit.members
     if members:

@@ -5,6 +5,12 @@ from .covariance import Covariance as Covariance
 from .covariance import Support as Support
 from .covariance import read_certainties as read_certainties
 from .locks import locked as locked
+from .population import POPULATION as POPULATION
+from .population import EffectRecord as EffectRecord
+from .population import ObjectiveRecord as ObjectiveRecord
+from .population import PopulationRecord as PopulationRecord
+from .population import PopulationTables as PopulationTables
+from .population import read_tables as read_tables
 from .profiles import ProfileRecord as ProfileRecord
 from .profiles import Trust as Trust
 from .profiles import write_profile as write_profile

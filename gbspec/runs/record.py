@@ -20,6 +20,7 @@ from gbspec.files import finite
 from gbspec.ir import METHODS, RK4, Model, logarithmic
 from gbspec.json_values import JsonObject
 from gbspec.runs import files
+from gbspec.runs.population import ObjectiveRecord, PopulationRecord
 from gbspec.runs.typed_json import OMITTED, JsonError, decode, encode, read_object
 from gbspec.version import __version__
 
@@ -233,10 +234,11 @@ class FitRecord:
     `gbspec` is the version that wrote the file, `interface` that of its generated module; `noise` the standard
     deviation by channel; `correlations` of the shared constants by their names, empty if not known; `solver` one of
     `gbspec.ir.methods`, and `solver_reason` why it was chosen, where the training chose it for a reason; `step_checks`
-    has one entry per member and is empty if no check was made; `scales` are missing in older runs. `backend` is missing
-    where the number of sub-steps or an option decided. `finished` is false while members are fitted and after an
-    interruption: files of members may then be newer than this record. `files` are the digests of the run's other files
-    by name. `others` are keys that this version does not know; they are kept.
+    has one entry per member and is empty if no check was made; `scales` are missing in older runs. `objective` is what
+    was minimised, `population` the distributions of constants, where there are any. `backend` is missing where the
+    number of sub-steps or an option decided. `finished` is false while members are fitted and after an interruption:
+    files of members may then be newer than this record. `files` are the digests of the run's other files by name.
+    `others` are keys that this version does not know; they are kept.
     """
 
     gbspec: str
@@ -255,6 +257,8 @@ class FitRecord:
     interface: int = OLDEST
     scales: ScalesRecord | None = field(default=None, metadata=OMITTED)
     backend: BackendRecord | None = field(default=None, metadata=OMITTED)
+    objective: ObjectiveRecord | None = field(default=None, metadata=OMITTED)
+    population: PopulationRecord | None = field(default=None, metadata=OMITTED)
     finished: bool = True
     files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)

@@ -14,6 +14,7 @@ from gbspec.semantics import (
     graph,
     measured_rates,
     places,
+    populations,
     processes,
     size,
     table,
@@ -83,6 +84,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     numbers = Numbers(findings, Evaluator(values, functions_of(names)), places_of)
     numbers.check(items)
     unknowns.check(items, numbers, findings)
+    populations.check(items, names, numbers, findings)
     terms = _terms(places_of, names, findings)
     balances.once(items, findings)
     balances.targets(items, names, findings, merged)

@@ -15,7 +15,7 @@ from gbspec.semantics.sites import Site
 from gbspec.semantics.table import Table
 from gbspec.semantics.unification import Solution, factor_between
 from gbspec.semantics.units import ONE, Namespace, Unit, read
-from gbspec.syntax import Kind, ast, target_name
+from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
 Terms = Mapping[str, Sequence[tuple[bool, Term]]]
 Usable = Callable[[ast.Expression], bool]
@@ -93,8 +93,12 @@ class _Rules:
                 ]
                 for name in names[1:]:
                     units.arguments[name.text] = units.arguments[names[0].text]
+            case ast.EffectStatement(name=name):
+                units.declared[name.text] = ONE
             case ast.FunctionStatement() | ast.ProcessStatement() | ast.ConserveStatement() | ast.Remark():
                 pass  # declare no unit
+            case ast.CorrelateStatement():
+                pass
             case ast.About() | ast.ClosureStatement():
                 pass  # use units that others declare
             case _:
@@ -133,7 +137,7 @@ class _Rules:
             case ast.UnknownStatement():
                 self._unknown(statement)
             case ast.ObserveStatement(target=target, value=value, unit=unit):
-                self._channel(target_name(target), value, unit)
+                self._noise(statement, self._channel(target_name(target), value, unit))
             case ast.DoseStatement(fraction=fraction, lag=lag):
                 self._dose(fraction, lag)
             case ast.ConserveStatement(value=value, rate=rate):
@@ -147,10 +151,13 @@ class _Rules:
                 self._ranged(name, interval, default)
             case ast.LearnStatement(name=name, range=interval, bounds=bounds, start=start):
                 self._ranged(name, interval, start, *(bound.value for bound in bounds))
+                self._spread(name, statement.per)
             case ast.TimeStatement(name=name, start=start):
                 self._ranged(name, None, start)
             case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():
                 pass  # checked in `named`
+            case ast.EffectStatement() | ast.CorrelateStatement():
+                pass
             case ast.TruthStatement() | ast.ClosureStatement() | ast.Remark():
                 pass
             case _:
@@ -207,13 +214,33 @@ class _Rules:
                 case _:
                     assert_never(contract)
 
-    def _channel(self, name: ast.Name, value: ast.Expression | None, unit: ast.UnitExpression | None) -> None:
+    def _channel(self, name: ast.Name, value: ast.Expression | None, unit: ast.UnitExpression | None) -> Unit:
         units = self._units
         wanted = units.read(unit, f"channel {name.text}")
         if value is not None and self._usable(value):
             units.agrees(value, wanted, f"the channel `{name.text}`", name.span)
         elif value is None and not units.solution.equal(wanted, units.of(name.text), name.span):
             units.channel_disagrees(name, wanted)
+        return wanted
+
+    def _noise(self, statement: ast.ObserveStatement, unit: Unit) -> None:
+        """Checks the unit of a noise: the channel's for a standard deviation, none for a coefficient of variation."""
+        noise = statement.noise
+        if noise is None or len(noise.arguments) != 1 or not self._usable(noise.arguments[0]):
+            return
+        name = target_name(statement.target)
+        formals = {PREDICTION: unit, name.text: unit}
+        wanted = unit if noise.kind.text == "normal" else ONE
+        self._units.carries(noise.arguments[0], wanted, f"the noise of `{name.text}`", name.span, formals)
+
+    def _spread(self, name: ast.Name, per: ast.Grouping | None) -> None:
+        """Checks the unit of how far values lie apart: that of logarithms has none."""
+        if per is None or per.spread is None:
+            return
+        wanted = self._units.of(name.text) if per.spread.kind.text == "normal" else ONE
+        for value in per.spread.arguments:
+            if self._usable(value):
+                self._units.carries(value, wanted, f"the spread of `{name.text}`", name.span)
 
     def _dose(self, fraction: ast.Expression | None, lag: ast.Expression | None) -> None:
         if fraction is not None and self._usable(fraction):

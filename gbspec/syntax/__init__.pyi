@@ -35,6 +35,7 @@ from .statements.base import Key as Key
 from .statements.base import Place as Place
 from .statements.base import target_name as target_name
 from .statements.base import target_text as target_text
+from .statements.observe import PREDICTION as PREDICTION
 from .tokens import inert as inert
 from .tokens import statement_before as statement_before
 from .tokens import word_at as word_at

@@ -25,6 +25,7 @@ from gbspec.syntax.nodes import (
     Distribution,
     Expression,
     Group,
+    Grouping,
     Index,
     Interval,
     Logic,
@@ -52,7 +53,9 @@ from gbspec.syntax.statements import (
     ConditionStatement,
     ConserveStatement,
     ConstStatement,
+    CorrelateStatement,
     DoseStatement,
+    EffectStatement,
     Formula,
     FunctionStatement,
     InitialStatement,
@@ -74,6 +77,7 @@ from gbspec.syntax.statements import (
 
 __all__ = [
     "MAX_DEPTH",
+    "RESERVED",
     "STATEMENTS",
     "WORDS",
     "About",
@@ -90,14 +94,17 @@ __all__ = [
     "ConserveStatement",
     "ConstStatement",
     "Contract",
+    "CorrelateStatement",
     "Declarator",
     "Distribution",
     "DoseStatement",
+    "EffectStatement",
     "Expression",
     "File",
     "Formula",
     "FunctionStatement",
     "Group",
+    "Grouping",
     "Index",
     "InitialStatement",
     "InputStatement",
@@ -143,6 +150,8 @@ Statement = (
     | InputStatement
     | ConstStatement
     | LearnStatement
+    | EffectStatement
+    | CorrelateStatement
     | LetStatement
     | FunctionStatement
     | UnknownStatement
@@ -163,6 +172,9 @@ STATEMENTS: tuple[type[Statement], ...] = get_args(Statement)
 
 WORDS: tuple[str, ...] = tuple(kind.entry.word for kind in STATEMENTS if kind.entry.spelled)
 """The words that begin a statement."""
+
+RESERVED = frozenset(kind.entry.word for kind in STATEMENTS if kind.entry.spelled and kind.entry.reserved)
+"""Those that no state may be called."""
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from lark.exceptions import UnexpectedInput
 
 from gbspec.diagnostics import Source
 from gbspec.syntax.grammar import engine
+
+_LOOK_AHEAD = re.compile(r"\(\?=.*\)", re.DOTALL)
+"""What has to follow a keyword for it to count as one."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,9 @@ class Expected:
         """The keywords among these terminals."""
         lark, _ = engine()
         words = {t.name: t.pattern.value for t in lark.terminals if t.pattern.value.endswith(r"\b")}
-        return tuple(word.removesuffix(r"\b") for name, word in words.items() if name in self.terminals)
+        return tuple(
+            _LOOK_AHEAD.sub("", word).removesuffix(r"\b") for name, word in words.items() if name in self.terminals
+        )
 
 
 def expected(text: str) -> Expected | None:

@@ -218,6 +218,15 @@ class Distribution(Node):
 
 
 @dataclass(frozen=True)
+class Grouping(Node):
+    """`per trajectory`, or `per trajectory ~ lognormal(s)`: `column` names the groups, `spread` how values differ
+    between them (without arguments: learned)."""
+
+    column: Text
+    spread: Distribution | None = None
+
+
+@dataclass(frozen=True)
 class Option(Node):
     """`activation=silu` among a network's arguments."""
 

@@ -52,6 +52,16 @@ DOSING = Rule(
     "constants, learnable constants and conditions",
     "GB313",
 )
+SPREAD = Rule(
+    "how far values lie apart", frozenset({Kind.CONST, Kind.LEARN, Kind.FUNCTION}), "a number or a constant", "GB422"
+)
+NOISE = Rule(
+    "a noise",
+    frozenset({Kind.CONST, Kind.LEARN, Kind.FUNCTION}),
+    "numbers, constants, learnable constants and `y`, the prediction",
+    "GB224",
+)
+CORRELATED = Rule("`correlate`", frozenset({Kind.LEARN}), "learnable constants with a distribution", "GB424")
 CLAIM = Rule(
     "a `conserve` claim",
     VALUES - {Kind.UNKNOWN},

@@ -76,6 +76,14 @@ class TrainOptions:
         default=None,
         metadata={"help": "Passes over the data for `adam`; iterations for `lbfgs` and `lm`.", "metavar": "N"},
     )
+    quadrature: int = field(
+        default=1,
+        metadata={
+            "help": "Nodes of adaptive Gauss-Hermite quadrature for each distributed constant of a population; 1 is "
+            "Laplace's method (FOCEI).",
+            "metavar": "NODES",
+        },
+    )
     holdout: float = field(
         default=0.0,
         metadata={
@@ -189,6 +197,7 @@ class TrainOptions:
             ("batch_size", 1),
             ("epochs", 1),
             ("threads", 1),
+            ("quadrature", 1),
         ):
             value = getattr(self, name)
             low = 0 if name == "seed" else 1
@@ -234,9 +243,9 @@ class TrainOptions:
     def settings(self, left_out: Collection[str]) -> dict[str, str | int | float | bool | None]:
         """The options that a result depends on, for a fingerprint, without those in `left_out`.
 
-        Defaults of the solver are omitted, so that fingerprints from versions without these options stay valid.
+        Options that earlier versions did not have are omitted at their defaults, so that fingerprints stay valid.
         """
-        usual = {"solver": AUTO, "tolerance": None}
+        usual = {"solver": AUTO, "tolerance": None, "quadrature": 1}
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return {name: value for name, value in kept.items() if name not in usual or value != usual[name]}
 

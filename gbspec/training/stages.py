@@ -34,6 +34,8 @@ class StageName(StrEnum):
     FINER = "finer step"
     WEIGHTS = "channel weights"
     FURTHER = "further iterations"
+    POOLED = "pooled fit"
+    MARGINAL = "marginal likelihood"
     LBFGS = "lbfgs"
     BREEDING = "bred initial states"
     LEVENBERG_MARQUARDT = "lm"
@@ -55,6 +57,8 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.FINER: (20, 50, 100),
     StageName.WEIGHTS: (8, 30, 60),
     StageName.FURTHER: (0, 0, 120),
+    StageName.POOLED: (20, 40, 100),
+    StageName.MARGINAL: (60, 200, 500),
     StageName.LBFGS: (100, 300, 1500),
     StageName.LEVENBERG_MARQUARDT: (6, 60, 200),
 }

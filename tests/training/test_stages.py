@@ -89,12 +89,17 @@ def test_names_are_kept_as_the_recipe_has_them() -> None:
 
 
 def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def population(text: str) -> str:
+        distributed = text.replace("in [0, 10]", "in [0.1, 10] per trajectory ~ lognormal")
+        return f"{distributed}initial x1 = 0.1\ninitial x2 = 0.1\n"
+
     def names(text: str, **options: str) -> set[str]:
         model, data = model_of(text), urp_data(2, 12.0, 6)
         ready = prepare(model, load_module(model), data, TrainOptions(**options), 0)  # type: ignore[arg-type]
         return {stage.name for stage in planning.plan(ready.context, ready.parameters)}
 
     found = names(URP, initial="bred") | names(URP, effort="high") | names(URP, forcing="0.5") | names(KNOWN)
+    found |= names(population(KNOWN)) | names(population(URP))
     monkeypatch.setattr(planning, "PASSES", 1)
     found |= names(URP)
     assert found == set(STAGES)

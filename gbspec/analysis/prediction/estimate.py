@@ -24,7 +24,7 @@ from gbspec.analysis.prediction.solutions import (
     needed,
     predict,
 )
-from gbspec.analysis.systems import quasirandom_points
+from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
 from gbspec.data import recognised, scales_of, sobol, spread_over_ranges
 from gbspec.ir import residuals
@@ -108,7 +108,8 @@ class Estimator:
         self.prior = prior_of(evaluator.instance, model)
         self.own = tuple(evaluator.instance.constants.index(name) for name in evaluator.instance.per_trajectory)
         self.own_sd = self._sd_of_own()
-        bounds = {k.name: (k.range.low, k.range.high) for k in model.learnables}
+        self.individuals = Individuals.of_member(evaluator.instance, model)
+        bounds = {k.name: (k.individual.range.low, k.individual.range.high) for k in model.learnables}
         ends = [bounds.get(name, (-np.inf, np.inf)) for name in evaluator.instance.constants]
         self.low, self.high = np.array(ends, dtype=float).reshape(-1, 2).T
 
@@ -167,8 +168,11 @@ class Estimator:
         def moved(z: Array) -> Start:
             x0, k = state.copy(), constants.copy()
             x0[columns] += scale[: len(columns)] * z[: len(columns)]
-            k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
-            k = np.clip(k, self.low, self.high)
+            if self.individuals is not None:  # z has the distribution that the fit has found
+                k = self.individuals.constants(k, z[len(columns) :])
+            else:
+                k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
+                k = np.clip(k, self.low, self.high)
             return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
 
         def errors(z: Array) -> Array:
@@ -203,7 +207,7 @@ class Estimator:
     def _ends(self, scale: Array, constants: Array) -> tuple[Array, Array]:
         """The bounds of the unknowns, in standard deviations from the guess; those of constants alone are finite."""
         low, high = np.full(len(scale), -np.inf), np.full(len(scale), np.inf)
-        if self.own:
+        if self.own and self.individuals is None:
             own, sd = list(self.own), self.own_sd
             low[-len(own) :] = (self.low[own] - constants[own]) / sd - INSIDE
             high[-len(own) :] = (self.high[own] - constants[own]) / sd + INSIDE
@@ -212,7 +216,7 @@ class Estimator:
     def _trials(self, scale: Array, constants: Array) -> list[Array]:
         """The guess, points around it, in units of the standard deviation, and constants over their whole ranges."""
         out = [np.zeros(len(scale)), *(3.0 * quasirandom_points(TRIALS, len(scale)) - 1.5)]
-        if not self.own:
+        if not self.own or self.individuals is not None:
             return out
         own, points = list(self.own), sobol(WIDE, len(scale), 0)
         learnables = {k.name: k for k in self.model.learnables}

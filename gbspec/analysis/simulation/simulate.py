@@ -14,6 +14,7 @@ import numpy as np
 
 from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan, plan_like
 from gbspec.analysis.simulation.region import Region, regions
+from gbspec.analysis.systems import Individuals
 from gbspec.arrays import Array
 from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate, form_of
 from gbspec.diagnostics import ComputationError, Findings
@@ -31,9 +32,8 @@ ATTEMPTS = 200
 class Solver(Protocol):
     """The part of an evaluator that simulation needs: constants, initial states, solutions and channels."""
 
-    @property
-    def constants(self) -> Array:
-        """The constants' values, in the model's order."""
+    constants: Array
+    """The constants' values, in the model's order."""
 
     def initial(self, x0: Array, condition: Array) -> Array:
         """The initial state [n], with the values that the model gives inserted."""
@@ -86,8 +86,11 @@ def simulate(
     options: SimulateOptions,
     like: Trajectories | None = None,
     progress: Callable[[int, int], None] | None = None,
+    individuals: Individuals | None = None,
 ) -> Trajectories:
     """Simulated measurements for `model`, whose right-hand side `evaluator` has.
+
+    With `individuals`, each trajectory has constants of its own, drawn from their distribution.
 
     With `like`, times, conditions, inputs and doses come from a table, whose trajectories are simulated one by one. A
     trajectory that enters a rejected region or cannot be solved is drawn again; `meta` counts these. `progress` is
@@ -103,7 +106,7 @@ def simulate(
     box = boxes(model, options, findings, given=like is not None)
     reject = regions(options.reject, model, findings)
     findings.raise_if_failed()
-    draws, tally, solved = _Draws(evaluator, model, options, box, reject, like), Tally(), []
+    draws, tally, solved = _Draws(evaluator, model, options, box, reject, like, individuals), Tally(), []
     count = options.trajectories if like is None else len(like)
     for i in range(count):
         solved.append(draws.solved(i, tally))
@@ -126,6 +129,7 @@ class _Draws:
     box: Boxes
     reject: tuple[Region, ...]
     like: Trajectories | None
+    individuals: Individuals | None = None
 
     def plan(self, index: int, random: np.random.Generator) -> Plan | None:
         """One plan for trajectory `index`; None if fewer than two measurement times are in the span."""
@@ -136,14 +140,17 @@ class _Draws:
     def solved(self, index: int, tally: Tally) -> Solved:
         """Trajectory `index`, drawn until it can be solved and is not rejected; ComputationError after 200 times."""
         random = np.random.default_rng([self.options.seed, index, 0])
-        own = Tally()
+        own, solver = Tally(), self.evaluator
+        drawing = np.random.default_rng([self.options.seed, index, 3])
         for _ in range(ATTEMPTS):
+            if self.individuals is not None:
+                solver = self.individuals.drawn(self.evaluator, drawing)
             drawn = self.plan(index, random)
             if drawn is None:
                 own.reject("fewer than two measurement times were in the span")
                 continue
             try:
-                solved = solve(self.evaluator, self.model, drawn, self.reject)
+                solved = solve(solver, self.model, drawn, self.reject)
             except ComputationError as error:
                 own.fail(error.what)
                 continue

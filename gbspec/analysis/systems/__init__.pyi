@@ -7,6 +7,7 @@ from .fence import Fence as Fence
 from .fence import extrapolation_of as extrapolation_of
 from .fence import fence_of as fence_of
 from .fence import fences as fences
+from .individuals import Individuals as Individuals
 from .points import quasirandom_points as quasirandom_points
 from .steady import axis_width as axis_width
 from .steady import ordered_eigenvalues as ordered_eigenvalues

@@ -9,7 +9,7 @@ from functools import cached_property
 import sympy
 from sympy.core.function import AppliedUndef
 
-from gbspec.ir import NN, Expr, Learnable, Model, Unknown
+from gbspec.ir import NN, Expr, Learnable, Model, Unknown, symbol
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,35 @@ class Question:
     @cached_property
     def sought(self) -> tuple[Learnable, ...]:
         """Learnables, one value for all trajectories, without those that have a prior."""
-        return tuple(k for k in self.model.learnables if k.prior is None and not k.per_trajectory)
+        return tuple(
+            k for k in self.model.learnables if k.prior is None and not k.per_trajectory and k.symbol in self._used
+        )
+
+    @cached_property
+    def _used(self) -> frozenset[sympy.Symbol]:
+        """What the solution and its measurements depend on, and all that no noise and no spread depends on.
+
+        The analysis does not reach noises and distributions: what only these contain is undecided.
+        """
+        elsewhere = {
+            s for c in self.model.channels if c.noise and c.noise.value is not None for s in c.noise.value.free_symbols
+        }
+        elsewhere |= {
+            symbol(k.distribution.spread) for k in self.model.distributed if k.distribution and k.distribution.spread
+        }
+        starts = [e for e in self.starts if e is not None]
+        terms = [*self.rates, *self.outputs, *self._arguments, *starts]
+        inside = {s for e in terms for s in e.free_symbols} | {
+            s for d in self.doses for e in (d.fraction, d.lag) for s in e.free_symbols
+        }
+        return frozenset(k.symbol for k in self.model.learnables if k.symbol in inside or k.symbol not in elsewhere)
 
     @cached_property
     def own(self) -> tuple[Learnable, ...]:
         """Learnables with a value for each trajectory."""
-        return tuple(k for k in self.model.learnables if k.prior is None and k.per_trajectory)
+        return tuple(
+            k for k in self.model.learnables if k.prior is None and k.per_trajectory and k.distribution is None
+        )
 
     @cached_property
     def signals(self) -> frozenset[sympy.Symbol]:

@@ -8,7 +8,9 @@ from .closure import ClosureStatement as ClosureStatement
 from .condition import ConditionStatement as ConditionStatement
 from .conserve import ConserveStatement as ConserveStatement
 from .const import ConstStatement as ConstStatement
+from .correlate import CorrelateStatement as CorrelateStatement
 from .dose import DoseStatement as DoseStatement
+from .effect import EffectStatement as EffectStatement
 from .function import FunctionStatement as FunctionStatement
 from .initial import InitialStatement as InitialStatement
 from .input import InputStatement as InputStatement

@@ -6,19 +6,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
+from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
-from gbspec.syntax.nodes import Bound, Distribution, Expression, Interval, Text, UnitExpression
+from gbspec.syntax.nodes import Bound, Distribution, Expression, Grouping, Interval, Text, UnitExpression
 from gbspec.syntax.statements.base import Entry, Named, Place, ends, fixed, parameters
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)
 class LearnStatement(Named):
-    """`learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory`."""
+    """`learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory ~ lognormal(0.3)`."""
 
     entry = Entry(
         word="learn",
-        meaning="a constant to be learned, with a starting value, bounds, a prior, one value for each trajectory",
+        meaning="a constant to be learned, with a starting value, bounds, a prior, one value for each trajectory, or a "
+        "distribution of these values",
         example='learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory "cooling"',
         title="learnable constants",
         symbol="Constant",
@@ -31,7 +33,7 @@ class LearnStatement(Named):
     range: Interval | None = None
     bounds: tuple[Bound, ...] = ()
     prior: Distribution | None = None
-    per_trajectory: bool = False
+    per: Grouping | None = None
     description: Text | None = None
 
     @classmethod
@@ -46,12 +48,15 @@ class LearnStatement(Named):
             found.get("range"),
             found["bounds"],
             found.get("prior"),
-            found.get("per_trajectory", False),
+            found.get("per_trajectory"),
             found.get("text"),
         )
 
     def places(self) -> Iterator[Place]:
-        """The starting value, the bounds and the parameters of the prior."""
+        """The starting value, the bounds, the parameters of the prior, and how far values lie apart."""
         yield from fixed(self.start, *(bound.value for bound in self.bounds))
         yield from ends(self.range)
         yield from parameters(self.prior)
+        if self.per is not None and self.per.spread is not None:
+            for argument in self.per.spread.arguments:
+                yield Place(argument, rules.SPREAD)

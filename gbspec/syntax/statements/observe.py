@@ -9,8 +9,11 @@ from typing import Self
 from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
 from gbspec.syntax.nodes import Distribution, Expression, Name, Text, UnitExpression
-from gbspec.syntax.statements.base import About, Entry, Place, parameters
+from gbspec.syntax.statements.base import About, Entry, Place, target_name
 from gbspec.syntax.transformer import Children, ClauseRules
+
+PREDICTION = "y"
+"""The name of the prediction in a noise, beside the channel's own."""
 
 
 @dataclass(frozen=True)
@@ -48,4 +51,7 @@ class ObserveStatement(About):
         """The measured expression and the parameters of its noise."""
         if self.value is not None:
             yield Place(self.value, rules.ANY)
-        yield from parameters(self.noise)
+        if self.noise is not None:
+            name = target_name(self.target).text
+            for argument in self.noise.arguments:
+                yield Place(argument, rules.NOISE, formals=frozenset({PREDICTION, name}))

@@ -15,6 +15,6 @@ class Builder(Transformer[Token, ast.Node], ClauseRules):
 
     def __init__(self) -> None:
         Transformer.__init__(self)
-        ClauseRules.__init__(self, frozenset(ast.WORDS))
+        ClauseRules.__init__(self, ast.RESERVED)
         for statement in ast.STATEMENTS:
             setattr(self, f"{statement.entry.word}_statement", partial(statement.read, self))

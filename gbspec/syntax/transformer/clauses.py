@@ -11,6 +11,7 @@ from lark import Token
 
 from gbspec.diagnostics import Diagnostic, Label
 from gbspec.syntax import nodes as ast
+from gbspec.syntax.names import normalise
 from gbspec.syntax.transformer.expressions import ExpressionRules
 from gbspec.syntax.transformer.parts import CLAUSE_WORDS, Children, Clause, Names, nodes, tokens
 
@@ -68,7 +69,15 @@ class ClauseRules(ExpressionRules):
         return Clause(self.over(children), "noise", children[-1])
 
     def per_trajectory_clause(self, children: Children) -> Clause:
-        return Clause(self.over(children), "per_trajectory", True)
+        column, spread = children[1], children[-1] if len(children) > 2 else None
+        node = ast.Grouping(self.over(children), ast.Text(self.place(column), normalise(str(column))), spread)
+        return Clause(self.over(children), "per_trajectory", node)
+
+    def population(self, children: Children) -> ast.Distribution:
+        arguments = nodes(children)
+        for argument in arguments:
+            self.number_value(argument)
+        return ast.Distribution(self.over(children), self.name_at(children[0]), arguments)
 
     def learned_clause(self, children: Children) -> Clause:
         return Clause(self.over(children), "learned", None)

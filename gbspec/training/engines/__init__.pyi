@@ -14,4 +14,5 @@ from .objective import predicted as predicted
 from .objective import residual_table as residual_table
 from .objective import residual_vector as residual_vector
 from .torch.control import rate_slopes as rate_slopes
+from .torch.engine import TorchEngine as TorchEngine
 from .torch.failure import explain_failure as explain_failure

@@ -5,7 +5,7 @@ With few data `gbspec.training.runs.backend` measures beforehand which one is fa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from gbspec.backends import GeneratedModule
@@ -37,6 +37,13 @@ class Choice:
     def remark(self) -> str:
         """A remark on the choice for the user; empty if the choice is the expected one."""
         return f"the torch graph is used: {self.unable.reason}" if self.unable is not None else ""
+
+    def of_model(self, model: Model, module: type[GeneratedModule]) -> Choice:
+        """The same choice for another model, with its own kernel where this one has one."""
+        if self.kernel is None:
+            return self
+        found = kernel_of(model, module)
+        return replace(self, kernel=found if isinstance(found, Kernel) else None)
 
     def engine(self, problem: Problem, parameters: Parameters) -> Engine:
         """The engine of a problem."""

@@ -93,7 +93,7 @@ class Columns:
         parameters = self.parameters
         known = len(parameters.model.constants)
         if parameters.shared and not self.only_local:
-            u = self.theta[parameters.n_weights : parameters.n_shared]
+            u = self.theta[parameters.places]
             slope = self.tensor(parameters.bijections(parameters.shared).derivative(u))
             for column, index in enumerate(parameters.shared):
                 shared[..., parameters.n_weights + column] += derivatives[known + index] * slope[column]

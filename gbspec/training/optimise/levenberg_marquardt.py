@@ -137,7 +137,7 @@ class LevenbergMarquardt:
         variance = noise_variance(engine.problem, residuals, delta, freedom)
         ahead, count = fit.step(weak), len(parameters.shared)
         out, inverse = np.zeros(count), np.zeros((count, count))
-        slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.n_weights : parameters.n_shared])
+        slopes = parameters.bijections(parameters.shared).derivative(theta[parameters.places])
         for i, slope in enumerate(slopes):
             unit = np.zeros(parameters.size)
             unit[parameters.n_weights + i] = 1.0

@@ -1,8 +1,8 @@
 """The trainable vector and its conversion to and from weights, constants and initial states.
 
-Order: network weights (network by network, layer by layer, weight row by row, then bias), shared constants, then one
-block per trajectory: its own constants and its initial state. All entries are float64 and scaled such that a change by
-1 is large.
+Order: network weights (network by network, layer by layer, weight row by row, then bias), shared constants, what
+distributions and noises imply (`Model.implied`), then one block per trajectory: its own constants and its initial
+state. All entries are float64 and scaled such that a change by 1 is large.
 """
 
 from __future__ import annotations
@@ -74,8 +74,18 @@ class Parameters:
 
     @property
     def n_shared(self) -> int:
-        """Number of columns that all trajectories share: weights and shared constants."""
-        return self.n_weights + len(self.shared)
+        """Number of columns that all trajectories share: weights, shared constants, and what these imply."""
+        return self.n_weights + len(self.shared) + len(self.model.implied)
+
+    @property
+    def places(self) -> slice:
+        """Where the vector has the shared constants."""
+        return slice(self.n_weights, self.n_weights + len(self.shared))
+
+    @property
+    def implied_places(self) -> slice:
+        """Where the vector has what distributions and noises imply."""
+        return slice(self.places.stop, self.n_shared)
 
     @property
     def n_local(self) -> int:
@@ -96,8 +106,13 @@ class Parameters:
         return out
 
     def bijections(self, indices: tuple[int, ...]) -> Bijections:
-        """Bounds of some of the learnables."""
-        return Bijections.of(tuple(self.model.learnables[i] for i in indices))
+        """Bounds of some of the learnables; of those of single trajectories, what their distributions allow."""
+        return Bijections.of(tuple(self.model.learnables[i].individual for i in indices))
+
+    @property
+    def implied(self) -> Bijections:
+        """Bounds of what distributions and noises imply."""
+        return Bijections.of(self.model.implied)
 
     # ---------------------------------------------------------------- natural values from the vector
     def local(self, theta: Tensor) -> Tensor:
@@ -118,7 +133,7 @@ class Parameters:
     def constants(self, theta: Tensor) -> Tensor:
         """All constants of every trajectory, known ones first [N, n_constants]."""
         known = theta.new_tensor([c.value for c in self.model.constants])
-        shared = self.bijections(self.shared).to_natural(theta[self.n_weights : self.n_shared])
+        shared = self.bijections(self.shared).to_natural(theta[self.places])
         same = torch.cat([known, shared]).expand(self.trajectories, -1)
         if not self.own:
             return same
@@ -146,7 +161,10 @@ class Parameters:
         table = np.broadcast_to(values, (self.trajectories, len(self.model.learnables)))
         if self.shared:
             natural = np.median(table[:, list(self.shared)], axis=0) if self.trajectories else values[list(self.shared)]
-            theta[self.n_weights : self.n_shared] = self.bijections(self.shared).from_natural(natural)
+            theta[self.places] = self.bijections(self.shared).from_natural(natural)
+        if self.model.implied:
+            starts = np.array([k.start for k in self.model.implied], dtype=np.float64)
+            theta[self.implied_places] = self.implied.from_natural(starts)
         if self.own:
             local = theta[self.n_shared :].reshape(self.trajectories, self.n_local)
             local[:, : len(self.own)] = self.bijections(self.own).from_natural(table[:, list(self.own)].copy())
@@ -169,6 +187,14 @@ class Parameters:
         local = theta[self.n_shared :].reshape(self.trajectories, self.n_local)
         return np.concatenate([theta[: self.n_shared], local[indices].ravel()])
 
+    def medians(self, theta: Array) -> dict[str, float]:
+        """The medians of the constants that have a distribution between trajectories, by name (of effects: 0)."""
+        with torch.no_grad():
+            values = self.implied.to_natural(torch.from_numpy(np.asarray(theta)[self.implied_places])).numpy()
+        found = dict(zip((k.name for k in self.model.implied), map(float, values), strict=True))
+        each = [(k.name, k.distribution) for k in self.model.distributed if k.distribution is not None]
+        return {name: found[made.median] if made.median else 0.0 for name, made in each}
+
     # ---------------------------------------------------------------- what is written to a run
     def natural(self, theta: Array) -> Weights:
         """The content of a weights file: network arrays and scales, constants, learned initial states."""
@@ -177,12 +203,15 @@ class Parameters:
         constants = self.constants(vector).numpy()
         names = self.model.constant_names
         known = len(self.model.constants)
-        # A constant per trajectory is stored in full; its entry in `constants` is the mean over trajectories.
+        # A constant per trajectory is stored in full; its entry in `constants` is the mean over trajectories, or the
+        # median of its distribution.
         out["constants"] = constants.mean(axis=0) if self.trajectories else np.zeros(len(names))
+        medians = self.medians(theta)
         for i in range(len(self.model.learnables)):
             column = constants[:, known + i]
             if i in self.own:
                 out[f"per_trajectory.{names[known + i]}"] = column.copy()
+                out["constants"][known + i] = medians.get(names[known + i], out["constants"][known + i])
             elif self.trajectories:
                 out["constants"][known + i] = column[0]
         for i, constant in enumerate(self.model.constants):

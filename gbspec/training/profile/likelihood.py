@@ -26,9 +26,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.data import Trajectories
-from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.frames import Shown, of_rows
-from gbspec.ir import Model
 from gbspec.runs import ProfileRecord, Run, write_profile
 from gbspec.training.engines import residual_vector
 from gbspec.training.optimise import (
@@ -44,6 +42,7 @@ from gbspec.training.optimise import (
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters, Problem, typical
 from gbspec.training.profile.agreement import Comparison, Found, compared, narrowing
+from gbspec.training.profile.possible import check
 from gbspec.training.profile.store import Kept
 from gbspec.training.recipe import FIRST_RIDGE, Context, build_context
 from gbspec.training.runs import agreed, widening
@@ -166,7 +165,7 @@ def profile_constant(
 
     Raises UserError (GB858) if there is no such constant, ComputationError if the fit cannot be started.
     """
-    _check(run.model, name)
+    check(run.model, name)
     number = run.best if member is None else member
     profiler = _Profiler(run, name, trajectories, number, iterations)
     best = profiler.estimate()
@@ -188,15 +187,6 @@ def _judged(run: Run, found: Profile, narrowed: float) -> Profile:
         ProfileRecord(found.name, found.member, found.estimate, ends, verdict.trust, verdict.words or None),
     )
     return replace(found, fitted=known.interval, comparison=verdict)
-
-
-def _check(model: Model, name: str) -> None:
-    known = [k.name for k in model.learnables if not k.per_trajectory]
-    if name not in known:
-        listed = ", ".join(f"`{one}`" for one in known)
-        help = f"the shared learned constants are {listed}" if known else "the model has no shared learned constant"
-        message = f"`{name}` is not a learned constant that all trajectories share"
-        raise UserError([Diagnostic("GB858", message, None, help=help, subject=name)])
 
 
 @dataclass(frozen=True)
@@ -335,7 +325,7 @@ class _Profiler:
 
     def natural(self, theta: Array) -> float:
         """The constant's value."""
-        u = torch.from_numpy(theta[self.parameters.n_weights : self.parameters.n_shared])
+        u = torch.from_numpy(theta[self.parameters.places])
         return float(self.parameters.bijections(self.parameters.shared).to_natural(u)[self.place])
 
     def others(self, one: _Fitted) -> dict[str, float]:

@@ -12,6 +12,7 @@ from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.training.engines import Engine, residual_vector
 from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions, LimitedMemory, Stage
 from gbspec.training.problem import Parameters, mean_loss, typical
+from gbspec.training.recipe import populations
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.finer import (
@@ -88,6 +89,8 @@ class _Planner:
 
     def _estimation(self) -> list[Planned]:
         """The stages of the estimation, without breeding."""
+        if self.context.model.marginal:
+            return populations.stages(self.context, self.parameters, self._regular)
         if self.options.method == "gradient-matching":
             return [self._starts(StageName.STARTS, 1.0)]
         if self.options.method == "auto":

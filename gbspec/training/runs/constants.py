@@ -53,7 +53,7 @@ def own_records(model: Model, results: list[MemberResult]) -> dict[str, dict[str
     """The constants per trajectory by name, and by the labels of the trajectories that all members were fitted to."""
     common = [label for label in results[0].labels if all(label in r.labels for r in results)]
     out: dict[str, dict[str, OwnRecord]] = {}
-    for j, learnable in enumerate(k for k in model.learnables if k.per_trajectory):
+    for j, learnable in enumerate(k.individual for k in model.learnables if k.per_trajectory):
         records = out[learnable.name] = {}
         for label in common:
             rows = [(r, r.labels.index(label)) for r in results]

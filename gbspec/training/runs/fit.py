@@ -329,6 +329,9 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
     for member, name, _ in ended:  # the curvature is not valid for a constant at its bound
         results[member].sd[name] = float("nan")
     own = own_records(model, ordered)
+    best = min(
+        ordered, key=lambda r: (r.objective is None, r.objective.value if r.objective and r.objective.value else 0.0)
+    )
     weighed = [r.scales for r in ordered if r.scales is not None]
     correlations = correlations_of([k.name for k in model.learnables if not k.per_trajectory], ordered)
     bounds = [
@@ -342,6 +345,8 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         members=tuple(_member(k, results[k]) for k in sorted(results)),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
         correlations=correlations,
+        objective=best.objective,
+        population=best.population,
         scales=ScalesRecord.mean(weighed) if len(weighed) == len(ordered) else record.scales,
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +14,18 @@ import torch
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Estimated, Trajectories, fingerprint
-from gbspec.diagnostics import ComputationError, Diagnostic, UserError
+from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
-from gbspec.runs import COVARIANCE, JsonError, StageRecord, Summary, decode, encode, files, sealed
-from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage, State
+from gbspec.runs import COVARIANCE, StageRecord, Summary, encode, files, sealed
+from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
 from gbspec.training.runs.certainties import certainties
+from gbspec.training.runs.populations import with_population
+from gbspec.training.runs.position import Position, checkpoint, restored
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
 from gbspec.training.runs.summary import MemberResult, summarise
@@ -37,36 +39,6 @@ SAVING_SHARE = 0.05
 
 TIGHT = 1e-3
 """Stages whose tolerance is at most this are expected to converge; the size of the next step is the criterion."""
-
-
-@dataclass
-class Position:
-    """The position of a member in its training: stage, number of completed steps, state, and history.
-
-    `entry` is the vector at the beginning of the present stage, from which the stage is rebuilt on resume; `marks`
-    holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
-    belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
-    number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
-    weighed, if they are.
-    """
-
-    stage: int = 0
-    iteration: int = 0
-    state: State = field(default_factory=dict)
-    entry: Array = field(default_factory=lambda: np.zeros(0))
-    theta: Array = field(default_factory=lambda: np.zeros(0))
-    best: Array = field(default_factory=lambda: np.zeros(0))
-    best_score: float = float("inf")
-    best_stages: int = 0
-    marks: dict[str, Array] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    certainty: Certainty = field(default_factory=Certainty)
-    seconds: float = 0.0
-    loss: float = float("inf")
-    history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
-    stages: list[StageRecord] = field(default_factory=list)
-    finished: bool = False
-    estimated: Estimated | None = None
 
 
 def fit_member(
@@ -86,11 +58,11 @@ def fit_member(
     """
     torch.manual_seed(options.seed + member)
     seed = options.seed + member
-    checkpoint = _checkpoint(directory) if options.resume else None
+    kept = checkpoint(directory) if options.resume else None
     began = time.monotonic()
     with uninterrupted() as interrupted:
-        if checkpoint is not None:
-            arrays, remarks = checkpoint
+        if kept is not None:
+            arrays, remarks = kept
             context = build_context(model, module, trajectories, options, seed, remarks.smooth)
             fixed = {name.partition("fixed.")[2]: v for name, v in arrays.items() if name.startswith("fixed.")}
             runner = _Runner(context, context.parameters(fixed), restored(arrays, remarks), member, directory, progress)
@@ -239,6 +211,7 @@ class _Runner:
     def _record(self, stage: Stage, outcome: Outcome, stage_seconds: float) -> None:
         position = self.position
         position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
+        position.ridge = float(outcome.state.get("ridge", np.array(0.0)))
         position.iteration += 1
         if outcome.note:
             position.notes.append(outcome.note)
@@ -281,10 +254,14 @@ class _Runner:
         return self.position.stages[: self.position.best_stages or None]
 
     def _constants(self, theta: Array) -> tuple[float, ...]:
-        """Learned constants (the mean of per-trajectory ones), in natural units."""
+        """Learned constants, in natural units; of those per trajectory the mean, or their distribution's median."""
         values = self.parameters.constants(torch.from_numpy(theta)).numpy()
         known = len(self.parameters.model.constants)
-        return tuple(float(x) for x in values[:, known:].mean(axis=0)) if len(values) else ()
+        if not len(values):
+            return ()
+        medians, found = self.parameters.medians(theta), values[:, known:].mean(axis=0)
+        names = [k.name for k in self.parameters.model.learnables]
+        return tuple(medians.get(name, float(x)) for name, x in zip(names, found, strict=True))
 
     def _shared_names(self) -> list[str]:
         return [self.parameters.model.learnables[i].name for i in self.parameters.shared]
@@ -304,6 +281,15 @@ class _Runner:
         fitted = self._fitted_stages()
         result = summarise(self.context, self.parameters, position.best, freedom, position.seconds, fitted)
         result.stages = list(position.stages)
+        more: dict[str, object] = {}
+        if position.finished and self.context.model.marginal:
+            ridge = float(position.ridge)
+            result, found = with_population(
+                result, self.context, self.parameters, position.best, step_fraction([s.name for s in fitted]), ridge
+            )
+            result.population, result.objective = found.record, found.objective
+            found.tables.write(self.directory)
+            more = {"population": found.info}
         weights = self.parameters.natural(position.best) | {"initial": result.initial}
         if position.finished and self.context.options.initial == "recognition":
             blend = 0.0 if StageName.AUTOREGRESSIVE in position.marks else self.context.options.blend
@@ -315,6 +301,7 @@ class _Runner:
             "labels": result.labels,
             # Learned initial states are looked up by the content of a trajectory, in any table.
             "fingerprints": [fingerprint(item) for item in self.context.trajectories.items],
+            **more,
         }
         path = self.directory / files.WEIGHTS
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -323,14 +310,15 @@ class _Runner:
             instance.save(temporary)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         factor = widening(result.channels)
-        if position.finished:
+        if position.finished and not self.context.model.marginal:
             names = [stage.name for stage in fitted]
             known = certainties(self.context, self.parameters, position.best, names, instance)
             known.widened(factor).write(self.directory)
         result.history = list(position.history)
-        for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
-            result.sd[name] = factor * float(deviation)
-        result.correlations = position.certainty.correlations
+        if not self.context.model.marginal:
+            for name, deviation in zip(self._shared_names(), position.certainty.deviations, strict=False):
+                result.sd[name] = factor * float(deviation)
+            result.correlations = position.certainty.correlations
         if position.certainty.own.shape == result.own_sd.shape:
             result.own_sd = factor * position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
@@ -368,6 +356,7 @@ class _Runner:
         arrays |= {"deviations": certainty.deviations, "correlations": certainty.correlations, "own": certainty.own}
         arrays |= {f"mark.{name}": value for name, value in position.marks.items()}
         arrays |= {f"fixed.{name}": value for name, value in self.parameters.fixed.items()}
+        arrays["ridge"] = np.array(position.ridge)
         if position.estimated is not None:
             arrays |= {"noise": position.estimated.noise, "share": position.estimated.share}
         remarks = Remarks(
@@ -388,58 +377,3 @@ class _Runner:
         files.write_tensors(self.directory / files.CHECKPOINT, arrays, encode(remarks))
         best = {"theta": position.best}
         files.write_tensors(self.directory / files.CHECKPOINT_BEST, best, {"score": position.best_score})
-
-
-def _checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
-    """The last checkpoint, if there is one. Raises `UserError` (GB852) if it is damaged."""
-    path = directory / files.CHECKPOINT
-    if not path.is_file():
-        return None
-    try:
-        arrays, remarks = files.read_tensors(path)
-        found = decode(Remarks, remarks)
-        restored(arrays, found)
-        wrong = [name for name, value in arrays.items() if name.startswith("fixed.") and not np.isfinite(value).all()]
-        if wrong:
-            raise ValueError(f"`{path}` is damaged: `{wrong[0]}` has entries that are not finite")
-        return arrays, found
-    except (KeyError, OverflowError) as error:
-        raise _damaged(directory, f"`{path}` is damaged: it has no {error}") from None
-    except ValueError as error:
-        damaged = f"`{path}` is damaged: {error}" if isinstance(error, JsonError) else str(error)
-        raise _damaged(directory, damaged) from None
-
-
-def _damaged(directory: Path, message: str) -> UserError:
-    return UserError([Diagnostic("GB852", message, None, help=f"delete `{directory}` to fit the member again")])
-
-
-def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
-    """The position stored in a checkpoint."""
-    return Position(
-        stage=remarks.stage,
-        iteration=remarks.iteration,
-        state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
-        entry=arrays["entry"],
-        certainty=Certainty(
-            arrays["deviations"],
-            arrays["correlations"],
-            float.fromhex(remarks.exact.freedom),
-            arrays.get("own", np.zeros((0, 0))),
-        ),
-        theta=arrays["theta"],
-        best=arrays["best"],
-        best_stages=remarks.best_stages,
-        best_score=float.fromhex(remarks.exact.best_score),
-        seconds=remarks.seconds,
-        loss=float.fromhex(remarks.exact.loss),
-        history=[
-            (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
-            for name, i, seconds, loss, constants in remarks.history
-        ],
-        stages=list(remarks.stages),
-        notes=list(remarks.notes),
-        marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
-        finished=remarks.finished,
-        estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
-    )

@@ -13,7 +13,7 @@ from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, states_far_outside, variance_of
 from gbspec.files import finite
 from gbspec.ir import Model
-from gbspec.runs import ChannelRecord, StageRecord
+from gbspec.runs import ChannelRecord, ObjectiveRecord, PopulationRecord, StageRecord
 from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
     Parameters,
@@ -62,6 +62,8 @@ class MemberResult:
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own_sd: Array = field(default_factory=lambda: np.zeros((0, 0)))
     scales: Scales | None = None
+    population: PopulationRecord | None = None
+    objective: ObjectiveRecord | None = None
 
 
 def summarise(
@@ -207,7 +209,8 @@ class _Noise:
 def whole_solutions(context: Context, parameters: Parameters, stages: Sequence[str]) -> bool:
     """Whether whole solutions were fitted in the end, rather than each value from the previous one."""
     asked = (context.options.forcing, context.options.method) == ("teacher", "auto")
-    return asked and (not parameters.n_weights or StageName.AUTOREGRESSIVE in stages)
+    fitted = not parameters.n_weights or parameters.model.marginal or StageName.AUTOREGRESSIVE in stages
+    return asked and fitted
 
 
 def _robust_deviation(residuals: Array) -> float:

@@ -1,0 +1,43 @@
+"""Distributions of constants between trajectories, and the noise of channels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import sympy
+
+Expr: TypeAlias = sympy.Expr
+
+Spread = Literal["lognormal", "normal", "logitnormal", "standard"]
+
+PREDICTION = sympy.Symbol("prediction of the channel", real=True)
+"""The prediction in the expression of a noise; not a name that a model can declare."""
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """How the values of a constant are distributed between trajectories.
+
+    With a standard normal number e and the spread s: `lognormal` median*exp(s*e), `normal` median + s*e, `logitnormal`
+    the value within the range whose logit is that of the median plus s*e, `standard` e itself (no median, no spread).
+    `median` is the name of the median among `Model.implied`; `spread` that of a learnable, or among `Model.implied`;
+    without it the spread is the number `fixed`.
+    """
+
+    kind: Spread
+    median: str = ""
+    spread: str | None = None
+    fixed: float = 1.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """`normal(sd)` in the channel's unit, or `lognormal(cv)`.
+
+    If the scale is learned, `value` is its expression in learnables and PREDICTION, and `scale` not a number.
+    """
+
+    kind: Literal["normal", "lognormal"]
+    scale: float
+    value: Expr | None = None

@@ -1,0 +1,165 @@
+"""Comparison of runs by their likelihoods: -2 log likelihood, AIC, BIC, likelihood-ratio tests, and what differs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+from gbspec.diagnostics import Diagnostic, UserError, packages
+from gbspec.json_values import JsonObject
+
+if TYPE_CHECKING:
+    from gbspec.runs import PopulationRecord, Run
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One run: its likelihood and the number of its estimated parameters."""
+
+    run: str
+    model: str
+    minus2ll: float
+    parameters: float
+    aic: float
+    bic: float
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A likelihood-ratio test of a model against a larger one that contains it: the fall of -2 log likelihood, the
+    number of further parameters, and the probability of such a fall if the smaller model holds."""
+
+    smaller: str
+    larger: str
+    fall: float
+    freedom: int
+    p: float
+    boundary: bool
+    """Whether the smaller model has a spread of 0, at the edge of what is possible: p is then too large."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The result: the runs, tests of nested ones, and lines of the models that not all of them have."""
+
+    runs: tuple[Compared, ...]
+    tests: tuple[Ratio, ...]
+    differences: dict[str, tuple[str, ...]]
+
+    def to_json(self) -> JsonObject:
+        """The result for `--json`."""
+        return {
+            "runs": [vars(one) for one in self.runs],
+            "tests": [vars(one) for one in self.tests],
+            "differences": {name: list(lines) for name, lines in self.differences.items()},
+        }
+
+    def __str__(self) -> str:
+        from gbspec.report import table
+
+        best = min(one.aic for one in self.runs)
+        rows = [
+            [one.run, f"{one.minus2ll:.3f}", f"{one.parameters:.4g}", f"{one.aic:.3f}", f"{one.bic:.3f}",
+             f"{one.aic - best:.3f}"]
+            for one in self.runs
+        ]  # fmt: skip
+        parts = [table(["run", "-2 log L", "parameters", "AIC", "BIC", "AIC above the least"], rows)]
+        for one in self.tests:
+            edge = " (a spread of 0 is at the edge of what is possible: p is too large)" if one.boundary else ""
+            parts.append(
+                f"{one.larger} against {one.smaller}: -2 log L falls by {one.fall:.3f} for {one.freedom} further "
+                f"parameter{'s' if one.freedom > 1 else ''}, p = {one.p:.3g}{edge}"
+            )
+        for name, lines in self.differences.items():
+            parts.append("\n".join([f"only in {name}", *(f"  {line}" for line in lines)]))
+        return "\n\n".join(parts)
+
+
+@packages()
+def compare(runs: Sequence[Run]) -> Comparison:
+    """Compares runs of the same data.
+
+    Raises UserError (GB775) if the data differ, or a run was not fitted by the marginal likelihood.
+    """
+    found: list[tuple[Run, Compared]] = []
+    for run in runs:
+        population = run.fit.population
+        if population is None:
+            message = f"`{run.path}` was not fitted by a likelihood"
+            help_text = (
+                "models with populations (`per trajectory ~ lognormal`) or learned noises (`noise normal(s)`) are"
+            )
+            raise UserError([Diagnostic("GB775", message, None, help=help_text)])
+        if run.fit.data.sha256 != runs[0].fit.data.sha256:
+            message = f"`{run.path}` and `{runs[0].path}` were fitted to different data"
+            raise UserError([Diagnostic("GB775", message, None, help="fit both models to the same table")])
+        found.append((run, _compared(run, population)))
+    ways = {run.fit.population.nodes for run, _ in found if run.fit.population is not None}
+    if len(ways) > 1:
+        message = "the likelihoods were computed in different ways: by Laplace's method and by quadrature"
+        raise UserError([Diagnostic("GB775", message, None, help="fit all of them with the same `--quadrature`")])
+    tests = [test for first, second in combinations(found, 2) if (test := _ratio(first, second)) is not None]
+    return Comparison(tuple(one for _, one in found), tuple(tests), _differences(found))
+
+
+def _compared(run: Run, population: PopulationRecord) -> Compared:
+    return Compared(
+        str(run.path),
+        run.model.name,
+        population.minus2ll,
+        population.parameters,
+        population.minus2ll + 2 * population.parameters if population.aic is None else population.aic,
+        float("nan") if population.bic is None else population.bic,
+    )
+
+
+def _parameters(run: Run) -> frozenset[str]:
+    """The names of what is estimated; a median has the name of its constant."""
+    model = run.model
+    medians = {k.distribution.median: k.name for k in model.distributed if k.distribution is not None}
+    names = [k.name for k in (*model.learnables, *model.implied) if not k.per_trajectory]
+    return frozenset(medians.get(name, name) for name in names)
+
+
+def _ratio(first: tuple[Run, Compared], second: tuple[Run, Compared]) -> Ratio | None:
+    """The test of two runs, if one model has all parameters of the other and the same equations."""
+    from scipy.special import gammaincc
+
+    if first[0].model.networks or second[0].model.networks or not _same_equations(first[0], second[0]):
+        return None
+    a, b = _parameters(first[0]), _parameters(second[0])
+    if a == b or not (a < b or b < a):
+        return None
+    (small, less), (large, more) = (first, second) if a < b else (second, first)
+    fall, freedom = less.minus2ll - more.minus2ll, abs(len(a) - len(b))
+    p = float(gammaincc(freedom / 2, max(fall, 0.0) / 2))
+    spreads = [{k.name for k in run.model.distributed} for run in (small, large)]
+    return Ratio(less.run, more.run, fall, freedom, p, spreads[0] != spreads[1])
+
+
+def _same_equations(first: Run, second: Run) -> bool:
+    """Whether two models have the same balances, starts and channels (their noises may differ)."""
+
+    def equations(run: Run) -> tuple[object, ...]:
+        model = run.model
+        starts = tuple(state.initial.value for state in model.states)
+        return model.inlined(model.balances), starts, model.inlined([c.value for c in model.channels])
+
+    return equations(first) == equations(second)
+
+
+def _differences(found: Sequence[tuple[Run, Compared]]) -> dict[str, tuple[str, ...]]:
+    """The lines of each model that not all of them have, comments and the name left out, and options that differ."""
+    lines = [[" ".join(line.split("#")[0].split()) for line in run.model.text.splitlines()] for run, _ in found]
+    kept = [[line for line in each if line and not line.startswith("model ")] for each in lines]
+    common = set(kept[0]).intersection(*map(set, kept[1:]))
+    out = {}
+    for (run, one), each in zip(found, kept, strict=True):
+        own = [line for line in each if line not in common]
+        options = found[0][0].fit.options
+        own += [f"--{k.replace('_', '-')} {v}" for k, v in run.fit.options.items() if options.get(k) != v]
+        if own:
+            out[one.run] = tuple(own)
+    return out

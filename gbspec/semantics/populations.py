@@ -1,0 +1,209 @@
+"""Checks populations: constants that are distributed between trajectories, effects, correlations, learned noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+from gbspec.diagnostics import Findings, Label
+from gbspec.semantics.merge import Item
+from gbspec.semantics.numbers import Numbers
+from gbspec.semantics.table import Table
+from gbspec.semantics.vocabulary import suggestion
+from gbspec.syntax import ast, target_name
+
+KINDS = ("lognormal", "normal", "logitnormal")
+"""The distributions of constants between trajectories."""
+GROUPS = frozenset({"trajectory", "subject"})
+"""Columns between whose values constants may differ; both mean a trajectory of the data."""
+
+
+def check(items: Iterable[Item], table: Table, numbers: Numbers, findings: Findings) -> None:
+    """Reports groupings, distributions and correlations that are not possible, and models that mix ways of fitting."""
+    items = list(items)
+    _Checks(items, table, numbers, findings).all()
+
+
+class _Checks:
+    def __init__(self, items: list[Item], table: Table, numbers: Numbers, findings: Findings) -> None:
+        self.items, self.table, self.numbers, self.findings = items, table, numbers, findings
+        self.learned = [i.statement for i in items if isinstance(i.statement, ast.LearnStatement)]
+        self.effects = [i.statement for i in items if isinstance(i.statement, ast.EffectStatement)]
+        self.distributed = {s.name.text for s in self.learned if s.per is not None and s.per.spread is not None}
+
+    def all(self) -> None:
+        """All checks."""
+        for per in (*(s.per for s in self.learned), *(s.per for s in self.effects)):
+            if per is not None and per.column.value not in GROUPS:
+                self._column(per)
+        for statement in self.learned:
+            if statement.per is not None and statement.per.spread is not None:
+                self._distribution(statement, statement.per.spread)
+        for effect in self.effects:
+            if effect.per.spread is not None:
+                self.findings.error(
+                    "GB420",
+                    "an effect is standard normal, and takes no distribution",
+                    effect.per.spread.span,
+                    help=f"write `effect {effect.name.text} per trajectory`",
+                )
+        self._correlations()
+        self._noise()
+        if self.distributed or self.effects:
+            self._mixed()
+
+    def _column(self, per: ast.Grouping) -> None:
+        self.findings.error(
+            "GB421",
+            f"`per {per.column.value}` is not offered yet: values differ between trajectories alone",
+            per.column.span,
+            help="write `per trajectory`, and give each group a trajectory of its own in the table",
+        )
+
+    def _distribution(self, statement: ast.LearnStatement, spread: ast.Distribution) -> None:
+        kind, name = spread.kind.text, statement.name.text
+        if kind not in KINDS:
+            self.findings.error(
+                "GB420",
+                f"`{kind}` is not a distribution of constants between trajectories",
+                spread.kind.span,
+                help=suggestion(kind, frozenset(KINDS)) or "write `lognormal`, `normal` or `logitnormal`",
+            )
+            return
+        if len(spread.arguments) > 1:
+            self.findings.error(
+                "GB420",
+                f"`{kind}` takes one number, how far the values lie apart: the median is the starting value",
+                spread.span,
+                help=f"write `learn {name} = 3 per trajectory ~ {kind}(0.3)`",
+            )
+            return
+        if spread.arguments:
+            self._apart(statement, spread)
+        ends = self.numbers.bounds(statement)
+        if ends is None:
+            return
+        if kind == "lognormal" and (ends[0] < 0 or self._start(statement) <= 0):
+            self.findings.error(
+                "GB423",
+                f"`{name}` is lognormal, so that its median is positive, but its bounds do not keep it so",
+                statement.name.span,
+                help=f"bound it, for example `learn {name} = 1 > 0 per trajectory ~ lognormal`, or use `normal`",
+            )
+        if kind == "logitnormal" and not all(map(math.isfinite, ends)):
+            self.findings.error(
+                "GB423",
+                f"`{name}` is logitnormal, which keeps every value between two bounds, and does not have both",
+                statement.name.span,
+                help=f"write them, for example `learn {name} in [0, 1] per trajectory ~ logitnormal`",
+            )
+
+    def _start(self, statement: ast.LearnStatement) -> float:
+        value = self.numbers.start(statement)
+        return 1.0 if value is None else value
+
+    def _apart(self, statement: ast.LearnStatement, spread: ast.Distribution) -> None:
+        """Checks the number that says how far values lie apart: a number, a constant, or one learnable."""
+        argument = spread.arguments[0]
+        inner = argument
+        while isinstance(inner, ast.Group):
+            inner = inner.inner
+        value = self.numbers.value(argument)
+        if value is not None and value < 0:
+            self.findings.error("GB422", "a standard deviation is not negative", argument.span)
+        learned = {s.name.text: s for s in self.learned}
+        if isinstance(inner, ast.Name) and inner.text in learned:
+            other = learned[inner.text]
+            ends = self.numbers.bounds(other)
+            if other.per is not None:
+                self._spread_error(argument, f"`{inner.text}` differs between trajectories itself")
+            elif ends is not None and ends[0] < 0:
+                self._spread_error(
+                    argument, f"`{inner.text}` may become negative", f"write `learn {inner.text} = 0.3 > 0`"
+                )
+        elif value is None and self.numbers.sites.complete(argument):
+            self._spread_error(argument, "this is neither a number nor the name of a learnable constant")
+
+    def _spread_error(self, argument: ast.Expression, why: str, help: str = "") -> None:
+        self.findings.error(
+            "GB422",
+            f"{why}, and says how far values lie apart",
+            argument.span,
+            help=help or "give a number or a `learn`",
+        )
+
+    def _correlations(self) -> None:
+        seen: dict[str, ast.Name] = {}
+        for statement in (i.statement for i in self.items if isinstance(i.statement, ast.CorrelateStatement)):
+            if len(statement.constants) < 2:
+                self.findings.error(
+                    "GB424", "`correlate` takes two names or more", statement.span, help="write `correlate CL, V`"
+                )
+            for name in statement.constants:
+                declaration = self.table.get(name.text)
+                if name.text in seen:
+                    self.findings.error(
+                        "GB424",
+                        f"`{name.text}` stands in `correlate` twice",
+                        name.span,
+                        label="again",
+                        labels=[Label(seen[name.text].span, "the first")],
+                        help="name all constants that are correlated in one `correlate`",
+                    )
+                elif declaration is not None and name.text not in self._random and self._is_learned(name.text):
+                    self.findings.error(
+                        "GB424",
+                        f"`{name.text}` has no distribution between trajectories",
+                        name.span,
+                        labels=[Label(declaration.span, "declared here")] if declaration.span is not None else [],
+                        help=f"write `learn {name.text} = … per trajectory ~ lognormal`",
+                    )
+                seen.setdefault(name.text, name)
+
+    @property
+    def _random(self) -> set[str]:
+        return self.distributed | {s.name.text for s in self.effects}
+
+    def _is_learned(self, name: str) -> bool:
+        return isinstance(self.table[name].statement, ast.LearnStatement)
+
+    def _noise(self) -> None:
+        """Reports constants of single trajectories in noises."""
+        own = {s.name.text for s in self.learned if s.per is not None} | {s.name.text for s in self.effects}
+        for statement in (i.statement for i in self.items if isinstance(i.statement, ast.ObserveStatement)):
+            for name in self._named(statement):
+                if name in own:
+                    self.findings.error(
+                        "GB425",
+                        f"the noise of `{target_name(statement.target).text}` uses `{name}`, which differs between "
+                        "trajectories; that is not offered yet",
+                        statement.noise.span if statement.noise is not None else statement.span,
+                        help="use constants that all trajectories share",
+                    )
+
+    def _named(self, statement: ast.ObserveStatement) -> Iterator[str]:
+        for argument in statement.noise.arguments if statement.noise is not None else ():
+            yield from self.numbers.sites[argument].references.names
+
+    def _mixed(self) -> None:
+        """Reports what is estimated for each trajectory beside a distribution, which has no likelihood of its own."""
+        for statement in self.learned:
+            if statement.per is not None and statement.per.spread is None and statement.per.column.value in GROUPS:
+                self.findings.error(
+                    "GB426",
+                    f"`{statement.name.text}` has a value for each trajectory and no distribution, beside others that "
+                    "have one",
+                    statement.per.span,
+                    help=f"write `learn {statement.name.text} = … per trajectory ~ lognormal`, or leave "
+                    "`per trajectory` out",
+                )
+        for item in self.items:
+            if isinstance(item.statement, ast.InitialStatement) and item.statement.value is None:
+                name = target_name(item.statement.target).text
+                self.findings.error(
+                    "GB426",
+                    f"the start of `{name}` is learned for each trajectory and has no distribution, beside constants "
+                    "that have one",
+                    item.statement.span,
+                    help=f"write `learn {name}_0 = … per trajectory ~ lognormal` and `initial {name} = {name}_0`",
+                )

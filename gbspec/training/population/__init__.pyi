@@ -1,0 +1,12 @@
+from .layout import Layout as Layout
+from .marginal import Marginal as Marginal
+from .objective import Objective as Objective
+from .objective import Point as Point
+from .pooled import Pooled as Pooled
+from .pooled import pooled_parameters as pooled_parameters
+from .predictions import Predictions as Predictions
+from .results import PopulationResult as PopulationResult
+from .results import predictive_check as predictive_check
+from .results import result_at as result_at
+from .stage import MarginalLikelihood as MarginalLikelihood
+from .stage import vector_of as vector_of

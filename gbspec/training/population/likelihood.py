@@ -1,0 +1,199 @@
+"""The likelihood of the measured values of each trajectory given its standard normal numbers z, and their joint modes.
+
+With predictions f, residuals r = f - y, variances v (of a value; an average of n has v/n, and a value with an own
+standard deviation adds its square), each trajectory's
+
+    g(z) = sum(log(2 pi v) + r^2/v) + z^T z
+
+is minus twice the logarithm of its joint density, apart from the constant of z. All derivatives are analytic; those of
+f come from the engines. The inner problems, one for each trajectory, are solved side by side by Levenberg-Marquardt
+with the expected Hessian of g/2
+
+    H = I + sum((1/v + (v'/v)^2/2) f_z f_z^T)
+
+where v' = dv/df: the Hessian of first order conditional estimation with interaction (Lindstrom and Bates 1990; Wang
+2007).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.arrays import Array
+from gbspec.ir import symbol
+from gbspec.training.population.layout import Layout
+from gbspec.training.population.noise import LEAST, standard_deviation
+from gbspec.training.population.predictions import Predictions
+
+LOG_2PI = float(np.log(2 * np.pi))
+ITERATIONS = 60
+"""Largest number of iterations of the inner problems."""
+RESTS = 1e-9
+"""An inner problem has converged when its next step is shorter than this (z has the standard deviation 1)."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Predictions compared with values [m]: on the logarithmic scale where the noise is lognormal.
+
+    `mean`, `residual`, `variance`, its derivative by the mean `slope` (all [m]), and the sensitivities `by_z` [m, q].
+    """
+
+    mean: Tensor
+    residual: Tensor
+    variance: Tensor
+    slope: Tensor
+    by_z: Tensor
+
+
+class Likelihood:
+    """The densities of a population's measured values at natural parameters [N, P], one row for each trajectory."""
+
+    def __init__(self, layout: Layout, predictions: Predictions) -> None:
+        self.layout, self.predictions = layout, predictions
+        measured = predictions.measured
+        self.count = measured.trajectories
+        self.owner = torch.from_numpy(measured.owner)
+        self.value = torch.from_numpy(measured.value)
+        self.share = torch.from_numpy(1.0 / measured.weight**2)
+        self.extra = torch.from_numpy(measured.sd**2)
+        self.logs = torch.from_numpy(measured.logarithm)
+        self.channels = [
+            torch.from_numpy(np.flatnonzero(measured.channel == c)) for c in range(len(layout.model.channels))
+        ]
+        # The density of a value whose logarithm is normal has the factor 1/value.
+        jacobian = np.where(measured.logarithm, 2 * measured.value, 0.0)
+        self.constant = self.sums(torch.from_numpy(jacobian))
+
+    def sums(self, values: Tensor) -> Tensor:
+        """Sums of values [m, ...] over each trajectory [N, ...]."""
+        out = values.new_zeros((self.count, *values.shape[1:]))
+        return out.index_add(0, self.owner, values)
+
+    def compared(self, mean: Tensor, sensitivity: Tensor, slope: Tensor, natural: Tensor) -> Compared:
+        """The comparison at predictions [m] and sensitivities [m, q] to constants, whose derivatives by z are `slope`
+        [N, q, q]."""
+        by_z = torch.einsum("mq,mqz->mz", sensitivity, slope[self.owner])
+        if bool(self.logs.any()):
+            safe = torch.clamp(mean, min=1e-300)
+            by_z = torch.where(self.logs[:, None], by_z / safe[:, None], by_z)
+            mean = torch.where(self.logs, torch.log(safe), mean)
+        with torch.enable_grad():
+            f = mean if mean.requires_grad else mean.detach().requires_grad_()
+            variance = self.variance(f, natural)
+            (rate,) = torch.autograd.grad(variance.sum(), f, create_graph=mean.requires_grad, allow_unused=True)
+        if not mean.requires_grad:
+            variance = variance.detach()
+        rate = torch.zeros_like(mean) if rate is None else rate
+        return Compared(mean, mean - self.value, variance, rate, by_z)
+
+    def variance(self, mean: Tensor, natural: Tensor) -> Tensor:
+        """The variances [m] of the measured values."""
+        model, out = self.layout.model, torch.zeros_like(mean)
+        names = {symbol(name): place for name, place in self.layout.names.items()}
+        for channel, rows in enumerate(self.channels):
+            if not len(rows):
+                continue
+            f = torch.where(self.logs[rows], torch.exp(mean[rows]), mean[rows])
+            table = natural[self.owner[rows]]
+            known = {name: table[:, place] for name, place in names.items()}
+            out = out.index_add(0, rows, standard_deviation(model, channel, f, known) ** 2)
+        return torch.clamp(out * self.share + self.extra + 0 * mean, min=LEAST)
+
+    def joint(self, of: Compared, z: Tensor) -> Tensor:
+        """g [N]."""
+        terms = LOG_2PI + torch.log(of.variance) + of.residual**2 / of.variance
+        return self.sums(terms) + (z**2).sum(1) + self.constant
+
+    def half_gradient(self, of: Compared, z: Tensor) -> Tensor:
+        """The gradient of g/2 by z [N, q]."""
+        by_mean = of.residual / of.variance + 0.5 * of.slope * (1 / of.variance - of.residual**2 / of.variance**2)
+        return z + self.sums(by_mean[:, None] * of.by_z)
+
+    def expected_hessian(self, of: Compared) -> Tensor:
+        """H [N, q, q]."""
+        weight = 1 / of.variance + 0.5 * (of.slope / of.variance) ** 2
+        products = weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :]
+        return torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype) + self.sums(products)
+
+    # ---------------------------------------------------------------- inner problems
+    def at(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
+        """The comparison with first derivatives alone; not differentiable."""
+        with torch.no_grad():
+            constants, slope = self.layout.constants(natural, z)
+        found = self.predictions.individuals.first(constants.numpy(), weights)
+        sensitivity = torch.from_numpy(found.constants[:, self.layout.place])
+        return self.compared(torch.from_numpy(found.mean), sensitivity, slope, natural)
+
+    def modes(self, natural: Tensor, z: Tensor, weights: Array) -> tuple[Tensor, Compared]:
+        """The minima of g from `z` [N, q], side by side, and the comparison there."""
+        of = self.at(natural, z, weights)
+        value, q = self.joint(of, z), z.shape[1]
+        if not q:
+            return z, of
+        bad = ~torch.isfinite(value)
+        if bool(bad.any()):  # a start from which the model cannot be solved: the median
+            z = torch.where(bad[:, None], torch.zeros_like(z), z)
+            of = self.at(natural, z, weights)
+            value = self.joint(of, z)
+        damping, missing = torch.zeros(self.count, dtype=z.dtype), torch.zeros((self.count, q, q), dtype=z.dtype)
+        gradient, hessian = self.half_gradient(of, z), self.expected_hessian(of)
+        for _ in range(ITERATIONS):
+            step, whole = _step(gradient, hessian, missing, damping)
+            missing = torch.where(whole[:, None, None], missing, torch.zeros_like(missing))
+            if float(step.abs().max()) < RESTS:
+                break
+            trial = z + step
+            new = self.at(natural, trial, weights)
+            reached = self.joint(new, trial)
+            # Beyond the rounding of g no further fall can be seen; there the step is that of Newton's method.
+            better = (reached <= value + 1e-12 * (1 + value.abs())) & torch.isfinite(reached)
+            if not bool(better.any()) and float(damping.max()) > 1e12:
+                break
+            damping = torch.where(better, damping * 0.1, torch.clamp(damping * 8, min=1e-2))
+            damping = torch.where(damping < 1e-6, torch.zeros_like(damping), damping)
+            z, of = torch.where(better[:, None], trial, z), self._chosen(better, new, of)
+            value = torch.where(better, reached, value)
+            before, gradient, hessian = gradient, self.half_gradient(of, z), self.expected_hessian(of)
+            changed = _secant(missing, step, gradient - before - torch.einsum("nij,nj->ni", hessian + missing, step))
+            missing = torch.where((better & torch.isfinite(changed).all(2).all(1))[:, None, None], changed, missing)
+        return z, of
+
+    def _chosen(self, which: Tensor, first: Compared, second: Compared) -> Compared:
+        """The first comparison for some of the trajectories, the second for the others."""
+        rows = which[self.owner]
+        parts = {
+            name: torch.where(rows[:, None] if value.ndim > 1 else rows, value, getattr(second, name))
+            for name, value in vars(first).items()
+        }
+        return Compared(**parts)
+
+
+def _step(gradient: Tensor, hessian: Tensor, missing: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:
+    """The steps [N, q] by the Hessians with what they miss, or without where that is not positive definite; and where
+    it is."""
+    unit = torch.eye(gradient.shape[1], dtype=gradient.dtype)
+    plain = hessian + damping[:, None, None] * unit
+    zero = torch.zeros_like(plain)
+    plain = torch.where(torch.isfinite(plain), plain, zero)
+    full, info = torch.linalg.cholesky_ex(plain + torch.where(torch.isfinite(missing), missing, zero))
+    half, other = torch.linalg.cholesky_ex(plain)
+    good = ((info == 0) | (other == 0)) & torch.isfinite(gradient).all(1)
+    factor = torch.where((info == 0)[:, None, None], full, half)
+    safe = torch.where(good[:, None, None], factor, unit)
+    right = torch.where(good[:, None], gradient, torch.zeros_like(gradient))
+    return -torch.cholesky_solve(right[..., None], safe)[..., 0], info == 0
+
+
+def _secant(missing: Tensor, step: Tensor, error: Tensor) -> Tensor:
+    """What the expected Hessians miss, from the change of the gradients along a step: the least symmetric change that
+    explains it (the secant condition of Powell, structured as by Dennis, Gay and Welsch 1981)."""
+    size = (step**2).sum(1).clamp(min=1e-300)[:, None, None]
+    outer = error[:, :, None] * step[:, None, :]
+    along = (error * step).sum(1)[:, None, None]
+    change = (outer + outer.transpose(1, 2)) / size - along * step[:, :, None] * step[:, None, :] / size**2
+    return missing + change

@@ -1,0 +1,284 @@
+"""The marginal likelihood of a population, its exact gradient, and its expected information.
+
+Minus twice the logarithm of the marginal likelihood by Laplace's method at the modes z*(u) is
+
+    -2 log L = sum over trajectories of g(z*) + log det H(z*)
+
+with H the expected Hessian (`likelihood`), which is the FOCEI objective of NONMEM and nlmixr2 with all constants. Its
+gradient in u is exact: with T(z, u) = g + log det H the total derivative is
+
+    dT/du = T_u - T_z G_z^-1 G_u,        G = g_z/2, the gradient that vanishes at the mode,
+
+by the implicit function theorem; T_z contains g_z = 0. G_z is the exact Hessian. All terms need mixed second
+derivatives of the predictions, which `predictions` has. The information is that of the model that is linear in z around
+the modes (Sheiner and Beal 1980): y ~ N(mu, V), V = R + F Omega F^T,
+
+    I_ab = sum over trajectories of mu_a^T V^-1 mu_b + tr(V^-1 V_a V^-1 V_b)/2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gbspec.arrays import Array
+from gbspec.training.population.layout import Layout
+from gbspec.training.population.likelihood import Compared, Likelihood
+from gbspec.training.population.predictions import Predictions
+from gbspec.training.problem import Integers
+
+
+@dataclass(frozen=True)
+class Value:
+    """Minus twice the log likelihood of each trajectory [N] at the modes `z` [N, q]."""
+
+    each: Array
+    z: Array
+
+    @property
+    def total(self) -> float:
+        """Their sum."""
+        return float(self.each.sum())
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """The gradient of minus twice the log likelihood: of each trajectory by u [N, P], and by the weights [W]."""
+
+    parameters: Array
+    weights: Array
+
+
+class Marginal:
+    """The marginal likelihood as a function of u [P] and the networks' weights [W].
+
+    `nodes`: the number of nodes of adaptive Gauss-Hermite quadrature for each effect; 1 is Laplace's method.
+    """
+
+    def __init__(self, layout: Layout, predictions: Predictions, nodes: int = 1) -> None:
+        self.layout, self.predictions, self.nodes = layout, predictions, nodes
+        self.likelihood = Likelihood(layout, predictions)
+        points, masses = np.polynomial.hermite.hermgauss(nodes)
+        q = layout.effects
+        grid = list(product(range(nodes), repeat=q))
+        self.points = torch.tensor([[points[i] for i in at] for at in grid], dtype=torch.float64).reshape(len(grid), q)
+        self.log_mass = torch.tensor(
+            [sum(np.log(masses[i]) + points[i] ** 2 for i in at) for at in grid], dtype=torch.float64
+        )
+
+    def rows(self, u: Array) -> Tensor:
+        """u as one row for each trajectory [N, P]."""
+        return torch.from_numpy(u).expand(self.likelihood.count, -1)
+
+    def value(self, u: Array, weights: Array, z: Array) -> Value:
+        """The likelihood at u; `z` [N, q] are the modes from which the inner problems begin."""
+        natural = self.layout.natural(self.rows(u))
+        modes, of = self.likelihood.modes(natural, torch.from_numpy(z), weights)
+        hessian = self.likelihood.expected_hessian(of)
+        if self.nodes == 1:
+            each = self.likelihood.joint(of, modes) + _log_det(hessian)
+        else:
+            parts = [
+                self.likelihood.joint(self.likelihood.at(natural, at, weights), at) for at in self._at(modes, hessian)
+            ]
+            each = self._quadrature(torch.stack(parts), hessian)
+        return Value(each.numpy(), modes.numpy())
+
+    def _at(self, modes: Tensor, hessian: Tensor) -> list[Tensor]:
+        """The nodes [N, q] around the modes: z* + sqrt(2) C^-T x with H = C C^T."""
+        factor = torch.linalg.cholesky(hessian)
+        moved = torch.linalg.solve_triangular(
+            factor.transpose(1, 2), self.points.T.expand(len(modes), -1, -1), upper=True
+        )
+        return [modes + 2**0.5 * moved[:, :, i] for i in range(len(self.points))]
+
+    def _quadrature(self, joint: Tensor, hessian: Tensor) -> Tensor:
+        """Minus twice the logarithm of the integral from g at the nodes [nodes, N]."""
+        logs = torch.logsumexp(self.log_mass[:, None] - 0.5 * joint, 0)
+        # (2 pi)^(-q/2) of z and 2^(q/2) of the change of variables leave pi^(-q/2).
+        return -2 * logs + _log_det(hessian) + self.layout.effects * float(np.log(np.pi))
+
+    # ---------------------------------------------------------------- derivatives
+    def slopes(self, u: Array, weights: Array, z: Array) -> Slopes:
+        """The exact gradient at the modes `z`, which `value` has found."""
+        rows = self.rows(u).clone().requires_grad_()
+        at, w = torch.from_numpy(z).clone().requires_grad_(), torch.from_numpy(weights).clone().requires_grad_()
+        of, _ = self._compared(rows, at, w)
+        likelihood, q = self.likelihood, self.layout.effects
+        gradient = likelihood.half_gradient(of, at)
+        log_det = _log_det(likelihood.expected_hessian(of))
+        if not q:
+            return _slopes(likelihood.joint(of, at).sum(), rows, w)
+        second = torch.stack([_grad(gradient[:, i].sum(), at) for i in range(q)], 1)
+        if self.nodes > 1:
+            return self._quadrature_slopes(rows, w, at.detach(), gradient, second)
+        moved = _grad(log_det.sum(), at)
+        direction = torch.linalg.solve(_definite(second, likelihood.expected_hessian(of).detach()), moved[..., None])
+        total = likelihood.joint(of, at) + log_det - (direction[..., 0].detach() * gradient).sum(1)
+        return _slopes(total.sum(), rows, w)
+
+    def _compared(self, rows: Tensor, z: Tensor, weights: Tensor) -> tuple[Compared, Tensor]:
+        natural = self.layout.natural(rows)
+        constants, slope = self.layout.constants(natural, z)
+        mean, sensitivity = self.predictions.second(constants, weights)
+        return self.likelihood.compared(mean, sensitivity, slope, natural), natural
+
+    def _quadrature_slopes(self, rows: Tensor, w: Tensor, z: Tensor, gradient: Tensor, second: Tensor) -> Slopes:
+        """The gradient of the quadrature, whose nodes move with the modes and with H."""
+        at = z.clone().requires_grad_()
+        of, _ = self._compared(rows, at, w)
+        hessian = self.likelihood.expected_hessian(of)
+        definite = _definite(second.detach(), hessian.detach())
+        q = self.layout.effects
+        # H as a function of u with the modes moving: its derivatives by z enter through the step of the modes.
+        step = -torch.linalg.solve(definite, gradient[..., None])[..., 0]
+        by_z = [[_grad(hessian[:, i, j].sum(), at, keep=True) for j in range(q)] for i in range(q)]
+        follow = torch.stack([torch.stack([(d.detach() * step).sum(1) for d in row], 1) for row in by_z], 1)
+        moving, modes = hessian + follow, z + step
+        natural = self.layout.natural(rows)
+        parts = []
+        for node in self._at(modes, moving):
+            constants, slope = self.layout.constants(natural, node)
+            mean = self._first(constants, w)
+            parts.append(
+                self.likelihood.joint(self.likelihood.compared(mean, mean[:, None].expand(-1, q), slope, natural), node)
+            )
+        return _slopes(self._quadrature(torch.stack(parts), moving).sum(), rows, w)
+
+    def _first(self, constants: Tensor, weights: Tensor) -> Tensor:
+        """Predictions [m] to first order in constants and weights."""
+        at, owner = constants.detach(), self.likelihood.owner
+        found = self.predictions.individuals.first(at.numpy(), weights.detach().numpy(), of_weights=True)
+        mean = torch.from_numpy(found.mean) + (torch.from_numpy(found.constants) * (constants - at)[owner]).sum(1)
+        return mean + torch.from_numpy(found.weights) @ (weights - weights.detach())
+
+    # ---------------------------------------------------------------- information
+    def information(self, u: Array, weights: Array, z: Array) -> Array:
+        """The expected information of (weights, u) [W + P, W + P] of the model linearised at the modes."""
+        layout, likelihood = self.layout, self.likelihood
+        row, modes = torch.from_numpy(u), torch.from_numpy(z)
+        natural = layout.natural(self.rows(u))
+        with torch.no_grad():
+            constants, _ = layout.constants(natural, modes)
+            factor = layout.factor(natural)
+            slope = torch.diag_embed(layout.individual(natural, torch.einsum("nij,nj->ni", factor, modes))[1])
+        found = self.predictions.individuals.first(constants.numpy(), weights, of_weights=True)
+        of = likelihood.compared(
+            torch.from_numpy(found.mean), torch.from_numpy(found.constants[:, layout.place]), slope, natural
+        )
+        mean = np.concatenate([found.weights, self._mean_slopes(u, modes, found.constants)], 1)
+        spread = self._spread_slopes(row)
+        noise = self._noise_slopes(u, of)
+        logs = likelihood.logs.numpy()
+        mean[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
+        omega = (factor[0] @ factor[0].T).numpy() if len(factor) else np.zeros((layout.effects,) * 2)
+        return _information(self.predictions.measured.owner, mean, of, omega, spread, noise)
+
+    def _mean_slopes(self, u: Array, z: Tensor, by_constants: Array) -> Array:
+        """Derivatives [m, P] of predictions by u at fixed z; spreads and correlations move only the variance."""
+
+        def table(row: Tensor) -> Tensor:
+            return self.layout.constants(self.layout.natural(row.expand(len(z), -1)), z)[0]
+
+        jacobian = torch.autograd.functional.jacobian(table, torch.from_numpy(u)).numpy()  # type: ignore[no-untyped-call]  # torch does not annotate it
+        out = np.einsum("mk,mkp->mp", by_constants, jacobian[self.predictions.measured.owner])
+        out[:, list(self._of_variance)] = 0.0
+        return np.asarray(out, dtype=np.float64)
+
+    @property
+    def _of_variance(self) -> set[int]:
+        """The places in u of spreads and correlations."""
+        made = [k.distribution for k in self.layout.distributed if k.distribution is not None]
+        spreads = {self.layout.names[m.spread] for m in made if m.spread is not None}
+        return spreads | set(self.layout.correlations)
+
+    def _spread_slopes(self, row: Tensor) -> Array:
+        """Derivatives [P, q, q] of the covariance of deviations by u."""
+
+        def covariance(at: Tensor) -> Tensor:
+            factor = self.layout.factor(self.layout.natural(at))
+            return factor @ factor.transpose(-1, -2)
+
+        found = torch.autograd.functional.jacobian(covariance, row)  # type: ignore[no-untyped-call]  # torch does not annotate it
+        return np.moveaxis(found.numpy(), -1, 0) if self.layout.effects else np.zeros((len(row), 0, 0))
+
+    def _noise_slopes(self, u: Array, of: Compared) -> Array:
+        """Derivatives [m, P] of the variances by u at fixed predictions."""
+        mean = of.mean.detach()
+        rows = self.rows(u).clone().requires_grad_()
+        out = np.zeros((len(mean), len(u)))
+        variance = self.likelihood.variance(mean, self.layout.natural(rows))
+        if not variance.requires_grad:
+            return out
+        for p in range(len(u)):
+            # Values of one trajectory share its row, so derivatives of each value need one parameter at a time.
+            tangent = torch.zeros_like(rows)
+            tangent[:, p] = 1.0
+            _, change = torch.autograd.functional.jvp(  # type: ignore[no-untyped-call]  # torch does not annotate it
+                lambda at: self.likelihood.variance(mean, self.layout.natural(at)),
+                rows.detach(),
+                tangent,
+            )
+            out[:, p] = change.numpy()
+        return out
+
+
+def _information(owner: Integers, mean: Array, of: Compared, omega: Array, spread: Array, noise: Array) -> Array:
+    """The sum over trajectories. `mean` [m, W + P], `noise` [m, P] and `spread` [P, q, q] are derivatives of means,
+    variances and the covariance `omega` of deviations, by which `of` has the sensitivities."""
+    total, weights = np.zeros((mean.shape[1],) * 2), mean.shape[1] - noise.shape[1]
+    by_deviation, variance = of.by_z.numpy(), of.variance.numpy()
+    places = np.flatnonzero(np.abs(noise).any(axis=0) | np.abs(spread).reshape(len(spread), -1).any(axis=1))
+    order = np.argsort(owner, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
+        if not len(rows):
+            continue
+        f = by_deviation[rows]
+        inverse = np.linalg.inv(np.diag(variance[rows]) + f @ omega @ f.T)
+        a = mean[rows]
+        total += a.T @ inverse @ a
+        parts = {p: np.diag(noise[rows, p]) for p in places}
+        for p in places:
+            if np.abs(spread[p]).any():
+                parts[p] = parts[p] + f @ spread[p] @ f.T
+        moved = {p: inverse @ part for p, part in parts.items()}
+        for i, p in enumerate(places):
+            for s in places[i:]:
+                value = 0.5 * float(np.sum(moved[p] * moved[s].T))
+                total[weights + p, weights + s] += value
+                if s != p:
+                    total[weights + s, weights + p] += value
+    return total
+
+
+def _log_det(matrix: Tensor) -> Tensor:
+    """The logarithms of determinants of positive definite matrices [N]."""
+    if not matrix.shape[-1]:
+        return matrix.new_zeros(len(matrix))
+    factor, info = torch.linalg.cholesky_ex(matrix)
+    found = 2 * torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
+    return torch.where(info == 0, found, torch.full_like(found, torch.nan))
+
+
+def _definite(second: Tensor, expected: Tensor) -> Tensor:
+    """The exact Hessians where they are positive definite, else the expected ones."""
+    second = 0.5 * (second + second.transpose(1, 2))
+    good = torch.linalg.cholesky_ex(second).info == 0
+    return torch.where(good[:, None, None], second, expected)
+
+
+def _grad(value: Tensor, by: Tensor, keep: bool = True) -> Tensor:
+    if not value.requires_grad:
+        return torch.zeros_like(by)
+    (found,) = torch.autograd.grad(value, by, retain_graph=keep, allow_unused=True)
+    return torch.zeros_like(by) if found is None else found
+
+
+def _slopes(total: Tensor, rows: Tensor, weights: Tensor) -> Slopes:
+    found = torch.autograd.grad(total, [rows, weights], allow_unused=True)
+    parts = [torch.zeros_like(like) if x is None else x for x, like in zip(found, (rows, weights), strict=True)]
+    return Slopes(parts[0].numpy(), parts[1].numpy())

@@ -1,0 +1,81 @@
+"""The variance of measurements as a function of predictions and learned constants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import sympy
+import torch
+from torch import Tensor
+
+from gbspec.diagnostics import Defect
+from gbspec.ir import PREDICTION, Expr, Model, Noise
+
+LEAST = 1e-150
+"""Variances are at least this."""
+
+_UNARY: Mapping[type[sympy.Basic], Callable[[Tensor], Tensor]] = {
+    sympy.exp: torch.exp,
+    sympy.log: torch.log,
+    sympy.sin: torch.sin,
+    sympy.cos: torch.cos,
+    sympy.tan: torch.tan,
+    sympy.tanh: torch.tanh,
+    sympy.sinh: torch.sinh,
+    sympy.cosh: torch.cosh,
+    sympy.asin: torch.asin,
+    sympy.acos: torch.acos,
+    sympy.atan: torch.atan,
+    sympy.asinh: torch.asinh,
+    sympy.acosh: torch.acosh,
+    sympy.atanh: torch.atanh,
+    sympy.Abs: torch.abs,
+    sympy.sign: torch.sign,
+}
+
+
+def evaluated(expression: Expr, values: Mapping[sympy.Symbol, Tensor], like: Tensor) -> Tensor:
+    """The value of an expression, differentiable in the values of its symbols."""
+    if expression.is_Symbol:
+        return values[expression]
+    if expression.is_number:
+        return like.new_tensor(float(expression)).expand_as(like)
+    parts = [evaluated(argument, values, like) for argument in expression.args if not argument.is_Boolean]
+    if isinstance(expression, sympy.Add):
+        return torch.stack(torch.broadcast_tensors(*parts)).sum(0)  # type: ignore[no-untyped-call]  # torch does not annotate it
+    if isinstance(expression, sympy.Mul):
+        return torch.stack(torch.broadcast_tensors(*parts)).prod(0)  # type: ignore[no-untyped-call]  # torch does not annotate it
+    if isinstance(expression, sympy.Pow):
+        exponent = expression.args[1]
+        return parts[0] ** float(exponent) if exponent.is_number else parts[0] ** parts[1]
+    if isinstance(expression, sympy.Max | sympy.Min):
+        stacked = torch.stack(torch.broadcast_tensors(*parts))  # type: ignore[no-untyped-call]  # torch does not annotate it
+        return stacked.amax(0) if isinstance(expression, sympy.Max) else stacked.amin(0)
+    function = _UNARY.get(type(expression))
+    if function is None or len(parts) != 1:
+        raise Defect(f"the noise contains `{type(expression).__name__}`, which has no rule here")
+    return function(parts[0])
+
+
+def rule_for(noise: Noise) -> bool:
+    """Whether the expression of a noise can be evaluated here: it contains no conditional."""
+    return noise.value is None or not noise.value.atoms(sympy.Piecewise)
+
+
+def standard_deviation(
+    model: Model, channel: int, prediction: Tensor, constants: Mapping[sympy.Symbol, Tensor]
+) -> Tensor:
+    """The standard deviation of measurements of a channel [m], of logarithms under lognormal noise.
+
+    `prediction` [m] is in the channel's unit; `constants` has the values [m] of learnables and of what is implied.
+    """
+    noise = model.channels[channel].noise
+    if noise is None:
+        raise Defect("a channel without noise has no likelihood")
+    if noise.value is None:
+        found = torch.full_like(prediction, noise.scale)
+    else:
+        known = {c.symbol: prediction.new_tensor(c.value) for c in model.constants}
+        found = evaluated(noise.value, {**known, **constants, PREDICTION: prediction}, prediction)
+        found = found.expand_as(prediction)
+    return torch.sqrt(torch.log1p(found**2)) if noise.kind == "lognormal" else found

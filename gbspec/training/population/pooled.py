@@ -1,0 +1,135 @@
+"""The start of a population fit: all trajectories with the same constants, by the stages of models without populations.
+
+The pooled model has the medians in place of the constants, 0 in place of effects, and no spreads; its least squares
+give the medians and the weights from which the marginal likelihood is maximised, and its residuals the first noises.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.ir import Learnable, Model, Prior, Range
+from gbspec.training.engines import Engine, residual_table
+from gbspec.training.optimise import Outcome, Stage, State
+from gbspec.training.population.layout import Layout
+from gbspec.training.problem import Parameters
+
+INNER = "inner."
+NOTHING = 1e-9
+"""The pooled value of an effect lies within this of 0."""
+OF_RESIDUALS = 0.7
+"""The first noise, as a part of the root mean square residual of the pooled fit, which contains the spreads too."""
+
+
+def pooled_model(model: Model) -> Model:
+    """The model in which all trajectories have the same constants."""
+    return replace(model, learnables=tuple(map(_pooled, model.learnables)), implied=(), correlated=())
+
+
+def _pooled(learnable: Learnable) -> Learnable:
+    if learnable.distribution is None:
+        return learnable
+    if learnable.distribution.kind == "standard":
+        prior, bounds = Prior("normal", 0.0, NOTHING), Range(-NOTHING, NOTHING)
+        return replace(learnable, per_trajectory=False, distribution=None, range=bounds, prior=prior)
+    return replace(learnable, per_trajectory=False, distribution=None)
+
+
+def pooled_parameters(parameters: Parameters) -> Parameters:
+    """The layout of the pooled model's vector."""
+    return replace(parameters, model=pooled_model(parameters.model))
+
+
+class Pooled:
+    """A stage of the pooled model as one of the population: its vector is `engine.parameters`' own."""
+
+    def __init__(self, stage: Stage, engine: Engine, parameters: Parameters) -> None:
+        self.stage, self.engine, self.parameters = stage, engine, parameters
+        self.name, self.total = stage.name, stage.total
+        self.layout = Layout(parameters)
+
+    def begin(self, theta: Array) -> State:
+        """The state of the inner stage."""
+        return self._whole(self.stage.begin(self._vector(theta)), theta)
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One step of the inner stage."""
+        inner = {name.removeprefix(INNER): value for name, value in state.items() if name.startswith(INNER)}
+        outcome = self.stage.step(inner, iteration)
+        return replace(outcome, state=self._whole(outcome.state, state["theta"]))
+
+    def _whole(self, inner: State, theta: Array) -> State:
+        return {f"{INNER}{name}": value for name, value in inner.items()} | {
+            "theta": self._theta(inner["theta"], theta)
+        }
+
+    def _vector(self, theta: Array) -> Array:
+        """The pooled vector for a population's one: medians over the trajectories."""
+        whole, own = self.parameters, self.engine.parameters
+        with torch.no_grad():
+            table = whole.constants(torch.from_numpy(theta)).numpy()[:, len(whole.model.constants) :]
+        values = np.median(table, axis=0)
+        medians = whole.medians(theta)
+        for i, learnable in enumerate(whole.model.learnables):
+            if learnable.distribution is not None:
+                values[i] = np.clip(values[i], own.model.learnables[i].range.low, own.model.learnables[i].range.high)
+                values[i] = values[i] if learnable.distribution.median else medians[learnable.name]
+        weights = {name: value.numpy() for name, value in whole.weights(torch.from_numpy(theta)).items()}
+        return own.vector(weights, values)
+
+    def _theta(self, pooled: Array, before: Array) -> Array:
+        """The population's vector: medians and individuals at the pooled values, noises from the residuals."""
+        whole, own = self.parameters, self.engine.parameters
+        out = before.copy()
+        out[: whole.n_weights] = pooled[: whole.n_weights]
+        with torch.no_grad():
+            values = own.constants(torch.from_numpy(pooled)).numpy()[0, len(whole.model.constants) :]
+        known = dict(zip((k.name for k in whole.model.learnables), values, strict=True))
+        noises = self._noises(pooled)
+        first = {k.name: k.start for k in self.layout.each}
+        for learnable in self.layout.each:
+            if learnable.name in known and learnable.name not in noises:
+                first[learnable.name] = known[learnable.name]
+        first |= noises
+        for learnable in whole.model.distributed:
+            made = learnable.distribution
+            if made is None or not made.median:
+                continue
+            first[made.median] = known[learnable.name]
+            if made.kind == "normal" and made.spread is not None and made.spread not in known:
+                first[made.spread] = 0.3 * abs(known[learnable.name]) or first[made.spread]
+        natural = np.array([_inside(first[k.name], k) for k in self.layout.each], dtype=np.float64)
+        out[self.layout.slice()] = self.layout.bijections.from_natural(natural)
+        if whole.own:
+            local = out[whole.n_shared :].reshape(whole.trajectories, whole.n_local)
+            individual = np.array([values[i] for i in whole.own])
+            local[:, : len(whole.own)] = whole.bijections(whole.own).from_natural(individual)
+        return out
+
+    def _noises(self, pooled: Array) -> dict[str, float]:
+        """First values of noises that are one learned number, from the residuals of the pooled fit."""
+        model, problem = self.parameters.model, self.engine.problem
+        found: dict[str, float] = {}
+        residuals = residual_table(self.engine, pooled)
+        names = {k.name for k in self.layout.each}
+        for i, channel in enumerate(model.channels):
+            value = channel.noise.value if channel.noise is not None else None
+            rows = problem.seen[:, i]
+            if value is None or not value.is_Symbol or value.name not in names or not rows.any():
+                continue
+            size = float(np.sqrt(np.mean(residuals[rows, i] ** 2))) * float(problem.scaling.channel[i])
+            if np.isfinite(size) and size > 0:
+                found[value.name] = OF_RESIDUALS * size
+        return found
+
+
+def _inside(value: float, learnable: Learnable) -> float:
+    """A value within the bounds, not on them."""
+    low, high = learnable.range.low, learnable.range.high
+    width = high - low if np.isfinite(high - low) else abs(learnable.start) or 1.0
+    low, high = low + 1e-6 * width, high - 1e-6 * width
+    return float(np.clip(value, low, high))

@@ -1,0 +1,235 @@
+"""Predictions of measured values, and their sensitivities to the distributed constants, with further derivatives.
+
+Everything downstream needs predictions f and sensitivities S = df/dk as functions of the trajectories' constants (and
+of the networks' weights) that can be differentiated once. Without networks both come from the engine of the larger
+model (`sensitivity`): its Jacobian has the derivatives of f and S with respect to all constants. With networks they
+come from the torch graph, in which S is a forward derivative, with one copy of each trajectory for each k.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import torch
+import torch.autograd.forward_ad as forward_ad
+from torch import Tensor
+
+from gbspec.arrays import Array, Mask
+from gbspec.backends import load_module
+from gbspec.ir import METHODS, Model, Range, logarithmic
+from gbspec.training.engines import Choice, Engine, TorchEngine
+from gbspec.training.population.sensitivity import extended, repacked
+from gbspec.training.population.sweeps import Sweeps, covered
+from gbspec.training.problem import STRETCH, Integers, Parameters, Problem, Scaling, teacher_forcing
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The m measured values: trajectory `owner` and `channel` of each, the `value` (its logarithm under lognormal
+    noise), the root `weight` of how many measurements it averages, and its own standard deviation `sd` (0: none)."""
+
+    owner: Integers
+    channel: Integers
+    value: Array
+    weight: Array
+    sd: Array
+    logarithm: Mask
+    trajectories: int
+
+    @classmethod
+    def of(cls, problem: Problem) -> Measured:
+        """The measured values of a problem, row by row; a table with lognormal noise has positive ones alone."""
+        packed, model = problem.packed, problem.model
+        row, channel = np.nonzero(problem.seen)
+        value, logs = packed.values[row, channel].copy(), logarithmic(model)[channel]
+        sd = packed.sd[row, channel]
+        sd = np.where(np.isfinite(sd), sd, 0.0) / np.where(logs, value, 1.0)
+        value[logs] = np.log(value[logs])
+        weight = packed.weights[row, channel]
+        return cls(packed.row_trajectory[row], channel, value, weight, sd, logs, packed.trajectories)
+
+
+@dataclass(frozen=True)
+class First:
+    """Predictions [m], their derivatives [m, K] by the constants of the own trajectory, and [m, W] by the weights."""
+
+    mean: Array
+    constants: Array
+    weights: Array
+
+
+def individual_model(model: Model) -> Model:
+    """The model in which every constant is free for each trajectory."""
+    free = tuple(
+        replace(k, start=k.start or 1.0, range=Range(), prior=None, per_trajectory=True, distribution=None)
+        for k in model.learnables
+    )
+    return replace(model, learnables=free, implied=(), correlated=())
+
+
+class Individuals:
+    """Predictions for given constants [N, K] of each trajectory, by an engine of a model (first derivatives)."""
+
+    def __init__(self, problem: Problem, model: Model, start: Array, fixed: dict[str, Array], choice: Choice) -> None:
+        shape = (problem.packed.trajectories, len(model.states))
+        self.problem = problem
+        value = np.broadcast_to(start, shape).copy()
+        self.parameters = Parameters(individual_model(model), value, np.ones(shape[1]), np.zeros(shape), fixed)
+        self.engine: Engine = choice.engine(problem, self.parameters)
+        scales = [k.start for k in self.parameters.model.learnables]
+        self.unit = STRETCH * np.abs(np.array(scales, dtype=np.float64))
+
+    def vector(self, constants: Array, weights: Array) -> Array:
+        """The engine's vector."""
+        parameters = self.parameters
+        blocks = np.zeros((parameters.trajectories, parameters.n_local))
+        blocks[:, : len(self.unit)] = constants / self.unit
+        return np.concatenate([weights, blocks.ravel()])
+
+    def first(self, constants: Array, weights: Array, of_weights: bool = False) -> First:
+        """Predictions and derivatives; NaN where a solution is not finite."""
+        theta, count = self.vector(constants, weights), int(self.problem.seen.sum())
+        path = self.engine.plan(theta)
+        moments = self.engine.moments(theta, path)
+        mean = moments.mean[self.problem.seen]
+        columns = self.parameters.n_weights if of_weights else 0
+        if not moments.finite:
+            return First(mean, np.full((count, len(self.unit)), np.nan), np.full((count, columns), np.nan))
+        found = self.engine.jacobian(theta, path, moments, np.ones_like(moments.mean), not of_weights)
+        local = found.local.numpy()[:, : len(self.unit)] / self.unit
+        return First(mean, local, found.shared.numpy()[:, :columns])
+
+    def mean(self, constants: Array, weights: Array) -> Array:
+        """Predictions [m] alone."""
+        theta = self.vector(constants, weights)
+        return self.engine.moments(theta, self.engine.plan(theta)).mean[self.problem.seen]
+
+
+class Second(Protocol):
+    """Predictions [m] and their sensitivities [m, q], differentiable in constants [N, K] and weights [W]."""
+
+    def __call__(self, constants: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Both at these constants and weights."""
+
+
+class Predictions:
+    """All predictions for one problem: whole solutions, with given starts."""
+
+    def __init__(self, problem: Problem, parameters: Parameters, choice: Choice, distributed: tuple[str, ...]) -> None:
+        self.problem, self.parameters, self.choice = problem, parameters, choice
+        self.distributed = distributed
+        self.measured = Measured.of(problem)
+        self.individuals = Individuals(problem, problem.model, parameters.start_value, dict(parameters.fixed), choice)
+
+    @cached_property
+    def second(self) -> Second:
+        """The predictions with second derivatives."""
+        if not self.distributed:
+            return _Linear(self)
+        made = extended(self.problem.model, self.distributed)
+        if made is None:
+            return self._swept()
+        model, times = made.model, 1 + len(self.distributed)
+        packed = repacked(self.problem.packed, times, made.doses, model)
+        module = load_module(model, METHODS[self.problem.module.solver]).random(0)
+        scaling = Scaling(
+            np.zeros(len(model.channels), dtype=bool), np.ones_like(packed.values), np.ones(len(model.channels))
+        )
+        problem = Problem(model, module, packed, teacher_forcing(model, packed, 0.0), scaling)
+        start = np.concatenate(
+            [
+                self.parameters.start_value,
+                np.zeros((packed.trajectories, len(model.states) - len(self.problem.model.states))),
+            ],
+            1,
+        )
+        return _Sensitivities(self, Individuals(problem, model, start, {}, self.choice.of_model(model, type(module))))
+
+    def _swept(self) -> Second:
+        """With networks: by sweeps of casadi, or by torch where lags of doses are learned."""
+        if covered(self.problem):
+            return Sweeps(self.problem, self.parameters, self.distributed)
+        return _Graph(self)
+
+
+def _moved(first: Tensor, slopes: Tensor, constants: Tensor, at: Tensor, owner: Tensor) -> Tensor:
+    """Values expanded to first order in the constants of their trajectories around `at`."""
+    return first + torch.einsum("m...k,mk->m...", slopes, (constants - at)[owner])
+
+
+class _Linear:
+    """Without distributed constants: predictions alone."""
+
+    def __init__(self, of: Predictions) -> None:
+        self.of = of
+
+    def __call__(self, constants: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Predictions to first order; without sensitivities."""
+        at = constants.detach()
+        found = self.of.individuals.first(at.numpy(), weights.detach().numpy(), of_weights=True)
+        owner = torch.from_numpy(self.of.measured.owner)
+        mean = _moved(torch.from_numpy(found.mean), torch.from_numpy(found.constants), constants, at, owner)
+        mean = mean + torch.from_numpy(found.weights) @ (weights - weights.detach())
+        return mean, mean.new_zeros((len(mean), 0))
+
+
+class _Sensitivities:
+    """By the engine of the larger model; the result is expanded to first order in the constants."""
+
+    def __init__(self, of: Predictions, individuals: Individuals) -> None:
+        self.of, self.individuals = of, individuals
+        channels, times = len(of.problem.model.channels), 1 + len(of.distributed)
+        number = np.full(individuals.problem.seen.shape, -1, dtype=np.int64)
+        number[individuals.problem.seen] = np.arange(int(individuals.problem.seen.sum()))
+        row, channel = np.nonzero(of.problem.seen)
+        self.place = np.stack([number[row, channel + i * channels] for i in range(times)], 1)
+
+    def __call__(self, constants: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Predictions and sensitivities."""
+        at = constants.detach()
+        found = self.individuals.first(at.numpy(), weights.detach().numpy())
+        value, slope = torch.from_numpy(found.mean[self.place]), torch.from_numpy(found.constants[self.place])
+        owner = torch.from_numpy(self.of.measured.owner)
+        both = _moved(value, slope, constants, at, owner)
+        return both[:, 0], both[:, 1:]
+
+
+class _Graph:
+    """By the torch graph: one copy of every trajectory for each distributed constant, with its forward derivative."""
+
+    def __init__(self, of: Predictions) -> None:
+        self.of = of
+        count, copies = of.problem.packed.trajectories, len(of.distributed)
+        index = np.tile(np.arange(count), copies)
+        problem = of.problem.take(index) if copies > 1 else of.problem
+        parameters = of.individuals.parameters.take(index)
+        self.engine, self.index = TorchEngine(problem, parameters), torch.from_numpy(index)
+        names = [k.name for k in of.problem.model.learnables]
+        self.tangent = torch.zeros((len(index), len(names)), dtype=torch.float64)
+        for k, name in enumerate(of.distributed):
+            self.tangent[k * count : (k + 1) * count, names.index(name)] = 1.0
+        row, self.channel = np.nonzero(of.problem.seen)
+        packed, table = of.problem.packed, problem.packed.row_table
+        owner, place = packed.row_trajectory[row], packed.row_index[row]
+        self.row = np.stack([table[owner + k * count, place] for k in range(copies)], 1)
+
+    def __call__(self, constants: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+        """Predictions and sensitivities."""
+        parameters, unit = self.engine.parameters, torch.from_numpy(self.of.individuals.unit)
+        with torch.no_grad():
+            theta = self._vector(constants[self.index], weights, unit, parameters).numpy()
+            path = self.engine.plan(theta)
+        with forward_ad.dual_level():
+            dual = forward_ad.make_dual(constants[self.index], self.tangent)  # type: ignore[no-untyped-call]  # torch does not annotate it
+            mean = self.engine.unroll(self._vector(dual, weights, unit, parameters), path).mean
+            primal, tangent = forward_ad.unpack_dual(mean)  # type: ignore[no-untyped-call]  # torch does not annotate it
+        tangent = torch.zeros_like(primal) if tangent is None else tangent
+        return primal[self.row[:, 0], self.channel], tangent[self.row, self.channel[:, None]]
+
+    @staticmethod
+    def _vector(constants: Tensor, weights: Tensor, unit: Tensor, parameters: Parameters) -> Tensor:
+        start = constants.new_zeros((len(constants), parameters.n_local - len(unit)))
+        return torch.cat([weights, torch.cat([constants / unit, start], 1).reshape(-1)])

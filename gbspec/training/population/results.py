@@ -1,0 +1,203 @@
+"""What a population fit tells: likelihood, spreads with intervals, individual estimates, residuals, a predictive check.
+
+The covariance of estimates is the inverse of the expected information (`marginal`), with priors and ridge. Individual
+estimates are the modes; their standard deviations follow from the inverse of the inner Hessian. Shrinkage is one minus
+the standard deviation of the modes in units of the spread (Karlsson and Savic 2007). Conditional weighted residuals are
+those of the model linearised at the modes (Hooker, Staatz and Karlsson 2007): V^(-1/2) (y - f(z*) + F z*).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.training.population.layout import Layout
+from gbspec.training.population.likelihood import Compared
+from gbspec.training.population.objective import Objective, Point
+from gbspec.training.problem import Integers
+
+QUANTILE = 1.645
+"""Half the width of a 90 % interval of a normal distribution, in standard deviations."""
+BINS = 10
+"""Most intervals of time in which a predictive check compares quantiles."""
+REPLICATES, MOST = 300, 3_000_000
+"""Simulated data sets of a predictive check, and the most values in all of them."""
+LEVELS = (0.05, 0.5, 0.95)
+"""The quantiles that a predictive check compares."""
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Natural values of u by name, their standard deviations and 90 % intervals (NaN: not known), and covariance."""
+
+    names: tuple[str, ...]
+    value: Array
+    sd: Array
+    low: Array
+    high: Array
+    covariance: Array
+
+    def at(self, name: str) -> int:
+        """The place of a name."""
+        return self.names.index(name)
+
+
+@dataclass(frozen=True)
+class PopulationResult:
+    """The result at a point; arrays are those of `Measured` and of the distributed constants, in their order.
+
+    `individual` [N, q] and `individual_sd` the constants of each trajectory; `deviations` [N, q] in units of the
+    spreads; `table` [m, ...] by name: the population's and the trajectory's own predictions, and residuals. `used` is
+    the number of parameters, of weights the effective one.
+    """
+
+    point: Point
+    ridge: float
+    estimates: Estimates
+    correlation: Array
+    individual: Array
+    individual_sd: Array
+    deviations: Array
+    shrinkage: Array
+    noise: Array
+    table: dict[str, Array]
+    used: float
+
+
+def result_at(objective: Objective, weights: Array, u: Array, z: Array, ridge: float) -> PopulationResult:
+    """Everything at a point, whose modes are found from `z`."""
+    point = objective.at(weights, u, z, ridge)
+    layout, likelihood = objective.layout, objective.marginal.likelihood
+    curvature = objective.curvature(point, ridge) / 2
+    covariance = _inverse(curvature)
+    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.count, -1))
+    modes = torch.from_numpy(point.z)
+    of = likelihood.at(natural, modes, weights)
+    with torch.no_grad():
+        constants, slope = layout.constants(natural, modes)
+        factor = layout.correlation_factor(natural)
+        deviations = torch.einsum("nij,nj->ni", factor, modes).numpy()
+        correlation = (factor[0] @ factor[0].T).numpy() if layout.effects else np.zeros((0, 0))
+    posterior = np.linalg.inv(likelihood.expected_hessian(of).numpy())
+    spread = np.sqrt(np.einsum("nij,njk,nik->ni", slope.numpy(), posterior, slope.numpy()))
+    count = len(weights)
+    information = objective.curvature(point, 0.0) / 2
+    used = float(np.trace(covariance[:count, :count] @ information[:count, :count])) if count else 0.0
+    shrinkage = 1 - deviations.std(axis=0, ddof=1) if len(deviations) > 1 else np.full(layout.effects, np.nan)
+    return PopulationResult(
+        point,
+        ridge,
+        _estimates(layout, point.u, covariance[count:, count:]),
+        correlation,
+        constants.numpy()[:, layout.place],
+        spread,
+        deviations,
+        shrinkage,
+        np.sqrt(of.variance.numpy()),
+        _table(objective, point, of),
+        used + len(point.u),
+    )
+
+
+def _inverse(matrix: Array) -> Array:
+    """The inverse of an information; directions without any have infinite variances, told as NaN."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    try:
+        found = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
+    except np.linalg.LinAlgError:
+        return np.full_like(matrix, np.nan)
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def _estimates(layout: Layout, u: Array, covariance: Array) -> Estimates:
+    """Natural values; intervals are symmetrical on the scale on which parameters are trained."""
+    at = torch.from_numpy(u)
+    slopes = layout.bijections.derivative(u)
+    with np.errstate(invalid="ignore"):
+        own = np.sqrt(np.diag(covariance))
+    value = layout.natural(at).numpy()
+    ends = [layout.natural(torch.from_numpy(u + sign * QUANTILE * own)).numpy() for sign in (-1, 1)]
+    scaled = covariance * np.outer(slopes, slopes)
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    return Estimates(tuple(layout.names), value, np.abs(slopes) * own, low, high, scaled)
+
+
+def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]:
+    """Predictions and residuals of every measured value."""
+    layout, likelihood = objective.layout, objective.marginal.likelihood
+    predictions = objective.marginal.predictions
+    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.count, -1))
+    with torch.no_grad():
+        typical = layout.constants(natural, torch.zeros_like(torch.from_numpy(point.z)))[0].numpy()
+    population = predictions.individuals.mean(typical, point.weights)
+    owner, residual = predictions.measured.owner, -of.residual.numpy()
+    by_z, variance = of.by_z.numpy(), of.variance.numpy()
+    weighted = np.full(len(owner), np.nan)
+    order = np.argsort(owner, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
+        if not len(rows):
+            continue
+        f = by_z[rows]
+        values, vectors = np.linalg.eigh(np.diag(variance[rows]) + f @ f.T)
+        root = vectors @ np.diag(1 / np.sqrt(np.maximum(values, 1e-300))) @ vectors.T
+        weighted[rows] = root @ (residual[rows] + f @ point.z[owner[rows[0]]])
+    logs = predictions.measured.logarithm
+    return {
+        "value": np.where(logs, np.exp(predictions.measured.value), predictions.measured.value),
+        "individual": np.where(logs, np.exp(of.mean.numpy()), of.mean.numpy()),
+        "population": population,
+        "cwres": weighted,
+        "iwres": residual / np.sqrt(variance),
+    }
+
+
+def predictive_check(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
+    """Quantiles of measured and of simulated values by channel and interval of time: a visual predictive check.
+
+    Rows are [channel, first time, middle, last time, measured quantiles, and for each of these the 5, 50 and 95 %
+    quantile of the simulated ones]; simulated data sets have the trajectories, times and conditions of the data.
+    """
+    measured = objective.marginal.predictions.measured
+    simulated = simulate(objective, point, seed)
+    value = np.where(measured.logarithm, np.exp(measured.value), measured.value)
+    rows = []
+    for channel in np.unique(measured.channel):
+        here = np.flatnonzero(measured.channel == channel)
+        for some in _bins(times[here]):
+            pick = here[some]
+            own = np.quantile(value[pick], LEVELS)
+            found = np.nanquantile(simulated[:, pick], LEVELS, axis=1)
+            bands = np.nanquantile(found, LEVELS, axis=1)
+            t = times[pick]
+            rows.append([channel, t.min(), np.median(t), t.max(), *own, *bands.T.ravel()])
+    return {"check": np.array(rows, dtype=np.float64).reshape(-1, 16)}
+
+
+def _bins(times: Array) -> list[Integers]:
+    """Indices of values in intervals of time with about equal numbers of values."""
+    edges = np.unique(np.quantile(times, np.linspace(0, 1, BINS + 1)))
+    if len(edges) < 2:
+        return [np.arange(len(times))]
+    place = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, len(edges) - 2)
+    return [np.flatnonzero(place == i) for i in range(len(edges) - 1) if (place == i).any()]
+
+
+def simulate(objective: Objective, point: Point, seed: int) -> Array:
+    """Simulated values [replicates, m] at the design of the data."""
+    layout, likelihood = objective.layout, objective.marginal.likelihood
+    predictions, rng = objective.marginal.predictions, np.random.default_rng([seed, 67])
+    count = max(20, min(REPLICATES, MOST // max(len(likelihood.value), 1)))
+    natural = layout.natural(torch.from_numpy(point.u).expand(likelihood.count, -1))
+    out = np.full((count, len(likelihood.value)), np.nan)
+    for i in range(count):
+        z = torch.from_numpy(rng.standard_normal((likelihood.count, layout.effects)))
+        with torch.no_grad():
+            constants, slope = layout.constants(natural, z)
+        mean = torch.from_numpy(predictions.individuals.mean(constants.numpy(), point.weights))
+        of = likelihood.compared(mean, mean.new_zeros((len(mean), layout.effects)), slope, natural)
+        drawn = of.mean.numpy() + np.sqrt(of.variance.numpy()) * rng.standard_normal(len(mean))
+        out[i] = np.where(likelihood.logs.numpy(), np.exp(np.minimum(drawn, 700)), drawn)
+    return out

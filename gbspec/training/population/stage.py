@@ -1,0 +1,112 @@
+"""The stage that maximises the marginal likelihood: damped scoring, from exact gradients and expected information.
+
+Between two iterations its state is the trainable vector, the modes z, the damping and the ridge; the rest follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.training.optimise import Outcome, State
+from gbspec.training.population.layout import Layout
+from gbspec.training.population.objective import Objective, Point
+from gbspec.training.problem import Parameters
+
+Failure: TypeAlias = Callable[[Array], Exception]
+"""The error to raise if the model cannot be solved at a vector."""
+
+FALL = 1e-9
+"""The stage has converged when the fall of -2 log L that the next step promises is below this, absolutely or as a part
+of the objective; the square root of this is about the error of a parameter in its standard deviations."""
+SLOW, TIMES = 0.05, 3
+"""Where networks are learned, whose weights move along long flat valleys, the stage ends when the objective has fallen
+by less than this so many times in a row: a twentieth of what one parameter without effect changes by chance."""
+TRIALS = 14
+"""Damped steps that are tried in one iteration."""
+LONGEST = 0.7
+"""No parameter moves further than this in one step: a factor of e^2."""
+
+
+def vector_of(parameters: Parameters, layout: Layout, weights: Array, u: Array, z: Array) -> Array:
+    """The trainable vector with individual constants at the modes."""
+    theta = np.zeros(parameters.size)
+    theta[: parameters.n_weights], theta[layout.slice()] = weights, u
+    if parameters.own:
+        with torch.no_grad():
+            natural = layout.natural(torch.from_numpy(u)).expand(parameters.trajectories, -1)
+            constants = layout.constants(natural, torch.from_numpy(z))[0].numpy()
+        local = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+        local[:, : len(parameters.own)] = parameters.bijections(parameters.own).from_natural(
+            constants[:, list(parameters.own)]
+        )
+    return theta
+
+
+class MarginalLikelihood:
+    """The stage. `objective_at` is built when it is first needed: it compiles a larger model."""
+
+    def __init__(
+        self, name: str, total: int, parameters: Parameters, objective: Objective, ridge: float | None, failure: Failure
+    ) -> None:
+        self.name, self.total, self.parameters = name, total, parameters
+        self.objective, self.failure = objective, failure
+        self.layout = objective.layout
+        # None: the ridge of greatest evidence.
+        self.ridge = ridge
+
+    def begin(self, theta: Array) -> State:
+        """The state at a vector, whose individual constants are not used: the modes are found from the medians."""
+        z = np.zeros((self.parameters.trajectories, self.layout.effects))
+        first = 1.0 if self.ridge is None else self.ridge
+        ridge = first if self.parameters.n_weights else 0.0
+        return {"theta": theta, "z": z, "damping": np.array(1e-3), "ridge": np.array(ridge), "slow": np.array(0.0)}
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One damped step. Raises ComputationError where the model cannot be solved at the present vector."""
+        theta, ridge, damping = state["theta"], float(state["ridge"]), float(state["damping"])
+        weights, u = theta[: self.parameters.n_weights], theta[self.layout.slice()]
+        now = self.objective.at(weights, u, state["z"], ridge)
+        if not np.isfinite(now.objective):
+            raise self.failure(vector_of(self.parameters, self.layout, weights, u, 0 * state["z"]))
+        if self.parameters.n_weights and self.ridge is None:
+            ridge = self.objective.evident_ridge(now, ridge)
+            now = Point(weights, u, now.minus2ll + self._penalty(now, ridge), now.minus2ll, now.z)
+        gradient = self.objective.gradient(now, ridge)
+        curvature = self.objective.curvature(now, ridge)
+        new, promised, damping = self._trial(now, gradient, curvature, ridge, damping)
+        fell = now.objective - new.objective
+        slow = float(state["slow"]) + 1 if self.parameters.n_weights and fell < SLOW else 0.0
+        last = promised < FALL * (1 + abs(now.objective)) or slow >= TIMES or new is now
+        moved = vector_of(self.parameters, self.layout, new.weights, new.u, new.z)
+        reached: State = {"theta": moved, "z": new.z, "damping": np.array(damping), "ridge": np.array(ridge)}
+        reached["slow"] = np.array(slow)
+        values = max(int(self.objective.marginal.predictions.problem.seen.sum()), 1)
+        return Outcome(reached, new.objective / (2 * values), last, "", f"-2 log likelihood {new.minus2ll:.6g}")
+
+    def _penalty(self, point: Point, ridge: float) -> float:
+        """The part of the objective that is not the likelihood, with another ridge."""
+        empty = self.objective.at(point.weights, point.u, point.z, ridge)
+        return empty.objective - empty.minus2ll
+
+    def _trial(
+        self, now: Point, gradient: Array, curvature: Array, ridge: float, damping: float
+    ) -> tuple[Point, float, float]:
+        """The first damped step that lowers the objective, the fall that the undamped one promises, and the damping."""
+        diagonal = np.maximum(np.diag(curvature), 1e-8 * max(float(np.diag(curvature).max()), 1e-300))
+        promised, count = 0.0, len(now.weights)
+        for trial in range(TRIALS):
+            step = -np.linalg.solve(curvature + damping * np.diag(diagonal), gradient)
+            if trial == 0:
+                promised = -0.5 * float(gradient @ step)
+            longest = float(np.abs(step[count:]).max(initial=0.0))
+            step *= min(1.0, LONGEST / longest) if longest > 0 else 1.0
+            new = self.objective.at(now.weights + step[:count], now.u + step[count:], now.z, ridge)
+            if new.objective <= now.objective:
+                return new, promised, max(damping / 10, 1e-9)
+            damping = max(damping * 6, 1e-4)
+        return now, promised, 1e-3

@@ -1,0 +1,154 @@
+"""The population part of a member's result: from the maximum of the marginal likelihood to records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.files import finite
+from gbspec.runs import EffectRecord, ObjectiveRecord, PopulationRecord, PopulationTables
+from gbspec.training.population import Objective, PopulationResult, predictive_check, result_at
+from gbspec.training.problem import Parameters
+from gbspec.training.recipe import Context, marginal_objective
+from gbspec.training.runs.summary import MemberResult
+
+
+@dataclass(frozen=True)
+class Described:
+    """A population as the run keeps it."""
+
+    record: PopulationRecord
+    objective: ObjectiveRecord
+    tables: PopulationTables
+    info: dict[str, object]
+
+
+def with_population(
+    result: MemberResult, context: Context, parameters: Parameters, theta: Array, fraction: float, ridge: float
+) -> tuple[MemberResult, Described]:
+    """A member's result with what the marginal likelihood tells: medians, deviations, individual estimates."""
+    objective = marginal_objective(context, parameters, fraction)
+    layout = objective.layout
+    zero = np.zeros((parameters.trajectories, layout.effects))
+    found = result_at(objective, theta[: parameters.n_weights], theta[layout.slice()], zero, ridge)
+    known, own = found.estimates, [k.name for k in context.model.learnables if k.per_trajectory]
+    constants, sd = dict(result.constants), dict(result.sd)
+    for learnable in context.model.learnables:
+        made = learnable.distribution
+        name = learnable.name if made is None else made.median
+        if not name:
+            constants[learnable.name] = 0.0
+        elif name in known.names:
+            constants[learnable.name] = float(known.value[known.at(name)])
+            sd[learnable.name] = float(known.sd[known.at(name)])
+    shared = [known.at(k.name) for k in context.model.learnables if not k.per_trajectory]
+    order = [k.name for k in layout.distributed]
+    pick = [order.index(name) for name in own]
+    made_result = replace(
+        result,
+        constants=constants,
+        sd=sd,
+        correlations=_correlations(known.covariance[np.ix_(shared, shared)]),
+        own=found.individual[:, pick],
+        own_sd=found.individual_sd[:, pick],
+        noise=_noise(context, found, objective),
+    )
+    return made_result, Described(
+        _record(context, found, objective),
+        _objective(found, objective),
+        _tables(context, found, objective),
+        _info(objective, found),
+    )
+
+
+def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
+    """What the weights file says of the distribution: the names, and the factor B of the deviations' covariance."""
+    layout = objective.layout
+    with torch.no_grad():
+        factor = layout.factor(layout.natural(torch.from_numpy(found.point.u))).numpy()
+    return {"names": [k.name for k in layout.distributed], "factor": factor.tolist()}
+
+
+def _correlations(covariance: Array) -> Array:
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(covariance / np.outer(sd, sd), dtype=np.float64)
+
+
+def _noise(context: Context, found: PopulationResult, objective: Objective) -> dict[str, float]:
+    """The noise of each channel: the root mean square of its standard deviations."""
+    channel = objective.marginal.predictions.measured.channel
+    out = {}
+    for i, one in enumerate(context.model.channels):
+        values = found.noise[channel == i]
+        out[one.name] = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+    return out
+
+
+def _record(context: Context, found: PopulationResult, objective: Objective) -> PopulationRecord:
+    known, effects = found.estimates, {}
+    for k, learnable in enumerate(objective.layout.distributed):
+        made = learnable.distribution
+        assert made is not None
+        median = known.at(made.median) if made.median else None
+        spread = known.at(made.spread) if made.spread is not None else None
+        effects[learnable.name] = EffectRecord(
+            0.0 if median is None else float(known.value[median]),
+            made.fixed if spread is None else float(known.value[spread]),
+            None if median is None else _interval(known.low[median], known.high[median]),
+            finite(float(found.shrinkage[k])),
+            made.kind,
+            None if median is None else finite(float(known.sd[median])),
+            None if spread is None else _interval(known.low[spread], known.high[spread]),
+        )
+    names = [learnable.name for learnable in objective.layout.distributed]
+    correlations = {
+        a: {b: float(found.correlation[i, j]) for j, b in enumerate(names) if j != i and found.correlation[i, j] != 0}
+        for i, a in enumerate(names)
+    }
+    values = len(objective.marginal.likelihood.value)
+    return PopulationRecord(
+        found.point.minus2ll,
+        effects,
+        {name: row for name, row in correlations.items() if row},
+        found.used,
+        finite(found.point.minus2ll + 2 * found.used),
+        finite(found.point.minus2ll + found.used * float(np.log(max(values, 1)))),
+        objective.marginal.nodes,
+        found.ridge if context.model.networks else None,
+    )
+
+
+def _interval(low: float, high: float) -> tuple[float, float] | None:
+    return (float(low), float(high)) if np.isfinite(low) and np.isfinite(high) else None
+
+
+def _objective(found: PopulationResult, objective: Objective) -> ObjectiveRecord:
+    nodes = objective.marginal.nodes
+    way = (
+        "Laplace's method (FOCEI)" if nodes == 1 else f"adaptive Gauss-Hermite quadrature with {nodes} nodes an effect"
+    )
+    more = (
+        " plus minus twice the log densities of priors and networks' weights"
+        if found.point.objective != found.point.minus2ll
+        else ""
+    )
+    return ObjectiveRecord(f"marginal likelihood: -2 log likelihood by {way}{more}", finite(found.point.objective))
+
+
+def _tables(context: Context, found: PopulationResult, objective: Objective) -> PopulationTables:
+    problem, measured = objective.marginal.predictions.problem, objective.marginal.predictions.measured
+    row, _ = np.nonzero(problem.seen)
+    times = problem.packed.row_time[row]
+    arrays = {
+        **found.table,
+        "owner": measured.owner.astype(np.float64),
+        "channel": measured.channel.astype(np.float64),
+        "time": times,
+        "deviations": found.deviations,
+    }
+    arrays |= predictive_check(objective, found.point, times, context.seed)
+    return PopulationTables(arrays, tuple(problem.packed.labels))

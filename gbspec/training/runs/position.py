@@ -1,0 +1,102 @@
+"""The position of a member in its training, and how it is read from a checkpoint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.data import Estimated
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.runs import JsonError, StageRecord, decode, files
+from gbspec.training.optimise import Certainty, State
+from gbspec.training.runs.remarks import Remarks
+
+
+@dataclass
+class Position:
+    """The position of a member in its training: stage, number of completed steps, state, and history.
+
+    `entry` is the vector at the beginning of the present stage, from which the stage is rebuilt on resume; `marks`
+    holds the vectors at the ends of the previous stages, `notes` the remarks for the user; `best` and `best_score`
+    belong to the vector that best predicts held-out data (without held-out data: the last one), `best_stages` is the
+    number of stages that had begun then, which determine its step. `estimated` is the noise by which channels are
+    weighed, if they are; `ridge` that of a population's networks.
+    """
+
+    stage: int = 0
+    iteration: int = 0
+    state: State = field(default_factory=dict)
+    entry: Array = field(default_factory=lambda: np.zeros(0))
+    theta: Array = field(default_factory=lambda: np.zeros(0))
+    best: Array = field(default_factory=lambda: np.zeros(0))
+    best_score: float = float("inf")
+    best_stages: int = 0
+    marks: dict[str, Array] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    certainty: Certainty = field(default_factory=Certainty)
+    seconds: float = 0.0
+    loss: float = float("inf")
+    history: list[tuple[str, int, float, float, tuple[float, ...]]] = field(default_factory=list)
+    stages: list[StageRecord] = field(default_factory=list)
+    finished: bool = False
+    estimated: Estimated | None = None
+    ridge: float = 0.0
+
+
+def checkpoint(directory: Path) -> tuple[dict[str, Array], Remarks] | None:
+    """The last checkpoint, if there is one. Raises `UserError` (GB852) if it is damaged."""
+    path = directory / files.CHECKPOINT
+    if not path.is_file():
+        return None
+    try:
+        arrays, remarks = files.read_tensors(path)
+        found = decode(Remarks, remarks)
+        restored(arrays, found)
+        wrong = [name for name, value in arrays.items() if name.startswith("fixed.") and not np.isfinite(value).all()]
+        if wrong:
+            raise ValueError(f"`{path}` is damaged: `{wrong[0]}` has entries that are not finite")
+        return arrays, found
+    except (KeyError, OverflowError) as error:
+        raise _damaged(directory, f"`{path}` is damaged: it has no {error}") from None
+    except ValueError as error:
+        damaged = f"`{path}` is damaged: {error}" if isinstance(error, JsonError) else str(error)
+        raise _damaged(directory, damaged) from None
+
+
+def _damaged(directory: Path, message: str) -> UserError:
+    return UserError([Diagnostic("GB852", message, None, help=f"delete `{directory}` to fit the member again")])
+
+
+def restored(arrays: dict[str, Array], remarks: Remarks) -> Position:
+    """The position stored in a checkpoint."""
+    return Position(
+        stage=remarks.stage,
+        iteration=remarks.iteration,
+        state={name.partition("state.")[2]: v for name, v in arrays.items() if name.startswith("state.")},
+        entry=arrays["entry"],
+        certainty=Certainty(
+            arrays["deviations"],
+            arrays["correlations"],
+            float.fromhex(remarks.exact.freedom),
+            arrays.get("own", np.zeros((0, 0))),
+        ),
+        theta=arrays["theta"],
+        best=arrays["best"],
+        best_stages=remarks.best_stages,
+        best_score=float.fromhex(remarks.exact.best_score),
+        seconds=remarks.seconds,
+        loss=float.fromhex(remarks.exact.loss),
+        history=[
+            (name, i, seconds, float.fromhex(loss), tuple(float.fromhex(x) for x in constants))
+            for name, i, seconds, loss, constants in remarks.history
+        ],
+        stages=list(remarks.stages),
+        notes=list(remarks.notes),
+        marks={name.partition("mark.")[2]: v for name, v in arrays.items() if name.startswith("mark.")},
+        finished=remarks.finished,
+        ridge=float(arrays.get("ridge", np.array(0.0))),
+        estimated=Estimated(arrays["noise"], arrays["share"]) if "noise" in arrays else None,
+    )

@@ -1,0 +1,259 @@
+"""Populations: the marginal likelihood against closed forms, its derivatives, and fits from end to end."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from gbspec.backends import load_module
+from gbspec.data import Trajectories, shipped_model
+from gbspec.diagnostics import Findings, UserError
+from gbspec.frontend import load_model
+from gbspec.ir import METHODS, Model
+from gbspec.operations import comparing, models, tables
+from gbspec.training import TrainOptions, train
+from gbspec.training.population import Layout, Marginal, Predictions
+from gbspec.training.population.predictions import _Graph
+from gbspec.training.recipe import build_context
+
+LEVEL = """model level
+state x
+learn m = 5 in [-50, 50] per trajectory ~ normal(s)
+learn s = 1 > 0
+learn e = 0.5 > 0
+x' = 0
+initial x = m
+observe x noise normal(e)
+"""
+"""A linear mixed model: its marginal likelihood is that of a normal distribution."""
+
+DECAY = """model decay
+time t from 0
+state x
+learn k = 0.5 in [0.01, 5] per trajectory ~ lognormal
+learn x0 = 2 in [0.1, 20] per trajectory ~ lognormal
+correlate k, x0
+learn a = 0.1 in [1e-3, 1]
+x' = -k*x
+initial x = x0
+observe x noise normal(sqrt(a^2 + (0.1*y)^2))
+"""
+
+NETWORK = """model network
+time t from 0
+state x in [0, 4]
+effect e per trajectory
+unknown f(x in [0, 4], e in [-3, 3])
+    >= 0, zero at x = 0
+    = 0.5*x*nn
+    by mlp(3)
+x' = -f(x, e)
+initial x = 2
+observe x
+"""
+
+
+PHENOBARBITAL = """model phenobarbital
+time t : h from 0
+state A : mg
+learn CL : L/h = 0.006 in [0.0005, 0.1] per trajectory ~ lognormal
+learn V : L = 1.4 in [0.1, 10] per trajectory ~ lognormal
+dose A
+A' = -CL/V*A
+initial A = 0
+observe conc = A/V : mg/L
+"""
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
+
+
+def model_of(text: str, folder: Path) -> Model:
+    (folder / "model.gb").write_text(text)
+    findings = Findings()
+    model = load_model(folder / "model.gb", findings)
+    findings.raise_if_failed()
+    return model
+
+
+def table(folder: Path, values: np.ndarray, times: np.ndarray) -> Path:
+    rows = ["trajectory,t,x"]
+    rows += [f"{i + 1},{t},{y!r}" for i, row in enumerate(values.tolist()) for t, y in zip(times, row, strict=True)]
+    (folder / "data.csv").write_text("\n".join(rows) + "\n")
+    return folder / "data.csv"
+
+
+def levels(folder: Path) -> tuple[Model, Trajectories, np.ndarray]:
+    random = np.random.default_rng(1)
+    values = 5 + 1.5 * random.standard_normal((8, 1)) + 0.4 * random.standard_normal((8, 4))
+    model = model_of(LEVEL, folder)
+    return model, tables.read_data(table(folder, values, np.arange(4.0)), model, Findings()), values
+
+
+def decays(folder: Path, text: str = DECAY, count: int = 5) -> tuple[Model, Trajectories]:
+    random, times = np.random.default_rng(2), np.array([0.5, 1.0, 2.0, 4.0])
+    rate, start = (
+        0.5 * np.exp(0.4 * random.standard_normal((count, 1))),
+        2 * np.exp(0.2 * random.standard_normal((count, 1))),
+    )
+    values = start * np.exp(-rate * times) * (1 + 0.1 * random.standard_normal((count, 4)))
+    model = model_of(text, folder)
+    return model, tables.read_data(table(folder, values, times), model, Findings())
+
+
+def marginal_of(
+    model: Model, data: Trajectories, nodes: int = 1, step: float = 0.5
+) -> tuple[Marginal, np.ndarray, np.ndarray]:
+    """The marginal likelihood, u at the starts, and the networks' weights."""
+    options = TrainOptions(backend="torch", max_step=step)
+    context = build_context(model, load_module(model, METHODS["rk4"]), data, options, 0)
+    fixed = {k: v for k, v in context.module.weights.items() if k.endswith(("_center", "_scale"))}
+    parameters = context.parameters(fixed)
+    layout = Layout(parameters)
+    names = tuple(k.name for k in layout.distributed)
+    made = Marginal(layout, Predictions(context.problem(0.0), parameters, context.choice, names), nodes)
+    theta = parameters.vector(context.module.weights)
+    return made, theta[layout.slice()], theta[: parameters.n_weights]
+
+
+def exact(values: np.ndarray, mean: float, spread: float, noise: float) -> float:
+    """Minus twice the log likelihood of the linear mixed model."""
+    n = values.shape[1]
+    covariance = spread**2 * np.ones((n, n)) + noise**2 * np.eye(n)
+    off = values - mean
+    squares = np.einsum("ni,ij,nj->", off, np.linalg.inv(covariance), off)
+    return float(values.size * np.log(2 * np.pi) + len(values) * np.linalg.slogdet(covariance)[1] + squares)
+
+
+@pytest.mark.parametrize("nodes", [1, 3])
+def test_the_likelihood_of_a_linear_model_is_exact(tmp_path: Path, nodes: int) -> None:
+    model, data, values = levels(tmp_path)
+    made, u, weights = marginal_of(model, data, nodes)
+    found = made.value(u, weights, np.zeros((8, 1)))
+    assert found.total == pytest.approx(exact(values, 5.0, 1.0, 0.5), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("text", "nodes"), [(DECAY, 1), (DECAY, 3), (NETWORK, 1)], ids=["laplace", "quadrature", "network"]
+)
+def test_the_gradient_is_that_of_the_likelihood(tmp_path: Path, text: str, nodes: int) -> None:
+    model, data = decays(tmp_path, text)
+    made, u, weights = marginal_of(model, data, nodes)
+    random = np.random.default_rng(3)
+    u, weights = u + 0.05 * random.standard_normal(len(u)), weights + 0.3 * random.standard_normal(len(weights))
+    start = np.zeros((len(data), made.layout.effects))
+    found = made.slopes(u, weights, made.value(u, weights, start).z)
+    along, across = random.standard_normal(len(u)), random.standard_normal(len(weights))
+    h = 1e-4
+    values = [made.value(u + s * h * along, weights + s * h * across, start).total for s in (-2, -1, 1, 2)]
+    numeric = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
+    exactly = found.parameters.sum(axis=0) @ along + found.weights @ across
+    assert exactly == pytest.approx(numeric, rel=1e-6, abs=1e-6)
+
+
+def test_the_sweeps_and_the_torch_graph_agree(tmp_path: Path) -> None:
+    model, data = decays(tmp_path, NETWORK)
+    made, u, weights = marginal_of(model, data)
+    z = np.random.default_rng(4).standard_normal((len(data), 1))
+    natural = made.layout.natural(made.rows(u))
+    constants = made.layout.constants(natural, torch.from_numpy(z))[0]
+    results = []
+    for second in (made.predictions.second, _Graph(made.predictions)):
+        k, w = constants.clone().requires_grad_(), torch.from_numpy(weights).requires_grad_()
+        mean, sensitivity = second(k, w)
+        total = (mean**2).sum() + (sensitivity**3).sum()
+        results.append([mean, sensitivity, *torch.autograd.grad(total, [k, w])])
+    for ours, reference in zip(*results, strict=True):
+        torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-9)
+
+
+def test_correlations_are_those_of_the_deviations(tmp_path: Path) -> None:
+    model, data = decays(tmp_path)
+    made, u, _ = marginal_of(model, data)
+    place = next(iter(made.layout.correlations))
+    natural = made.layout.natural(torch.from_numpy(u)).numpy()
+    natural[place] = 0.6
+    covariance = made.layout.covariance_of_deviations(natural)
+    assert covariance == pytest.approx(np.array([[0.09, 0.6 * 0.09], [0.6 * 0.09, 0.09]]))
+
+
+def test_a_fit_finds_the_maximum_of_the_likelihood_and_records_it(tmp_path: Path) -> None:
+    model, data, values = levels(tmp_path)
+    run = train(model, data, TrainOptions(backend="torch", max_step=1.0, effort="low"), tmp_path / "run")
+    n, center = values.shape[1], values.mean(axis=1)
+    within = ((values - center[:, None]) ** 2).sum() / (values.size - len(values))
+    between = center.var() - within / n
+    found = run.fit.population
+    assert found is not None
+    assert found.effects["m"].median == pytest.approx(center.mean(), rel=1e-5)
+    assert found.effects["m"].sd == pytest.approx(np.sqrt(between), rel=1e-4)
+    assert run.fit.constants["e"].value == pytest.approx(np.sqrt(within), rel=1e-4)
+    assert found.minus2ll == pytest.approx(exact(values, center.mean(), np.sqrt(between), np.sqrt(within)), abs=1e-6)
+    assert found.aic == pytest.approx(found.minus2ll + 6)
+    own = run.fit.constants["m"].per_trajectory
+    assert own is not None
+    shrunk = center.mean() + (center - center.mean()) * between / (between + within / n)
+    assert [own[str(i + 1)].value for i in range(8)] == pytest.approx(shrunk.tolist(), rel=1e-4)
+    document = json.loads((tmp_path / "run" / "fit.json").read_text())
+    assert set(document["population"]) >= {"minus2ll", "effects", "correlations"}
+    assert document["objective"]["definition"].startswith("marginal likelihood")
+    assert document["constants"]["m"]["value"] == document["population"]["effects"]["m"]["median"]
+
+
+def test_runs_of_nested_models_are_compared(tmp_path: Path) -> None:
+    model, data, _ = levels(tmp_path)
+    options = TrainOptions(backend="torch", max_step=1.0, effort="low")
+    larger = train(model, data, options, tmp_path / "larger")
+    smaller = train(
+        model_of(LEVEL.replace("learn s = 1 > 0", "const s = 3"), tmp_path), data, options, tmp_path / "smaller"
+    )
+    found = comparing.compare([larger, smaller])
+    (test,) = found.tests
+    assert (test.smaller, test.freedom) == (str(tmp_path / "smaller"), 1)
+    assert test.fall == pytest.approx(found.runs[1].minus2ll - found.runs[0].minus2ll)
+    assert 0 < test.p < 1
+    assert "const s = 3" in found.differences[str(tmp_path / "smaller")]
+    assert "AIC" in str(found)
+
+
+def test_unseen_trajectories_are_drawn_and_start_from_the_median(tmp_path: Path) -> None:
+    model, data, _ = levels(tmp_path)
+    train(model, data, TrainOptions(backend="torch", max_step=1.0, effort="low"), tmp_path / "run")
+    subject = models.learned(models.open_run(tmp_path / "run"))
+    assert subject.individuals is not None
+    random = np.random.default_rng(0)
+    drawn = [subject.individuals.drawn(subject.evaluator, random).constants[0] for _ in range(400)]
+    assert np.mean(drawn) == pytest.approx(subject.evaluator.constants[0], abs=0.3)
+    assert np.std(drawn) == pytest.approx(subject.individuals.factor[0, 0], rel=0.15)
+
+
+def test_an_unknown_start_is_refused(tmp_path: Path) -> None:
+    model = model_of(LEVEL.replace("initial x = m\n", "state z\nz' = m\n"), tmp_path)
+    data = tables.read_data(table(tmp_path, np.ones((2, 3)), np.arange(3.0)), model, Findings())
+    with pytest.raises(UserError) as caught:
+        train(model, data, TrainOptions(backend="torch"), tmp_path / "run")
+    assert [found.code for found in caught.value.diagnostics] == ["GB776"]
+
+
+@pytest.mark.parametrize(
+    ("name", "natural", "minus2ll"),
+    [
+        ("theophylline", (1.590, 2.7515, 31.81, 0.634, 0.263, 0.138, 0.694), 359.403),
+        ("phenobarbital", (0.00589, 1.442, 0.445, 0.449, 2.796), 1010.473),
+    ],
+)
+def test_published_likelihoods_are_found(
+    tmp_path: Path, name: str, natural: tuple[float, ...], minus2ll: float
+) -> None:
+    path = SHARED / f"{name}.csv"
+    if not path.is_file():
+        pytest.skip(f"{name}.csv is not there: the shared tables are not part of the project")
+    bundled = shipped_model("theophylline_population").read_text(encoding="utf-8")
+    model = model_of(bundled if name == "theophylline" else PHENOBARBITAL, tmp_path)
+    data = tables.read_data(path, model, Findings())
+    made, _, weights = marginal_of(model, data, step=0.2 if name == "theophylline" else 4.0)
+    u = made.layout.bijections.from_natural(np.array(natural))
+    found = made.value(u, weights, np.zeros((len(data), made.layout.effects)))
+    assert found.total == pytest.approx(minus2ll, abs=0.05)
