@@ -39,6 +39,7 @@ from .model import Condition as Condition
 from .model import Constant as Constant
 from .model import Contract as Contract
 from .model import Declared as Declared
+from .model import Diffusion as Diffusion
 from .model import Dose as Dose
 from .model import Expr as Expr
 from .model import Initial as Initial

@@ -51,6 +51,7 @@ from gbspec.syntax.statements import (
     ConditionStatement,
     ConserveStatement,
     ConstStatement,
+    DiffusionStatement,
     DoseStatement,
     Formula,
     FunctionStatement,
@@ -90,6 +91,7 @@ __all__ = [
     "ConstStatement",
     "Contract",
     "Declarator",
+    "DiffusionStatement",
     "Distribution",
     "DoseStatement",
     "Expression",
@@ -150,6 +152,7 @@ Statement = (
     | InitialStatement
     | ObserveStatement
     | DoseStatement
+    | DiffusionStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

@@ -52,6 +52,12 @@ DOSING = Rule(
     "constants, learnable constants and conditions",
     "GB313",
 )
+DISTURBANCE = Rule(
+    "a diffusion",
+    _FIXED | {Kind.CONDITION, Kind.INPUT, Kind.STATE},
+    "constants, learnable constants, conditions, inputs and the disturbed state itself",
+    "GB340",
+)
 CLAIM = Rule(
     "a `conserve` claim",
     VALUES - {Kind.UNKNOWN},

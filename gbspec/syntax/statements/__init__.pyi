@@ -8,6 +8,7 @@ from .closure import ClosureStatement as ClosureStatement
 from .condition import ConditionStatement as ConditionStatement
 from .conserve import ConserveStatement as ConserveStatement
 from .const import ConstStatement as ConstStatement
+from .diffusion import DiffusionStatement as DiffusionStatement
 from .dose import DoseStatement as DoseStatement
 from .function import FunctionStatement as FunctionStatement
 from .initial import InitialStatement as InitialStatement

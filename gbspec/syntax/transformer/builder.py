@@ -15,6 +15,6 @@ class Builder(Transformer[Token, ast.Node], ClauseRules):
 
     def __init__(self) -> None:
         Transformer.__init__(self)
-        ClauseRules.__init__(self, frozenset(ast.WORDS))
+        ClauseRules.__init__(self, frozenset(s.entry.word for s in ast.STATEMENTS if s.entry.reserved))
         for statement in ast.STATEMENTS:
             setattr(self, f"{statement.entry.word}_statement", partial(statement.read, self))
