@@ -24,6 +24,8 @@ from .forms import logistic as logistic
 from .forms import raw as raw
 from .forms import scale as scale
 from .forms import softplus as softplus
+from .linearity import Linear as Linear
+from .linearity import linear_in_states as linear_in_states
 from .methods import METHODS as METHODS
 from .methods import RK4 as RK4
 from .methods import Explicit as Explicit

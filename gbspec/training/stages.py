@@ -35,6 +35,7 @@ class StageName(StrEnum):
     WEIGHTS = "channel weights"
     FURTHER = "further iterations"
     LBFGS = "lbfgs"
+    INNOVATIONS = "innovations"
     BREEDING = "bred initial states"
     LEVENBERG_MARQUARDT = "lm"
 
@@ -55,6 +56,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.FINER: (20, 50, 100),
     StageName.WEIGHTS: (8, 30, 60),
     StageName.FURTHER: (0, 0, 120),
+    StageName.INNOVATIONS: (40, 150, 400),
     StageName.LBFGS: (100, 300, 1500),
     StageName.LEVENBERG_MARQUARDT: (6, 60, 200),
 }

@@ -9,7 +9,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Estimated, Scales, Trajectories, scales_of
-from gbspec.ir import METHODS, Method, Model
+from gbspec.ir import METHODS, Method, Model, linear_in_states
 from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import (
@@ -108,7 +108,7 @@ def build_context(
 ) -> Context:
     """The context: splits off the held-out data and prepares the rest; `smooth` selects smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)
-    max_step = options.max_step if options.max_step is not None else default_max_step(trajectories)
+    max_step = options.max_step or exact_step(model, trajectories) or default_max_step(trajectories)
     instance = module.random(seed)
     curves = with_derived(model, instance, kept, fit_curves(model, kept, smooth))
     packed = pack(kept, model, max_step, method=METHODS[module.solver])
@@ -132,6 +132,14 @@ def build_context(
     )
     context._packed[1.0, None] = packed
     return context
+
+
+def exact_step(model: Model, trajectories: Trajectories) -> float | None:
+    """The largest step of a model with disturbances whose moments are solved exactly: that of the longest trajectory;
+    None for others."""
+    if not model.diffusions or linear_in_states(model) is None:
+        return None
+    return max((item.end - item.start for item in trajectories.items), default=1.0) or 1.0
 
 
 def split(trajectories: Trajectories, fraction: float, seed: int) -> tuple[Trajectories, Trajectories]:

@@ -14,6 +14,7 @@ from gbspec.training.optimise import Adam, LevenbergMarquardt, LevenbergOptions,
 from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, FinerStep, LastFit, step_shows
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
@@ -80,6 +81,8 @@ class _Planner:
 
     def _estimation(self) -> list[Planned]:
         """The stages of the estimation, without breeding."""
+        if self.context.model.diffusions:
+            return [disturbed_stage(self.context, self.parameters, self._most(StageName.INNOVATIONS))]
         if self.options.method == "gradient-matching":
             return [self._starts(StageName.STARTS, 1.0)]
         if self.options.method == "auto":

@@ -33,7 +33,7 @@ from gbspec.runs import (
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe import build_context, plan
+from gbspec.training.recipe import build_context, check_disturbed, plan
 from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
     EXACT,
@@ -107,6 +107,7 @@ class Fitting:
     ) -> None:
         findings = Findings()
         options.check(findings)
+        check_disturbed(model, options, trajectories)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
         module = load_module(model, METHODS[options.solver])
@@ -318,6 +319,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         constants={k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables},
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
+        objective=next((r.likelihood.objective for r in ordered if r.likelihood is not None), None),
         warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
         correlations=correlations,
         scales=ScalesRecord.mean(weighed) if len(weighed) == len(ordered) else record.scales,
@@ -342,7 +344,16 @@ def _member(number: int, result: MemberResult) -> MemberRecord:
     rmse = {name: finite(value) for name, value in result.rmse.items()}
     interval = finite(result.interval_loss)
     return MemberRecord(
-        result.seed, finite(result.loss), rmse, result.seconds, stages, number, None, interval, result.channels
+        result.seed,
+        finite(result.loss),
+        rmse,
+        result.seconds,
+        stages,
+        number,
+        None,
+        interval,
+        result.channels,
+        result.likelihood,
     )
 
 

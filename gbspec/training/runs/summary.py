@@ -13,7 +13,7 @@ from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, states_far_outside, variance_of
 from gbspec.files import finite
 from gbspec.ir import Model
-from gbspec.runs import ChannelRecord, StageRecord
+from gbspec.runs import ChannelRecord, LikelihoodRecord, StageRecord
 from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
     Parameters,
@@ -62,6 +62,7 @@ class MemberResult:
     own: Array = field(default_factory=lambda: np.zeros((0, 0)))
     own_sd: Array = field(default_factory=lambda: np.zeros((0, 0)))
     scales: Scales | None = None
+    likelihood: LikelihoodRecord | None = None
 
 
 def summarise(
