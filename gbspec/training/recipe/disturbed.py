@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.data import Trajectories
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import Model
 from gbspec.training.engines import Filtered, FilterEngine
@@ -20,8 +19,10 @@ from gbspec.training.stages import StageName
 from gbspec.training.starts import fit_curves
 
 
-def check_disturbed(model: Model, options: TrainOptions, trajectories: Trajectories) -> None:
-    """Raises UserError for options (GB770) and data (GB771) that a model with disturbances cannot have."""
+def check_disturbed(model: Model, options: TrainOptions) -> None:
+    """Raises UserError (GB770) for options that a model with disturbances cannot have."""
+    if not model.diffusions:
+        return
     found = []
     if options.method != "auto":
         message = f"`--method {options.method}` is not for a model with `diffusion`: only the likelihood is maximised"
@@ -29,13 +30,6 @@ def check_disturbed(model: Model, options: TrainOptions, trajectories: Trajector
     if options.forcing != "teacher":
         message = f"`--forcing {options.forcing}` is not for a model with `diffusion`: no measurement resets a state"
         found.append(Diagnostic("GB770", message, None, help="leave it out"))
-    for channel, item in enumerate(model.channels):
-        logarithmic = item.noise is not None and item.noise.kind == "lognormal"
-        if not logarithmic:
-            continue
-        if any((each.values[:, channel] <= 0).any() for each in trajectories.items):
-            message = f"`{item.name}` has values that are not positive, whose logarithms are needed"
-            found.append(Diagnostic("GB771", message, None, help="leave these cells empty, or state `noise normal(…)`"))
     if found:
         raise UserError(found)
 

@@ -107,7 +107,7 @@ class Fitting:
     ) -> None:
         findings = Findings()
         options.check(findings)
-        check_disturbed(model, options, trajectories)
+        check_disturbed(model, options)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
         module = load_module(model, METHODS[options.solver])
@@ -320,7 +320,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
         objective=next((r.likelihood.objective for r in ordered if r.likelihood is not None), None),
-        warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
+        warnings=(*warnings_of(results, options, model), *moving_together(correlations), *bounds),
         correlations=correlations,
         scales=ScalesRecord.mean(weighed) if len(weighed) == len(ordered) else record.scales,
     )
@@ -357,7 +357,7 @@ def _member(number: int, result: MemberResult) -> MemberRecord:
     )
 
 
-def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:
+def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: Model | None = None) -> list[str]:
     """Warnings that a user must know before relying on the fit."""
     out = []
     for member, result in sorted(results.items()):
@@ -369,7 +369,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
                 "these trajectories do not count as fitted"
             )
         known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
-        left = autocorrelations(result.channels) if known else []
+        left = autocorrelations(result.channels, model, result.rmse) if known else []
         out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")
