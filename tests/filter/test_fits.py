@@ -173,3 +173,11 @@ def test_a_run_is_read_again(fitted: tuple[Run, Trajectories]) -> None:
     run, _ = fitted
     found = open_run(run.path).fit.members[0].likelihood
     assert found == run.fit.members[0].likelihood
+
+
+def test_the_innovations_are_drawn(fitted: tuple[Run, Trajectories]) -> None:
+    from gbspec.report.figures import innovations
+    from gbspec.report.source import Source
+
+    run, data = fitted
+    assert len(innovations.build(Source(run, data)).rows[0][0].rows[0].panels) == 3

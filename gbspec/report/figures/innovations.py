@@ -1,4 +1,4 @@
-"""Standardised innovations of a model with random disturbances, with their autocorrelation and cumulated periodogram."""
+"""Standardised innovations of a disturbed model, with their autocorrelation and cumulated periodogram."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ GREY = "#98a2b3"
 MOST = 4
 """The most channels that are shown."""
 BOUND, DISTANCE = 1.96, 1.358
-"""The 95 % bounds of an autocorrelation and of the distance of a cumulated periodogram, times the root of the number."""
+"""The 95 % bounds of an autocorrelation and of a cumulated periodogram's distance, times the root of the number."""
 
 
 def build(source: Source) -> Figure:

@@ -31,8 +31,7 @@ SMALL = 1e-6
 SCALES = ((1.0, 0.0), (0.1, -2.0))
 """Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
 STARTS, ROUND = 3, 8
-"""The number of vectors from which models of known functions are fitted, and the iterations after which these are
-compared."""
+"""The number of vectors from which fits begin, and the iterations after which these are compared."""
 FLAT = 1e-8
 """Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
 
@@ -82,7 +81,7 @@ class InnovationsFit:
             for factor, shift in SCALES
         ]
         values = np.array([engine.value(each) for each in starts])
-        order = np.argsort(values, kind="stable")[: 1 if engine.parameters.n_weights else STARTS]
+        order = np.argsort(values, kind="stable")[:STARTS]
         return self._begun(starts[order[0]]) | {
             "waiting": np.array([starts[i] for i in order[1:]]).reshape(-1, len(starts[0])),
             "best": np.zeros(0),
