@@ -243,7 +243,7 @@ def _rooms_table(out: Path) -> list[str]:
         "",
         "| model | parameters | log likelihood | with narrow P0 | Ljung-Box p | periodogram p | Ci | Ce | Rie ",
     ]
-    lines[-1] += "| Rea | s |"
+    lines[-1] += "| Rea | wall s |"
     lines += ["|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
     for name, one in found.items():
         values = " | ".join(

@@ -50,3 +50,16 @@ def disturbance(
             subject=name,
         )
     return ir.Diffusion(name, value, size if logarithmic else None, span=place)
+
+
+def refuse_learned_lags(model: ir.Model, findings: Findings) -> None:
+    """Errors for what is not offered together with disturbances (GB344): doses whose lag is learned."""
+    learned = {learnable.symbol for learnable in model.learnables}
+    for dose in model.doses if model.diffusions else ():
+        if dose.lag.free_symbols & learned:
+            findings.error(
+                "GB344",
+                f"the lag of the doses into `{dose.state}` is learned, which is not offered together with `diffusion`",
+                dose.span,
+                help="give the lag a value, or leave out the diffusions",
+            )

@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import Expr, symbol, unknown_function
 from gbspec.ir import model as ir
 from gbspec.lower.contracts import contract_values, lower_contracts
-from gbspec.lower.disturbances import disturbance
+from gbspec.lower.disturbances import disturbance, refuse_learned_lags
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
@@ -171,6 +171,7 @@ class _Lowering:
             text=self._text(),
             allowed=self._checked.allowed,
         )
+        refuse_learned_lags(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
     def _with_short_forms(self, model: ir.Model) -> ir.Model:

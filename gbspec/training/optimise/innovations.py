@@ -26,8 +26,8 @@ ATTEMPTS = 12
 LONGEST = 0.7
 """Largest change of a constant in one step, in units of its trainable value (a factor of e^2.1); of a noise and of a
 weight it is 2."""
-SMALL = 1e-6
-"""The stage ends when the next step would raise the log likelihood by less."""
+SMALL = 1e-4
+"""The stage ends when two steps raise the log likelihood by less: constants are then within hundredths of their sd."""
 SCALES = ((1.0, 0.0), (0.1, -2.0))
 """Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
 STARTS, ROUND = 3, 8
