@@ -156,7 +156,7 @@ def test_a_file_of_version_0_1_0_reads_with_defaults_and_is_written_as_it_was(ru
 
 
 def test_unknown_keys_are_kept_at_every_level(run: Path) -> None:
-    document = changed(("objective",), {"interval": 1.5, "whole": None})
+    document = changed(("purpose",), {"interval": 1.5, "whole": None})
     document["members"][0]["device"] = "cpu"
     document["members"][0]["stages"][0]["accepted"] = [1, 2]
     (run / "fit.json").write_text(json.dumps(document))
@@ -164,7 +164,7 @@ def test_unknown_keys_are_kept_at_every_level(run: Path) -> None:
     check = StepRecord(None, None, 0.1, 2)
     amended = opened.amended(replace(opened.fit, step_checks=(check,)))
     written = json.loads((run / "fit.json").read_text())
-    assert written["objective"] == {"interval": 1.5, "whole": None}
+    assert written["purpose"] == {"interval": 1.5, "whole": None}
     assert written["members"] == document["members"]
     assert written["step_checks"][0]["half_step"] is None
     assert open_run(run).fit == amended.fit
