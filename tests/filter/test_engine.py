@@ -131,3 +131,22 @@ def test_smoothed_means_maximise_the_joint_density(tmp_path: Path) -> None:
     whole = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0].reshape(-1, n)
     assert np.allclose(mean, whole[1:], atol=1e-5)
     assert np.allclose(start[0], whole[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("drift", ["-k*x", "-k*x^2"], ids=["exact", "stepped"])
+def test_doses_and_constants_per_trajectory_have_exact_gradients(tmp_path: Path, drift: str) -> None:
+    text = (
+        f"model m\ntime t\nstate x in [0, 5] = 1\nlearn k = 0.7 in [0.1, 3] per trajectory\nlearn f = 0.8 in [0.1, 1]\n"
+        f"learn s = 0.2 in [0, 2]\nx' = {drift}\ndose x times f\ndiffusion x = s\nobserve x\n"
+    )
+    lines = ["trajectory,t,x,dose_x"]
+    for k in range(2):
+        lines += [f"{k},0,1.1,", f"{k},0.5,0.{7 + k},", f"{k},0.8,,{1 + k}", f"{k},1.2,1.3,", f"{k},2,0.9,"]
+    engine, vector = engine_of(tmp_path, text, "\n".join(lines) + "\n")
+    assert (engine.exact is None) == ("^" in drift)
+    information, h = engine.information(vector), 1e-5
+    for place in np.flatnonzero(engine.layout.free):
+        step = np.zeros(len(vector))
+        step[place] = h
+        change = (engine.value(vector + step) - engine.value(vector - step)) / (2 * h)
+        assert information.gradient[place] == pytest.approx(change, rel=1e-5, abs=1e-5)

@@ -104,13 +104,14 @@ class Dynamics:
         return drift
 
     def dosed(self, z: Tensor, amounts: Tensor) -> Tensor:
-        """The coordinates after doses of these amounts [kinds]."""
+        """The coordinates after doses of these amounts [..., kinds]."""
         model = self.problem.model
         terms = self.problem.module.equations.doses(self._ops, self.condition.unbind(-1), self.constants)
         x = self.coordinates.torch_states(z)
         places = torch.eye(len(model.states), dtype=z.dtype)
         for kind, (fraction, _) in enumerate(terms):
-            x = x + amounts[kind] * fraction * places[model.state_index[model.doses[kind].state]]
+            arriving = amounts[..., kind] * fraction
+            x = x + arriving[..., None] * places[model.state_index[model.doses[kind].state]]
         return self.coordinates.torch_of(x)
 
     def observed(self, t: Tensor, z: Tensor, u: Tensor, log: Mask) -> Tensor:
