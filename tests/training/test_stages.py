@@ -95,6 +95,7 @@ def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatc
         return {stage.name for stage in planning.plan(ready.context, ready.parameters)}
 
     found = names(URP, initial="bred") | names(URP, effort="high") | names(URP, forcing="0.5") | names(KNOWN)
+    found |= names(f"{KNOWN}diffusion x1 = 0.1\n")
     monkeypatch.setattr(planning, "PASSES", 1)
     found |= names(URP)
     assert found == set(STAGES)
