@@ -15,6 +15,8 @@ from .bifurcation.uncertainty import with_uncertainty as with_uncertainty
 from .prediction.estimate import Estimator as Estimator
 from .prediction.estimate import predictions as predictions
 from .prediction.forecast import Forecast as Forecast
+from .prediction.forecast import PredictedTrajectory as PredictedTrajectory
+from .prediction.forecast import Use as Use
 from .prediction.forecast import forecast as forecast
 from .prediction.noise import interval as interval
 from .prediction.noise import noise_at as noise_at
@@ -37,6 +39,8 @@ from .systems.steady import ordered_eigenvalues as ordered_eigenvalues
 from .systems.system import Box as Box
 from .systems.system import System as System
 from .systems.system import system_of as system_of
+from .validation.metrics import ChannelErrors as ChannelErrors
+from .validation.metrics import channel_errors as channel_errors
 from .validation.step_check import check_fit as check_fit
 from .validation.truth_errors import has_reference as has_reference
 from .validation.truth_errors import truth_evaluator as truth_evaluator

@@ -63,6 +63,9 @@ class Equations(Protocol):
     def doses(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
         """For each dose the fraction of it that arrives, and the lag after which it does."""
 
+    def diffusions(self, math: Arithmetic, state: Value, condition: Value, inputs: Value, constants: Value, /) -> Value:
+        """The sizes of random disturbances (of logarithms where they are relative); in models that have any."""
+
     def grid(self, math: Arithmetic, t: Value, h: Value, /) -> Value:
         """The times at which a step of size h from t needs inputs, and the fractions of h that it uses."""
 

@@ -28,6 +28,8 @@ from .forms import logistic as logistic
 from .forms import raw as raw
 from .forms import scale as scale
 from .forms import softplus as softplus
+from .linearity import Linear as Linear
+from .linearity import linear_in_states as linear_in_states
 from .methods import AUTO as AUTO
 from .methods import DOPRI5 as DOPRI5
 from .methods import METHODS as METHODS
@@ -47,6 +49,7 @@ from .model import Condition as Condition
 from .model import Constant as Constant
 from .model import Contract as Contract
 from .model import Declared as Declared
+from .model import Diffusion as Diffusion
 from .model import Dose as Dose
 from .model import Expr as Expr
 from .model import Initial as Initial

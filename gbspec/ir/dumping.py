@@ -167,6 +167,14 @@ def _mathematics(model: Model) -> list[str]:
         ),
     )
     lines += _section("doses", (f"{d.state} times {written(d.fraction)} lag {written(d.lag)}" for d in model.doses))
+    lines += _section(
+        "diffusions",
+        (
+            f"{d.state} by {written(d.value)}"
+            + ("" if d.relative is None else f"  (logarithm by {written(d.relative)})")
+            for d in model.diffusions
+        ),
+    )
     lines += _section("arrays", (line for array in model.arrays for line in _array(array)))
     lines += _section("families", map(_family, model.families))
     claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)

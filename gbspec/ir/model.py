@@ -291,6 +291,20 @@ class Dose:
 
 
 @dataclass(frozen=True)
+class Diffusion:
+    """The random disturbance of a state (Ito): `value` times the increment of a Wiener process of its own.
+
+    `relative` is `value` over the state if this does not depend on the state: then the state's logarithm has a
+    disturbance of this size, whatever the state is; else None.
+    """
+
+    state: str
+    value: Expr
+    relative: Expr | None = None
+    span: Span | None = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True)
 class Claim(Declared):
     """`conserve`: a quantity whose rate of change is claimed to be `rate`."""
 
@@ -338,6 +352,7 @@ class Model:
     balances: tuple[Expr, ...] = ()
     channels: tuple[Channel, ...] = ()
     doses: tuple[Dose, ...] = ()
+    diffusions: tuple[Diffusion, ...] = ()
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()

@@ -101,6 +101,15 @@ def _expressions(model: Model) -> None:
         _require(dose.state in model.state_index, f"a dose into `{dose.state}`")
         for part in (dose.fraction, dose.lag):
             check(f"the dose into `{dose.state}`", part, constants | conditions, applies=False)
+    given = constants | conditions | {item.symbol for item in model.inputs}
+    for diffusion in model.diffusions:
+        _require(diffusion.state in model.state_index, f"a diffusion of `{diffusion.state}`")
+        what = f"the diffusion of `{diffusion.state}`"
+        check(what, diffusion.value, given | {symbol(diffusion.state)}, applies=False)
+        if diffusion.relative is not None:
+            check(what, diffusion.relative, given, applies=False)
+    disturbed = [diffusion.state for diffusion in model.diffusions]
+    _require(len(set(disturbed)) == len(disturbed), "two diffusions of a state")
 
 
 def _families(model: Model) -> None:

@@ -18,6 +18,7 @@ from gbspec.ir import Expr, Noise, symbol, unknown_function
 from gbspec.ir import model as ir
 from gbspec.lower import populations
 from gbspec.lower.contracts import contract_values, lower_contracts
+from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
@@ -157,6 +158,7 @@ class _Lowering:
             balances=self._balances(),
             channels=tuple(self._channel(s) for s in self._checked.all(ast.ObserveStatement)),
             doses=tuple(self._dose(s) for s in self._checked.all(ast.DoseStatement)),
+            diffusions=self._diffusions(),
             claims=tuple(self._claim(s) for s in self._checked.all(ast.ConserveStatement)),
             truth_constants=tuple(
                 ir.TruthConstant(s.target.text, self._checked.truths[s.target.text])
@@ -172,6 +174,7 @@ class _Lowering:
             allowed=self._checked.allowed,
         )
         model = populations.completed(model, self._checked)
+        refuse_together(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
     def _with_short_forms(self, model: ir.Model) -> ir.Model:
@@ -349,6 +352,20 @@ class _Lowering:
         fraction = self._fixed(s.fraction) if s.fraction is not None else sympy.S.One
         lag = self._fixed(s.lag) if s.lag is not None else sympy.S.Zero
         return ir.Dose(target_name(s.target).text, fraction, lag, s.span)
+
+    def _diffusions(self) -> tuple[ir.Diffusion, ...]:
+        numbers = {symbol(name): value for name, value in self._checked.constants.items()}
+        return tuple(
+            disturbance(
+                target_name(s.target).text,
+                self._fixed(s.value),
+                self._position_of,
+                numbers,
+                s.value.span,
+                self._findings,
+            )
+            for s in self._checked.all(ast.DiffusionStatement)
+        )
 
     def _claim(self, s: ast.ConserveStatement) -> ir.Claim:
         rate = self._expression(s.rate) if s.rate is not None else sympy.S.Zero

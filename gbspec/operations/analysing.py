@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -124,7 +125,12 @@ def validate(run: Run, data: Trajectories | None, member: int | Literal["mean"] 
     """Errors of a run on data, at half its step, by an adaptive solver, and against the truth."""
     from gbspec.analysis import validate as check
 
-    return check(run, data, member=member)
+    found = check(run, data, member=member)
+    if not run.model.diffusions or data is None:
+        return found
+    from gbspec.operations.filtering import errors_ahead
+
+    return replace(found, ahead=errors_ahead(run, data, run.best if member == "mean" else member))
 
 
 @packages()
@@ -133,7 +139,12 @@ def predict(run: Run, data: Trajectories, *, window: int | None = None, path: st
     from gbspec.analysis import forecast
     from gbspec.report import write
 
-    found = forecast(run, data, window=window)
+    if run.model.diffusions:
+        from gbspec.operations.filtering import smoothed_forecast
+
+        found = smoothed_forecast(run, data, window)
+    else:
+        found = forecast(run, data, window=window)
     if path is not None:
         write(path, found)
     return found

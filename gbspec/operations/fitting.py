@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gbspec.diagnostics import packages
+from gbspec.diagnostics import Diagnostic, UserError, packages
 
 if TYPE_CHECKING:
     from gbspec.data import Trajectories
@@ -95,4 +95,16 @@ def profile(
     """The profile likelihood of a learned constant."""
     from gbspec.training import profile_constant
 
+    if run.model.diffusions:
+        raise UserError([without_disturbances("profile")])
+
     return profile_constant(run, name, data, member=member, points=points, iterations=iterations, progress=progress)
+
+
+def without_disturbances(command: str) -> Diagnostic:
+    """The diagnostic (GB772) of a command that does not know random disturbances."""
+    message = (
+        f"`gbspec {command}` is not for a model with `diffusion`: it computes squared residuals of whole solutions"
+    )
+    help = "`gbspec report` and `fit.json` have the standard deviations and intervals of its constants"
+    return Diagnostic("GB772", message, None, help=help)

@@ -16,8 +16,10 @@ class Examination:
 
     laws: tuple[Law, ...]
     identifiability: Identifiability
+    disturbed: bool = False
+    """Whether states have random disturbances, which the identifiability leaves out."""
 
 
 def examine(model: Model, findings: Findings) -> Examination:
     """Finds both; parameters that cannot be separated are recorded as warnings (GB401, GB402)."""
-    return Examination(linear_laws(model), identifiability(model, findings))
+    return Examination(linear_laws(model), identifiability(model, findings), bool(model.diffusions))

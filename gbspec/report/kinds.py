@@ -120,6 +120,15 @@ KINDS = (
     ),
     Kind("history", "the loss and the constants over the training", f"{_HERE}.history", heading="Training"),
     Kind(
+        "innovations",
+        "tests of the innovations of a model with random disturbances",
+        f"{_HERE}.innovations",
+        heading="Innovations",
+        note="Errors of predictions from row to row in their standard deviations, their autocorrelation and their "
+        "cumulated periodogram. If the model describes the data, they are independent: within the dashed lines (95 %).",
+        optional=True,
+    ),
+    Kind(
         "eigenvalues",
         "eigenvalues of the Jacobian along the data",
         f"{_HERE}.eigenvalues",

@@ -20,12 +20,15 @@ from .record import ChannelRecord as ChannelRecord
 from .record import ConstantRecord as ConstantRecord
 from .record import DataRecord as DataRecord
 from .record import FitRecord as FitRecord
+from .record import LikelihoodRecord as LikelihoodRecord
 from .record import MemberRecord as MemberRecord
+from .record import NoiseRecord as NoiseRecord
 from .record import Option as Option
 from .record import OwnRecord as OwnRecord
 from .record import ScalesRecord as ScalesRecord
 from .record import StageRecord as StageRecord
 from .record import StepRecord as StepRecord
+from .record import WhitenessRecord as WhitenessRecord
 from .record import read_record as read_record
 from .seals import Summary as Summary
 from .seals import sealed as sealed

@@ -119,12 +119,56 @@ class ChannelRecord:
 
 
 @dataclass(frozen=True)
+class WhitenessRecord:
+    """Tests of a channel's standardised innovations, which are independent and standard normal if the model is right.
+
+    `ljung_box` is the statistic of their first `lags` autocorrelations, `p` its probability under independence;
+    `periodogram` the largest distance of the cumulated periodogram from the diagonal, `periodogram_p` its probability.
+    """
+
+    values: int
+    lags: int
+    ljung_box: float | None
+    p: float | None
+    periodogram: float | None
+    periodogram_p: float | None
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class NoiseRecord:
+    """A learned standard deviation of a channel's noise, the standard deviation of its logarithm, a 90 % interval."""
+
+    value: float
+    sd_of_log: float | None
+    interval: tuple[float, float] | None
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LikelihoodRecord:
+    """The likelihood that a fit maximised: `objective` says which. `parameters` is the number of fitted ones."""
+
+    objective: str
+    minus2ll: float | None
+    parameters: int
+    values: int
+    aic: float | None
+    bic: float | None
+    noise: Mapping[str, NoiseRecord] = field(default_factory=dict)
+    whiteness: Mapping[str, WhitenessRecord] = field(default_factory=dict)
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class MemberRecord:
     """A member's fit.
 
     `loss` is the mean of half squared residuals of whole solutions from their initial states, `interval_loss` that of
     predictions from each row to the next; `rmse` and `channels` by channel are of whole solutions; None where the
     solution was not finite, and `channels` in runs of older versions.
+
+    `likelihood` is that of a fit by maximum likelihood; such a fit's errors are of predictions from row to row.
 
     `member` is its number and `files` the digests of its files by name; runs of version 0.1.0 have neither.
     """
@@ -138,6 +182,7 @@ class MemberRecord:
     files: Mapping[str, str] | None = field(default=None, metadata=OMITTED)
     interval_loss: float | None = field(default=None, metadata=OMITTED)
     channels: Mapping[str, ChannelRecord] | None = field(default=None, metadata=OMITTED)
+    likelihood: LikelihoodRecord | None = field(default=None, metadata=OMITTED)
     others: Mapping[str, object] = field(default_factory=dict)
 
     def estimated(self, model: Model) -> Estimated | None:

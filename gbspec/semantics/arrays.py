@@ -273,6 +273,7 @@ class _Expansion:
                 | ast.InitialStatement(target=target)
                 | ast.ObserveStatement(target=target)
                 | ast.DoseStatement(target=target)
+                | ast.DiffusionStatement(target=target)
             ):
                 return self._about(item, target)
             case ast.Remark() | ast.Formula() | ast.UnknownStatement() | ast.LearnStatement() | ast.ConstStatement():

@@ -6,7 +6,7 @@ What arrives at the time of a measurement (a dose) is no part of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 from gbspec.diagnostics import Findings
@@ -21,10 +21,15 @@ def expand(merged: Merged, findings: Findings) -> Merged:
     if not any(_has_rate(place) for item in merged.items for place in item.statement.places()):
         return merged
     balances = _balances(merged.items)
+    disturbed = {
+        target_name(item.statement.target).text
+        for item in merged.items
+        if isinstance(item.statement, ast.DiffusionStatement)
+    }
 
     def put(item: Item) -> Item:
         def change(place: Place) -> ast.Expression:
-            return rebuilt(place.expression, lambda node: _value(node, item, balances, findings), _is_rate)
+            return rebuilt(place.expression, lambda node: _value(node, item, balances, disturbed, findings), _is_rate)
 
         return Item(with_expressions(item.statement, change), item.text)
 
@@ -55,7 +60,11 @@ def _balances(items: Iterable[Item]) -> dict[str, ast.Expression]:
 
 
 def _value(
-    node: ast.Expression, item: Item, balances: Mapping[str, ast.Expression], findings: Findings
+    node: ast.Expression,
+    item: Item,
+    balances: Mapping[str, ast.Expression],
+    disturbed: Collection[str],
+    findings: Findings,
 ) -> ast.Expression:
     if not isinstance(node, ast.RateOf):
         return node
@@ -66,6 +75,9 @@ def _value(
     elif name.text not in balances:
         help = "only a state has a rate of change; a measured derivative of something else is written out"
         findings.error("GB139", f"`{name.text}` is not a state", name.span, label="no balance", help=help)
+    elif name.text in disturbed:
+        message = f"`{name.text}` has a `diffusion`, and so no rate of change that could be measured"
+        findings.error("GB344", message, node.span, help="measure the state, or leave out its diffusion")
     elif not any(_is_rate(part) for part in walk(balances[name.text])):
         return ast.Group(node.span, balances[name.text])
     return ast.Number(node.span, "0")

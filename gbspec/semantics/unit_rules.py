@@ -140,6 +140,8 @@ class _Rules:
                 self._noise(statement, self._channel(target_name(target), value, unit))
             case ast.DoseStatement(fraction=fraction, lag=lag):
                 self._dose(fraction, lag)
+            case ast.DiffusionStatement(target=target, value=value):
+                self._diffusion(target_name(target), value)
             case ast.ConserveStatement(value=value, rate=rate):
                 self._claim(value, rate)
             case ast.StateStatement(declarator=declarator, range=interval, start=start):
@@ -247,6 +249,13 @@ class _Rules:
             self._units.agrees(fraction, ONE, "the fraction of a dose", fraction.span)
         if lag is not None and self._usable(lag):
             self._units.carries(lag, self._time(), "a lag", lag.span)
+
+    def _diffusion(self, name: ast.Name, value: ast.Expression) -> None:
+        """Checks that a disturbance is in units of its state per square root of time."""
+        units = self._units
+        if self._usable(value):
+            wanted = units.of(name.text).times(self._time(), Fraction(-1, 2))
+            units.carries(value, wanted, f"the diffusion of `{name.text}`", name.span)
 
     def _claim(self, value: ast.Expression, rate: ast.Expression | None) -> None:
         if not self._usable(value):

@@ -54,6 +54,7 @@ from gbspec.syntax.statements import (
     ConserveStatement,
     ConstStatement,
     CorrelateStatement,
+    DiffusionStatement,
     DoseStatement,
     EffectStatement,
     Formula,
@@ -96,6 +97,7 @@ __all__ = [
     "Contract",
     "CorrelateStatement",
     "Declarator",
+    "DiffusionStatement",
     "Distribution",
     "DoseStatement",
     "EffectStatement",
@@ -161,6 +163,7 @@ Statement = (
     | InitialStatement
     | ObserveStatement
     | DoseStatement
+    | DiffusionStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

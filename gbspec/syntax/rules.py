@@ -62,6 +62,12 @@ NOISE = Rule(
     "GB224",
 )
 CORRELATED = Rule("`correlate`", frozenset({Kind.LEARN}), "learnable constants with a distribution", "GB424")
+DISTURBANCE = Rule(
+    "a diffusion",
+    _FIXED | {Kind.CONDITION, Kind.INPUT, Kind.STATE},
+    "constants, learnable constants, conditions, inputs and the disturbed state itself",
+    "GB340",
+)
 CLAIM = Rule(
     "a `conserve` claim",
     VALUES - {Kind.UNKNOWN},

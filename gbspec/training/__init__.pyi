@@ -7,6 +7,8 @@ from .progress import Progress as Progress
 from .progress import Silent as Silent
 from .progress import Update as Update
 from .recipe.context import split as split
+from .runs.filtering import FilteredRun as FilteredRun
+from .runs.filtering import filter_run as filter_run
 from .runs.fit import train as train
 from .runs.fit import unbegun as unbegun
 from .runs.fit import writing as writing

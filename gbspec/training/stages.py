@@ -37,6 +37,7 @@ class StageName(StrEnum):
     POOLED = "pooled fit"
     MARGINAL = "marginal likelihood"
     LBFGS = "lbfgs"
+    INNOVATIONS = "innovations"
     BREEDING = "bred initial states"
     LEVENBERG_MARQUARDT = "lm"
 
@@ -59,6 +60,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.FURTHER: (0, 0, 120),
     StageName.POOLED: (20, 40, 100),
     StageName.MARGINAL: (60, 200, 500),
+    StageName.INNOVATIONS: (40, 150, 400),
     StageName.LBFGS: (100, 300, 1500),
     StageName.LEVENBERG_MARQUARDT: (6, 60, 200),
 }

@@ -180,7 +180,14 @@ def test_the_liveliest_trajectory_changes_most(data: Trajectories) -> None:
     assert liveliest(replace(data, items=(*data.items[:2], wild))) == 2
 
 
-NOT_THERE = ("history", "initial-states", "per-trajectory", "predictive-check", "weighted-residuals")
+NOT_THERE = (
+    "history",
+    "initial-states",
+    "innovations",
+    "per-trajectory",
+    "predictive-check",
+    "weighted-residuals",
+)
 
 
 @pytest.mark.parametrize("kind", [kind.name for kind in KINDS if kind.name not in NOT_THERE])

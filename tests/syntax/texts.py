@@ -158,6 +158,7 @@ statements = st.one_of(
         targeted("dose"),
         clauses([expressions.map(lambda t: ["times", *t]), expressions.map(lambda t: ["lag", *t]), text]),
     ),
+    statement(targeted("diffusion"), clauses([text], [value])),
     statement(named("conserve"), clauses([expressions.map(lambda t: ["rate", *t]), text], [value])),
     statement(named("truth"), value),
     statement(named("truth").map(lambda t: [*t, "(", "x", ",", "y", ")"]), value),

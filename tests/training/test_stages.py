@@ -100,6 +100,7 @@ def test_every_stage_that_is_planned_can_be_named(monkeypatch: pytest.MonkeyPatc
 
     found = names(URP, initial="bred") | names(URP, effort="high") | names(URP, forcing="0.5") | names(KNOWN)
     found |= names(population(KNOWN)) | names(population(URP))
+    found |= names(f"{KNOWN}diffusion x1 = 0.1\n")
     monkeypatch.setattr(planning, "PASSES", 1)
     found |= names(URP)
     assert found == set(STAGES)

@@ -162,3 +162,13 @@ def test_a_first_stage_that_blows_up_is_an_error(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(LevenbergMarquardt, "step", blown)
     with pytest.raises(ComputationError):
         train(model_of(URP), urp_data(3, 2.0, 6), TrainOptions(stages="blend", workers=1), tmp_path / "run")
+
+
+def test_autocorrelated_residuals_offer_the_statement_of_a_disturbance() -> None:
+    model = model_of("model m\ntime t : h\nstate x : K = 1\nlearn k : 1/h = 1\nx' = -k*x\nobserve x\n")
+    followed = {"x": ChannelRecord(0.9, 0.0, autocorrelation=0.9, pairs=100)}
+    (said,) = autocorrelations(followed, model, {"x": 0.123})
+    assert "`learn s_x : K/h^0.5 = 0.1 > 0` and `diffusion x = s_x`" in said
+    text = f"{model.text}learn s_x : K/h^0.5 = 0.1 > 0\ndiffusion x = s_x\n"
+    (said,) = autocorrelations(followed, model_of(text), {})
+    assert "lacks more" in said

@@ -1,7 +1,7 @@
 """Simulated measurements from a model's truth or from a fitted run: what `gbspec simulate` writes.
 
 Solutions come from the evaluator's adaptive solver at a relative tolerance of 1e-10, not from the fixed steps of the
-training.
+training; those of models with random disturbances from `disturbed`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from typing import Protocol
 import numpy as np
 
 from gbspec.analysis.simulation.design import Boxes, Plan, boxes, plan, plan_like
+from gbspec.analysis.simulation.disturbed import disturbed_path
 from gbspec.analysis.simulation.region import Region, regions
 from gbspec.analysis.systems import Individuals
 from gbspec.arrays import Array
+from gbspec.backends import GeneratedModule
 from gbspec.data import DoseEvents, Signal, SimulateOptions, Trajectories, Trajectory, clipped, evaluate, form_of
 from gbspec.diagnostics import ComputationError, Findings
 from gbspec.ir import Model
@@ -34,6 +36,10 @@ class Solver(Protocol):
 
     constants: Array
     """The constants' values, in the model's order."""
+
+    @property
+    def instance(self) -> GeneratedModule:
+        """The module with its weights."""
 
     def initial(self, x0: Array, condition: Array) -> Array:
         """The initial state [n], with the values that the model gives inserted."""
@@ -150,7 +156,8 @@ class _Draws:
                 own.reject("fewer than two measurement times were in the span")
                 continue
             try:
-                solved = solve(solver, self.model, drawn, self.reject)
+                shaking = np.random.default_rng([self.options.seed, index, 2])
+                solved = solve(solver, self.model, drawn, self.reject, shaking)
             except ComputationError as error:
                 own.fail(error.what)
                 continue
@@ -190,8 +197,15 @@ def true_starts(evaluator: Solver, model: Model, options: SimulateOptions) -> Ar
     return np.array(starts)
 
 
-def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ...] = ()) -> Solved | Region:
-    """The solution of a plan, or the rejected region that it entered.
+def solve(
+    evaluator: Solver,
+    model: Model,
+    drawn: Plan,
+    reject: tuple[Region, ...] = (),
+    random: np.random.Generator | None = None,
+) -> Solved | Region:
+    """The solution of a plan, or the rejected region that it entered; with the disturbances that `random` draws, if the
+    model has any.
 
     Raises ComputationError if the solver fails or the solution is not finite.
     """
@@ -199,9 +213,12 @@ def solve(evaluator: Solver, model: Model, drawn: Plan, reject: tuple[Region, ..
     grid = np.linspace(drawn.start, end, DENSE) if reject else np.zeros(0)
     times = np.unique(np.concatenate([drawn.times, grid]))
     x0 = evaluator.initial(drawn.x0, drawn.condition)
-    states = evaluator.integrate(
-        x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
-    )
+    if model.diffusions and random is not None:
+        states = disturbed_path(evaluator.instance, model, drawn, x0, times, random)
+    else:
+        states = evaluator.integrate(
+            x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
+        )
     if not np.isfinite(states).all():
         raise ComputationError("the solution is not finite", where=f"trajectory {drawn.label}")
     inputs = input_values(model, drawn.inputs, times)

@@ -80,6 +80,9 @@ class WorstRow:
 class Validation(Tabled):
     """The result of `gbspec validate`. `channels` are errors of autoregressive predictions from the initial states.
 
+    Of a model with random disturbances `ahead` has the errors of predictions from the measurements so many rows before
+    (`1`, `10`; `all`: from the initial states alone), by channel.
+
     Failed trajectories are named in `trajectories` and `warnings`, and excluded from all errors; `worst` is the
     measurement with the largest error.
     """
@@ -92,6 +95,7 @@ class Validation(Tabled):
     warnings: tuple[str, ...] = ()
     predictions: tuple[Prediction, ...] = field(default=(), repr=False)
     worst: WorstRow | None = None
+    ahead: Mapping[str, Mapping[str, ChannelErrors]] = field(default_factory=dict)
 
     def to_frame(self) -> pl.DataFrame:
         """One row for each channel: `channel`, `n`, `rmse`, `nrmse`, `mae`, `r2`; errors in the channel's unit."""
@@ -132,6 +136,10 @@ class Validation(Tabled):
             document["truth"] = self.truth.to_json()
         if self.worst is not None:
             document["worst"] = encode(self.worst)
+        if self.ahead:
+            document["ahead"] = {
+                steps: {name: one.to_json() for name, one in found.items()} for steps, found in self.ahead.items()
+            }
         return document | {"member": self.member, "warnings": list(self.warnings)}
 
     def __str__(self) -> str:
@@ -140,6 +148,10 @@ class Validation(Tabled):
             lines.append(f"{'channel':<16}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
             for name, one in self.channels.items():
                 lines.append(f"{name:<16}{one.n:>7}{one.rmse:>12.4g}{one.nrmse:>12.4g}{one.mae:>12.4g}{one.r2:>10.5g}")
+        if self.ahead:
+            lines.append(f"{'rows ahead':<12}{'channel':<16}{'n':>7}{'rmse':>12}{'r2':>10}")
+        for steps, found in self.ahead.items():
+            lines += [f"{steps:<12}{name:<16}{e.n:>7}{e.rmse:>12.4g}{e.r2:>10.5g}" for name, e in found.items()]
         if self.worst is not None:
             lines.append(str(self.worst))
         check = self.step_check

@@ -91,6 +91,15 @@ def balances(model: Model) -> list[tuple[str, str]]:
     return found + [(expression(left), expression(value)) for left, value in model.equations("closures")]
 
 
+def disturbances(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each random disturbance: what it adds to the increment of its state."""
+    return [
+        (f"\\mathrm{{d}} {name(d.state)} - \\dot{{{name(d.state)}}} \\, \\mathrm{{d}} {name(model.time.name)}",
+         f"{expression(d.value)} \\, \\mathrm{{d}} W_{{{name(d.state)}}}")
+        for d in model.diffusions
+    ]  # fmt: skip
+
+
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
     return [(expression(left), expression(value)) for left, value in model.equations("intermediates")]

@@ -249,6 +249,26 @@ def doses_method(model: Model) -> str:
     return _method("@classmethod", "doses", ["cls", "math", "condition", "constants"], document, body)
 
 
+def diffusions_method(model: Model) -> list[str]:
+    """`diffusions`: the sizes of random disturbances, in models that have any."""
+    if not model.diffusions:
+        return []
+    names = scope(model)
+    given = {d.state: d.value if d.relative is None else d.relative for d in model.diffusions}
+    outputs = [
+        Assignment(temporary(f"sigma{i}"), given.get(s.name, sympy.S.Zero), f"sigma_{s.name}")
+        for i, s in enumerate(model.states)
+    ]
+    program = Program(model, outputs, ()).statements
+    body = _unpacked(model, names, _used(program)) + _statements(program, names, model)
+    body.append(f"return math.pack(state, ({_comma(names[output.symbol] for output in outputs)}))")
+    parameters = ["cls", "math", "state", "condition", "inputs", "constants"]
+    document = (
+        "The size of each state's random disturbance; of its logarithm, where the size is proportional to the state."
+    )
+    return [_method("@classmethod", "diffusions", parameters, document, body)]
+
+
 def solver_methods(method: Method) -> list[str]:
     """`grid` and `step`: one step of an integration method."""
     match method:

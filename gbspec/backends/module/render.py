@@ -43,6 +43,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.observe_method(model),
         equations.initial_method(model),
         equations.doses_method(model),
+        *equations.diffusions_method(model),
         *equations.solver_methods(method),
         _unknown_table(model),
     ]

@@ -111,6 +111,8 @@ def examination_summary(examination: Examination) -> str:
     if not examination.identifiability.decided:
         doubtful = ", ".join(examination.identifiability.doubtful)
         reason = f" for {doubtful}: it depends on which branches and values the data reach" if doubtful else ""
+        if examination.disturbed:
+            reason = ": what random disturbances show of them was not examined"
         lines.append(f"identifiability of the learned constants could not be decided{reason}\n")
     return "".join(lines)
 

@@ -72,20 +72,23 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     deadline = time.process_time() + budget
     try:
         everything = find(pose(model, all_states=True), deadline)
-        question = pose(model, all_states=False)
-        declared = find(question, deadline)
+        # What random disturbances of hidden states show is not examined: only what the drift alone cannot tell apart.
+        question = pose(model, all_states=bool(model.diffusions))
+        declared = find(question, deadline) if not model.diffusions else everything
     except (KeyError, np.linalg.LinAlgError, FloatingPointError):
         return Identifiability(False)
     if declared is None:
         return Identifiability(False)
-    sets = [*_sets(question, declared, everything), *_free_states(question, deadline)]
+    disturbing = {s.name for diffusion in model.diffusions for s in diffusion.value.free_symbols}
+    sets = [each for each in _sets(question, declared, everything) if not disturbing & set(each.names)]
+    sets += _free_states(question, deadline)
     reported = {d.subject for d in findings if d.code in _SAME_MISTAKE}
     for found in sets:
         if not any(name in reported or model.accepts("GB404", name) for name in found.constants):
             _warn(model, question, found, findings)
     touched = np.max(np.abs(declared.doubtful), axis=1, initial=0.0) > 1e-6
     doubtful = tuple(k.name for k, moves in zip(question.sought, touched, strict=True) if moves)
-    return Identifiability(not doubtful, tuple(sets), doubtful)
+    return Identifiability(not doubtful and not model.diffusions, tuple(sets), doubtful)
 
 
 def _sets(question: Question, declared: Directions, everything: Directions | None) -> list[Inseparable]:

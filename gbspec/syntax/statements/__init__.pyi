@@ -9,6 +9,7 @@ from .condition import ConditionStatement as ConditionStatement
 from .conserve import ConserveStatement as ConserveStatement
 from .const import ConstStatement as ConstStatement
 from .correlate import CorrelateStatement as CorrelateStatement
+from .diffusion import DiffusionStatement as DiffusionStatement
 from .dose import DoseStatement as DoseStatement
 from .effect import EffectStatement as EffectStatement
 from .function import FunctionStatement as FunctionStatement

@@ -33,7 +33,7 @@ class Entry:
     `meaning` is a line for hover and completion. `title` is the heading of a group of them in an outline (None: not
     listed), `symbol` the editor's kind of symbol. `kind` and `role` describe the names that it declares, `about` is the
     set of kinds of names that may follow the keyword. `after` moves a clause (the key) in the canonical order directly
-    behind another (the value). `reserved`: no state may be called like the keyword.
+    behind another (the value). `reserved`: no state may have the keyword as its name (statements of edition 1).
     """
 
     word: str
@@ -45,8 +45,8 @@ class Entry:
     role: str = ""
     about: frozenset[Kind] = frozenset()
     spelled: bool = True
-    after: Mapping[str, str] = field(default_factory=dict)
     reserved: bool = True
+    after: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass

@@ -1,3 +1,4 @@
+from . import filter as filter
 from .arithmetic import torch_arithmetic as torch_arithmetic
 from .choice import Choice as Choice
 from .choice import choose as choose
@@ -6,6 +7,10 @@ from .device import device_of as device_of
 from .engine import Engine as Engine
 from .engine import Moments as Moments
 from .engine import taken as taken
+from .filter import Filtered as Filtered
+from .filter import FilterEngine as FilterEngine
+from .filter import Whiteness as Whiteness
+from .filter import whiteness as whiteness
 from .linearised import Linearised as Linearised
 from .objective import half_squares as half_squares
 from .objective import linearise as linearise

@@ -3,6 +3,7 @@ from .adam_update import AdamMoments as AdamMoments
 from .adam_update import one_cycle as one_cycle
 from .curvature import covariance as covariance
 from .curvature import log_evidence as log_evidence
+from .innovations import InnovationsFit as InnovationsFit
 from .lbfgs_stage import LimitedMemory as LimitedMemory
 from .levenberg_marquardt import Certainty as Certainty
 from .levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt

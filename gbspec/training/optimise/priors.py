@@ -95,14 +95,14 @@ class Priors:
     def gradient(self, theta: Array) -> Array:
         """The gradient of the penalty [size]."""
         out = np.zeros_like(theta)
-        np.add.at(out, self.column, self.rows(theta) * self._slopes(theta))
+        np.add.at(out, self.column, self.rows(theta) * self.slopes(theta))
         return out
 
     def with_rows(self, system: Linearised, theta: Array) -> Linearised:
         """A linearised problem with the rows of the priors below its own."""
         if not len(self):
             return system
-        parameters, slopes = self.parameters, torch.from_numpy(self._slopes(theta))
+        parameters, slopes = self.parameters, torch.from_numpy(self.slopes(theta))
         shared = torch.zeros((len(self), system.shared.shape[1]), dtype=slopes.dtype)
         local = torch.zeros((len(self), system.local.shape[1]), dtype=slopes.dtype)
         for row, (column, owner) in enumerate(zip(self.column.tolist(), self.owner.tolist(), strict=True)):
@@ -132,7 +132,7 @@ class Priors:
             found.append(self.spread * (parameters.starts(theta)[free, i] - center) / sd)
         return torch.cat(found)
 
-    def _slopes(self, theta: Array) -> Array:
+    def slopes(self, theta: Array) -> Array:
         """The derivative of each row with respect to the one entry that it depends on [P]."""
         vector = torch.from_numpy(theta.copy()).requires_grad_()
         rows = self._rows(vector)

@@ -9,7 +9,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Estimated, Scales, Trajectories, scales_of
-from gbspec.ir import METHODS, Method, Model, RosenbrockW
+from gbspec.ir import METHODS, Method, Model, RosenbrockW, linear_in_states
 from gbspec.training.engines import Choice, Engine, choose
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import (
@@ -149,7 +149,7 @@ def build_context(
     """The context: splits off the held-out data and prepares the rest; `smooth` selects smoothing curves."""
     kept, held = split(trajectories, options.holdout, seed)
     method = METHODS[module.solver]
-    max_step = options.max_step
+    max_step = options.max_step or exact_step(model, trajectories)
     if max_step is None:
         max_step = np.inf if is_adaptive(method, options) else default_max_step(trajectories)
     instance = module.random(seed)
@@ -175,6 +175,14 @@ def build_context(
     )
     context._packed[1.0, None] = packed
     return context
+
+
+def exact_step(model: Model, trajectories: Trajectories) -> float | None:
+    """The largest step of a model with disturbances whose moments are solved exactly: that of the longest trajectory;
+    None for others."""
+    if not model.diffusions or linear_in_states(model) is None:
+        return None
+    return max((item.end - item.start for item in trajectories.items), default=1.0) or 1.0
 
 
 def split(trajectories: Trajectories, fraction: float, seed: int) -> tuple[Trajectories, Trajectories]:

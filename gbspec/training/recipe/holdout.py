@@ -10,6 +10,7 @@ from gbspec.arrays import Array
 from gbspec.training.engines import Engine, predicted, residual_vector
 from gbspec.training.problem import Parameters, Problem, mean_loss, teacher_forcing
 from gbspec.training.recipe.context import Context, start_states
+from gbspec.training.recipe.disturbed import held_out_likelihood
 from gbspec.training.starts import fit_curves, refit_starts
 
 
@@ -21,6 +22,8 @@ def held_out_score(context: Context, parameters: Parameters, theta: Array, fract
     A single trajectory of which the last rows are held out is solved from its fitted initial state; only these rows
     count.
     """
+    if context.model.diffusions:
+        return held_out_likelihood(context, parameters, theta)
     engine, vector = _fitted(context, parameters, theta, 1.0, fraction)
     return mean_loss(residual_vector(engine, vector))
 

@@ -15,6 +15,7 @@ from gbspec.training.problem import Parameters, mean_loss, typical
 from gbspec.training.recipe import populations
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
+from gbspec.training.recipe.disturbed import disturbed_stage
 from gbspec.training.recipe.finer import (
     HALVINGS,
     LEAST_ADAPTIVE,
@@ -91,6 +92,8 @@ class _Planner:
         """The stages of the estimation, without breeding."""
         if self.context.model.marginal:
             return populations.stages(self.context, self.parameters, self._regular)
+        if self.context.model.diffusions:
+            return [disturbed_stage(self.context, self.parameters, self._most(StageName.INNOVATIONS))]
         if self.options.method == "gradient-matching":
             return [self._starts(StageName.STARTS, 1.0)]
         if self.options.method == "auto":

@@ -47,7 +47,12 @@ def solver_of(options: TrainOptions) -> str:
 def chosen_solver(
     model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions
 ) -> tuple[str, str | None]:
-    """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one."""
+    """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
+
+    Likelihoods (of innovations, or of a population) are computed with the explicit one.
+    """
+    if model.diffusions or model.marginal:
+        return solver_of(options), None
     step = options.max_step if options.max_step is not None else default_max_step(trajectories)
     steps, rows = _fixed_steps(trajectories, step)
     if options.max_step is None and steps > MANY * rows:

@@ -14,7 +14,7 @@ from gbspec.data import evenly_spaced
 from gbspec.runs import Certainties, Support
 from gbspec.training.engines import Engine, predicted
 from gbspec.training.optimise import covariance
-from gbspec.training.problem import Parameters
+from gbspec.training.problem import Parameters, Problem
 from gbspec.training.recipe import Context, step_fraction
 from gbspec.training.runs.summary import whole_solutions
 
@@ -36,21 +36,31 @@ def support(engine: Engine, theta: Array, member: GeneratedModule) -> dict[str, 
     """For each network the arguments with which it is called at the measured rows, at most `POINTS` of them."""
     if not member.networks:
         return {}
-    packed, moments = engine.problem.packed, predicted(engine, theta)
+    moments = predicted(engine, theta)
+    return support_of(engine.problem, engine.parameters, theta, (moments.before, moments.after), member)
+
+
+def support_of(
+    problem: Problem, parameters: Parameters, theta: Array, states: tuple[Array, Array], member: GeneratedModule
+) -> dict[str, Support]:
+    """The same from the states before and after the arrivals at the key rows."""
+    if not member.networks:
+        return {}
+    packed, (before, after) = problem.packed, states
     with torch.no_grad():
-        own = engine.parameters.constants(torch.from_numpy(theta)).numpy()
-    rows = np.flatnonzero(np.isfinite(moments.before).all(axis=1) & np.isfinite(moments.after).all(axis=1))
+        own = parameters.constants(torch.from_numpy(theta)).numpy()
+    rows = np.flatnonzero(np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1))
     # An arrival, such as a dose, moves a state to where no measurement is: both sides of it were trained on.
-    moved = rows[np.any(moments.before[rows] != moments.after[rows], axis=1)]
-    row, states = np.concatenate([rows, moved]), np.concatenate([moments.before[rows], moments.after[moved]])
+    moved = rows[np.any(before[rows] != after[rows], axis=1)]
+    row, points_at = np.concatenate([rows, moved]), np.concatenate([before[rows], after[moved]])
     chosen = evenly_spaced(len(row), POINTS)
-    row, states = row[chosen], states[chosen]
+    row, points_at = row[chosen], points_at[chosen]
     owner = packed.row_trajectory[row]
     calls = network_arguments(
-        member, packed.row_time[row], states, packed.condition[owner], packed.row_inputs[row], own[owner]
+        member, packed.row_time[row], points_at, packed.condition[owner], packed.row_inputs[row], own[owner]
     )
     found = {}
-    for network, each in zip(engine.parameters.model.networks, calls, strict=True):
+    for network, each in zip(parameters.model.networks, calls, strict=True):
         points = np.concatenate([np.zeros((0, len(network.arguments))), *each])
         owners = np.tile(owner, len(each))
         good = np.flatnonzero(np.isfinite(points).all(axis=1))

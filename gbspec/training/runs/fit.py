@@ -33,7 +33,7 @@ from gbspec.runs import (
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe import build_context, chosen_solver, plan, solver_of
+from gbspec.training.recipe import build_context, check_disturbed, chosen_solver, plan, solver_of
 from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
     EXACT,
@@ -107,6 +107,7 @@ class Fitting:
     ) -> None:
         findings = Findings()
         options.check(findings)
+        check_disturbed(model, options)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
         module = load_module(model, METHODS[solver_of(options)])
@@ -343,7 +344,7 @@ def completed(record: FitRecord, model: Model, results: dict[int, MemberResult],
         constants={k.name: constant_record(k, ordered, own.get(k.name)) for k in model.learnables},
         noise={c.name: finite(float(np.mean([r.noise[c.name] for r in ordered]))) for c in model.channels},
         members=tuple(_member(k, results[k]) for k in sorted(results)),
-        warnings=(*warnings_of(results, options), *moving_together(correlations), *bounds),
+        warnings=(*warnings_of(results, options, model), *moving_together(correlations), *bounds),
         correlations=correlations,
         objective=best.objective,
         population=best.population,
@@ -369,11 +370,20 @@ def _member(number: int, result: MemberResult) -> MemberRecord:
     rmse = {name: finite(value) for name, value in result.rmse.items()}
     interval = finite(result.interval_loss)
     return MemberRecord(
-        result.seed, finite(result.loss), rmse, result.seconds, stages, number, None, interval, result.channels
+        result.seed,
+        finite(result.loss),
+        rmse,
+        result.seconds,
+        stages,
+        number,
+        None,
+        interval,
+        result.channels,
+        result.likelihood,
     )
 
 
-def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list[str]:
+def warnings_of(results: dict[int, MemberResult], options: TrainOptions, model: Model | None = None) -> list[str]:
     """Warnings that a user must know before relying on the fit."""
     out = []
     for member, result in sorted(results.items()):
@@ -385,7 +395,7 @@ def warnings_of(results: dict[int, MemberResult], options: TrainOptions) -> list
                 "these trajectories do not count as fitted"
             )
         known = not result.sd or any(np.isfinite(sd) for sd in result.sd.values())
-        left = autocorrelations(result.channels) if known else []
+        left = autocorrelations(result.channels, model, result.rmse) if known else []
         out += [f"member {member}: {text}" for text in (*verdicts(result.channels), *left, *result.left, *result.notes)]
         if not result.finished:
             out.append(f"member {member}: training was interrupted; `--resume` continues it")

@@ -18,17 +18,17 @@ from gbspec.diagnostics import ComputationError
 from gbspec.files import aside, finite
 from gbspec.ir import Model
 from gbspec.runs import COVARIANCE, StageRecord, Summary, encode, files, sealed
-from gbspec.training.optimise import Certainty, LevenbergMarquardt, Outcome, Stage
+from gbspec.training.optimise import Certainty, InnovationsFit, LevenbergMarquardt, Outcome, Stage
 from gbspec.training.options import TrainOptions
 from gbspec.training.problem import Parameters
 from gbspec.training.progress import Progress, Update
 from gbspec.training.recipe import Context, Planned, Reached, build_context, plan, prepare, recognition, step_fraction
-from gbspec.training.runs.certainties import certainties
+from gbspec.training.runs.disturbed import certainties, summarise
 from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import Position, checkpoint, restored
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
-from gbspec.training.runs.summary import MemberResult, summarise
+from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
 
@@ -201,7 +201,9 @@ class _Runner:
     def _take_certainty(self, stage: Stage) -> None:
         """Keeps the standard deviations of the last stage that has any; a change of the vector invalidates them."""
         position = self.position
-        if isinstance(stage, LevenbergMarquardt):
+        if isinstance(stage, InnovationsFit):
+            position.certainty = stage.certainty(position.state)
+        elif isinstance(stage, LevenbergMarquardt):
             # For a stage that may end while the loss still falls by a few percent the curvature is not meaningful.
             known = stage.options.tolerance <= TIGHT
             position.certainty = stage.certainty(position.state) if known else Certainty()
@@ -213,6 +215,8 @@ class _Runner:
         position.state, position.theta, position.loss = outcome.state, outcome.state["theta"], outcome.loss
         position.ridge = float(outcome.state.get("ridge", np.array(0.0)))
         position.iteration += 1
+        if isinstance(stage, InnovationsFit):
+            self.context.estimated = position.estimated = stage.estimated(position.state)
         if outcome.note:
             position.notes.append(outcome.note)
         position.seconds = time.monotonic() - self._began

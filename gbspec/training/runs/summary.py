@@ -13,7 +13,7 @@ from gbspec.arrays import Array
 from gbspec.data import Scales, naive_predictors, states_far_outside, variance_of
 from gbspec.files import finite
 from gbspec.ir import Model
-from gbspec.runs import ChannelRecord, ObjectiveRecord, PopulationRecord, StageRecord
+from gbspec.runs import ChannelRecord, LikelihoodRecord, ObjectiveRecord, PopulationRecord, StageRecord
 from gbspec.training.engines import Moments, predicted, residual_table, residual_vector
 from gbspec.training.problem import (
     Parameters,
@@ -64,6 +64,7 @@ class MemberResult:
     scales: Scales | None = None
     population: PopulationRecord | None = None
     objective: ObjectiveRecord | None = None
+    likelihood: LikelihoodRecord | None = None
 
 
 def summarise(

@@ -50,8 +50,10 @@ def widening(channels: Mapping[str, ChannelRecord]) -> float:
     return max((1 / math.sqrt(share_that_counts(one.autocorrelation or 0.0, one.pairs)) for one in left), default=1.0)
 
 
-def autocorrelations(channels: Mapping[str, ChannelRecord]) -> list[str]:
-    """A warning for the channels whose residuals are autocorrelated."""
+def autocorrelations(
+    channels: Mapping[str, ChannelRecord], model: Model | None = None, rmse: Mapping[str, float] | None = None
+) -> list[str]:
+    """A warning for the channels whose residuals are autocorrelated, with what to write where the model is given."""
     found = _following(channels)
     if not found:
         return []
@@ -66,8 +68,27 @@ def autocorrelations(channels: Mapping[str, ChannelRecord]) -> list[str]:
     )
     return [
         f"the residuals of {listed} are autocorrelated: they are disturbances or errors of the model, not noise of "
-        f"measurement. Each row tells less than a new one would: {effect}"
+        f"measurement. Each row tells less than a new one would: {effect}" + _offer(found, model, rmse or {})
     ]
+
+
+def _offer(found: list[str], model: Model | None, rmse: Mapping[str, float]) -> str:
+    """What a model with such residuals lacks: the statements of a disturbance, or more than those it has."""
+    if model is None:
+        return ""
+    if model.diffusions:
+        return ". The model lacks more: another state, another `diffusion`, or an unknown function"
+    channel = next((c for c in model.channels if c.name in found and c.state is not None), None)
+    if channel is None or channel.state is None:
+        return ". The statement `diffusion` describes random disturbances of states between measurements"
+    state, time = model.states[channel.state], model.time.unit
+    unit = f" : {state.unit}/{time}^0.5" if state.unit and time else ""
+    size = rmse.get(channel.name, 0.0)
+    start = f"{size:.1g}" if math.isfinite(size) and size > 0 else "0.1"
+    return (
+        f". To describe disturbances of `{state.name}`, add the lines `learn s_{state.name}{unit} = {start} > 0` and "
+        f"`diffusion {state.name} = s_{state.name}`"
+    )
 
 
 def _following(channels: Mapping[str, ChannelRecord]) -> list[str]:

@@ -1,0 +1,300 @@
+"""Models with random disturbances: sets with known truth, a measured room, and measured populations.
+
+    python -m benchmarks.studies.disturbances DATA -o OUT --parts process,lotka_volterra,flexhouse,hare_lynx --sets 100
+    python -m benchmarks.studies.disturbances DATA -o OUT --table docs/studies/disturbances.md
+
+DATA is a folder with flexhouse.csv and hare_lynx.csv. A set is simulated and fitted with the defaults; its row is added
+to OUT/sets.csv as soon as its fit is done, and the same command run again continues with the missing ones. Fits of
+measured data are runs in OUT, which are not fitted again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).with_suffix("")
+TRUTH = {
+    "process": {"theta": 1.0, "mu": 1.0, "s": 0.5},
+    "lotka_volterra": {"a": 1.0, "b": 0.5, "c": 1.0, "d": 0.3, "sx": 0.1, "sy": 0.1},
+}
+DESIGN = {"process": (200.0, 0.5, 0.1), "lotka_volterra": (30.0, 0.5, 0.05)}
+"""Span, interval and noise of a set: that of `process` lasts 200 relaxation times."""
+ROOMS = ("flexhouse_ti", "flexhouse_titeth", "flexhouse_aperture")
+FIELDS = ("model", "set", "constant", "truth", "value", "sd", "low", "high", "seconds")
+HARES = """model hare_lynx_disturbed "Hare and lynx, Lotka and Volterra, both disturbed"
+time year
+state hare in [1, 200] = 30
+state lynx in [1, 200] = 10
+learn a = 0.5 in [0.01, 5]
+learn b = 0.025 in [0.001, 1]
+learn c = 0.8 in [0.01, 5]
+learn d = 0.025 in [0.001, 1]
+learn sh = 0.2 in [0, 2]
+learn sl = 0.2 in [0, 2]
+hare' = a*hare - b*hare*lynx
+lynx' = d*hare*lynx - c*lynx
+diffusion hare = sh*hare
+diffusion lynx = sl*lynx
+observe hare noise lognormal(0.1)
+observe lynx noise lognormal(0.1)
+"""
+FOLDS = 5
+
+
+def simulated(name: str, count: int, out: Path) -> None:
+    """Fits of sets that are simulated from a model's truth."""
+    from gbspec.analysis import simulate
+    from gbspec.data import SimulateOptions
+    from gbspec.diagnostics import Findings
+    from gbspec.frontend import load_model
+    from gbspec.operations import models
+    from gbspec.training import TrainOptions, train
+
+    model = load_model(HERE / f"{name}.gb", Findings())
+    reference, table = models.reference(model), out / "sets.csv"
+    span, step, noise = DESIGN[name]
+    done = {(row["model"], int(row["set"])) for row in rows_of(table)}
+    for number in range(count):
+        if (name, number) in done:
+            continue
+        options = SimulateOptions(trajectories=1, span=span, dt=step, noise=noise, seed=number)
+        data = simulate(reference.evaluator, reference.model, options)
+        began = time.process_time()
+        run = train(model, data, TrainOptions(), out / f"{name}_{number}")
+        seconds = time.process_time() - began
+        found = []
+        for constant, truth in TRUTH[name].items():
+            one = run.fit.constants[constant]
+            low, high = one.interval or (float("nan"), float("nan"))
+            found.append((name, number, constant, truth, one.value, one.sd, low, high, round(seconds, 1)))
+        with table.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            if file.tell() == 0:
+                writer.writerow(FIELDS)
+            writer.writerows(found)
+
+
+def rows_of(table: Path) -> list[dict[str, str]]:
+    """The rows of a table; none if it does not exist."""
+    if not table.is_file():
+        return []
+    with table.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def rooms(data: Path, out: Path, names: Iterable[str]) -> None:
+    """Fits of the room, and their likelihoods with another variance of the start."""
+    from gbspec.data import read
+    from gbspec.diagnostics import Findings
+    from gbspec.frontend import load_model
+    from gbspec.runs import open_run
+    from gbspec.training import TrainOptions, filter_run, train
+    from gbspec.training.engines import FilterEngine
+
+    document = {}
+    for name in names:
+        model = load_model(HERE / f"{name}.gb", Findings())
+        table = read(data / "flexhouse.csv", model, Findings())
+        place = out / name
+        run = open_run(place) if (place / "fit.json").is_file() else train(model, table, TrainOptions(), place)
+        filtered, tested = filter_run(run, table, 0), filter_run(run, table, 0).whiteness(0)
+        engine = filtered.engine
+        # The variance that the disturbances bring in one interval, as in CTSM, instead of the sizes of the states.
+        spread = [run.fit.constants[d.value.name].value for d in model.diffusions]
+        interval = float(np.median(np.diff(table.items[0].times)))
+        variance = np.array([[s**2 * interval for s in spread]])
+        narrow = FilterEngine(engine.problem, engine.parameters, np.maximum(variance, 1e-6))
+        document[name] = {
+            "likelihood": -filtered.found.value,
+            "narrow": _best_start(narrow, filtered.vector, filtered),
+            "p": None if tested is None else tested.p,
+            "periodogram_p": None if tested is None else tested.distance_p,
+            "parameters": run.fit.members[0].likelihood.parameters if run.fit.members[0].likelihood else None,
+            "seconds": run.fit.members[0].seconds,
+            "constants": {key: one.value for key, one in run.fit.constants.items()},
+        }
+    (out / "flexhouse.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+
+
+def _best_start(engine: object, vector: np.ndarray, filtered: object) -> float:
+    """The log likelihood with these variances around the smoothed start."""
+    from dataclasses import replace
+
+    from gbspec.training import FilteredRun
+    from gbspec.training.engines import FilterEngine
+
+    assert isinstance(engine, FilterEngine)
+    assert isinstance(filtered, FilteredRun)
+    start = filtered.engine.coordinates.states(filtered.engine.smoothed_start(filtered.found))
+    moved = replace(engine, parameters=replace(engine.parameters, start_value=start))
+    return -moved.value(vector)
+
+
+def hares(data: Path, out: Path) -> None:
+    """Held-out blocks of years: predictions from the year before, and over the whole block."""
+    from gbspec.data import read
+    from gbspec.diagnostics import Findings
+    from gbspec.frontend import load_model
+    from gbspec.training import FilteredRun, TrainOptions, filter_run, train
+
+    path = out / "hares.gb"
+    path.write_text(HARES, encoding="utf-8")
+    lines = (data / "hare_lynx.csv").read_text(encoding="utf-8").replace("trajectory,t,", "trajectory,year,").split()
+    head, body = lines[0], lines[1:]
+    (out / "hares.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    model = load_model(path, Findings())
+    whole = read(out / "hares.csv", model, Findings())
+    errors: dict[str, list[tuple[float, float, float, float]]] = {"1": [], "all": []}
+    for fold, block in enumerate(np.array_split(np.arange(len(body)), FOLDS)):
+        kept = [line if k not in block else ",".join([*line.split(",")[:2], "", ""]) for k, line in enumerate(body)]
+        part = out / f"hares_{fold}.csv"
+        part.write_text("\n".join([head, *kept]) + "\n", encoding="utf-8")
+        place = out / f"hares_{fold}"
+        if not (place / "fit.json").is_file():
+            train(model, read(part, model, Findings()), TrainOptions(), place)
+        from gbspec.runs import open_run
+
+        filtered = filter_run(open_run(place), whole, 0)
+        seen = filtered.engine.problem.seen.copy()
+        seen[block] = False
+        blind = FilteredRun(filtered.engine, filtered.vector, filtered.engine.filtered(filtered.vector, seen=seen))
+        for name, one in (("1", filtered.found), ("all", blind.found)):
+            values = filtered.engine.noise.value[block]
+            mean, sd = _row_moments(filtered.engine, one, block)
+            e = values - mean
+            inside = np.abs(e) < 1.645 * sd
+            errors[name] += [(*row, *mark) for row, mark in zip(e.tolist(), inside.tolist(), strict=True)]
+    document = {}
+    for name, rows in errors.items():
+        table = np.array(rows, dtype=np.float64)
+        document[name] = {
+            channel: {"rmse": float(np.sqrt(np.mean(table[:, j] ** 2))), "covered": float(table[:, 2 + j].mean())}
+            for j, channel in enumerate(("hare", "lynx"))
+        }
+    (out / "hares.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+
+
+def _row_moments(engine: object, found: object, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Predicted logarithms of both channels at rows, before their measurements, and standard deviations of these."""
+    from gbspec.training.engines import Filtered, FilterEngine
+
+    assert isinstance(engine, FilterEngine)
+    assert isinstance(found, Filtered)
+    leg = np.zeros(engine.problem.packed.rows, dtype=np.int64)
+    ends = np.flatnonzero(engine.legs.row >= 0)
+    leg[engine.legs.row[ends]] = ends
+    cov = np.diagonal(found.end_cov[leg[rows]], axis1=1, axis2=2)
+    return found.end_mean[leg[rows]], np.sqrt(cov + engine.noise.fixed[rows].max())
+
+
+def table(out: Path) -> str:
+    """The page."""
+    lines = ["# Random disturbances", ""]
+    lines += [f"`{line.strip()}`  " for line in (__doc__ or "").splitlines() if line.startswith("    python")]
+    lines += [
+        "",
+        "Simulated sets, fitted with the defaults. `bias`: mean error over its standard error; `z`: root mean ",
+    ]
+    lines[-1] += "square error over the reported standard deviation (1 is right); `inside`: share of 90 % intervals."
+    lines += ["", "| model | sets | constant | truth | mean | bias | z | inside | CPU s a fit |"]
+    lines += ["|---|---:|---|---:|---:|---:|---:|---:|---:|"]
+    rows = rows_of(out / "sets.csv")
+    for model, constants in TRUTH.items():
+        for constant, truth in constants.items():
+            mine = [r for r in rows if (r["model"], r["constant"]) == (model, constant)]
+            if not mine:
+                continue
+            value, sd, low, high = (
+                np.array([float(r[key] or "nan") for r in mine]) for key in ("value", "sd", "low", "high")
+            )
+            error = value - truth
+            bias = error.mean() / (error.std(ddof=1) / np.sqrt(len(mine))) if len(mine) > 1 else float("nan")
+            inside = np.mean((low <= truth) & (truth <= high))
+            z = np.sqrt(np.nanmean((error / sd) ** 2))
+            seconds = np.mean([float(r["seconds"]) for r in mine])
+            lines.append(
+                f"| {model} | {len(mine)} | {constant} | {truth} | {value.mean():.4g} | {bias:+.2f} | {z:.2f} "
+                f"| {100 * inside:.0f} % | {seconds:.0f} |"
+            )
+    lines += [*_rooms_table(out), *_hares_table(out)]
+    return "\n".join(lines) + "\n"
+
+
+def _rooms_table(out: Path) -> list[str]:
+    if not (out / "flexhouse.json").is_file():
+        return []
+    found = json.loads((out / "flexhouse.json").read_text(encoding="utf-8"))
+    lines = [
+        "",
+        "flexhouse.csv, held inputs, 1,691 rows (Bacher and Madsen 2011). The log likelihood with the default ",
+    ]
+    lines[-1] += (
+        "variance of the start, and with that of one interval (P0 = s^2 dt, at least 1e-6) around the smoothed "
+    )
+    lines[-1] += "start; probabilities of the innovations' Ljung-Box statistic (20 lags) and cumulated periodogram."
+    lines += [
+        "",
+        "| model | parameters | log likelihood | with narrow P0 | Ljung-Box p | periodogram p | Ci | Ce | Rie ",
+    ]
+    lines[-1] += "| Rea | wall s |"
+    lines += ["|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"]
+    for name, one in found.items():
+        values = " | ".join(
+            f"{one['constants'][key]:.3g}" if key in one["constants"] else "-" for key in ("Ci", "Ce", "Rie", "Rea")
+        )
+        lines.append(
+            f"| {name} | {one['parameters']} | {one['likelihood']:.1f} | {one['narrow']:.1f} | {one['p']:.2g} "
+            f"| {one['periodogram_p']:.2g} | {values} | {one['seconds']:.0f} |"
+        )
+    return lines
+
+
+def _hares_table(out: Path) -> list[str]:
+    if not (out / "hares.json").is_file():
+        return []
+    found = json.loads((out / "hares.json").read_text(encoding="utf-8"))
+    lines = ["", "hare_lynx.csv, five held-out blocks of years, Lotka and Volterra's terms: errors of logarithms of "]
+    lines[-1] += (
+        "predictions from the year before, and from the years before and after the whole block left out to each "
+    )
+    lines[-1] += "of its years; share of 90 % intervals."
+    lines += ["", "| rows ahead | channel | rmse of logarithms | inside |", "|---|---|---:|---:|"]
+    for steps, channels in found.items():
+        lines += [
+            f"| {steps} | {name} | {one['rmse']:.3f} | {100 * one['covered']:.0f} % |" for name, one in channels.items()
+        ]
+    return lines
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--parts", default="")
+    parser.add_argument("--sets", type=int, default=100)
+    parser.add_argument("--table", type=Path)
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    for part in filter(None, given.parts.split(",")):
+        if part in TRUTH:
+            simulated(part, given.sets, given.out)
+        elif part == "flexhouse":
+            rooms(given.data, given.out, [name for name in ROOMS if (HERE / f"{name}.gb").is_file()])
+        elif part == "hare_lynx":
+            hares(given.data, given.out)
+        else:
+            raise SystemExit(f"there is no part `{part}`")
+    if given.table is not None:
+        given.table.write_text(table(given.out), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

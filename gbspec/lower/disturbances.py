@@ -1,0 +1,76 @@
+"""The disturbances of states: which of them are proportional to their state, and what they may depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import sympy
+
+from gbspec import ir
+from gbspec.diagnostics import Findings, Span
+from gbspec.ir import Expr, symbol
+
+
+def disturbance(
+    name: str, value: Expr, states: Collection[str], numbers: dict[sympy.Symbol, float], place: Span, findings: Findings
+) -> ir.Diffusion:
+    """The disturbance of the state `name`; `numbers` are the values of constants.
+
+    Errors: another state in it (GB340), a negative number (GB343). Warning: it depends on its state other than in
+    proportion (GB410).
+    """
+    own = symbol(name)
+    others = sorted(s.name for s in value.free_symbols if s.name in states and s != own)
+    if others:
+        findings.error(
+            "GB340",
+            f"the diffusion of `{name}` depends on the state `{others[0]}`",
+            place,
+            help="it may depend on constants, learnable constants, conditions, inputs and the disturbed state itself",
+        )
+        return ir.Diffusion(name, sympy.S.Zero, span=place)
+    relative = sympy.cancel(value / own) if own in value.free_symbols else None
+    logarithmic = relative is not None and own not in relative.free_symbols
+    size = relative if logarithmic and relative is not None else value
+    number = size.xreplace({key: sympy.Float(each) for key, each in numbers.items()})
+    if number.is_number and number.is_negative:
+        findings.error(
+            "GB343",
+            f"the diffusion of `{name}` is negative: {float(number):g}",
+            place,
+            help="it is a size, like a standard deviation: leave out the sign",
+        )
+    if relative is not None and not logarithmic:
+        findings.warning(
+            "GB410",
+            f"the diffusion of `{name}` depends on `{name}`, but is not proportional to it",
+            place,
+            help=f"a size that is proportional to `{name}` is treated exactly (its logarithm is filtered); this one is "
+            f"taken at the estimated state. Accept it with `allow GB410 {name}`",
+            subject=name,
+        )
+    return ir.Diffusion(name, value, size if logarithmic else None, span=place)
+
+
+def refuse_together(model: ir.Model, findings: Findings) -> None:
+    """Errors for what is not offered together with disturbances (GB344): doses whose lag is learned, constants that are
+    distributed between trajectories, and noises with learned constants."""
+    if not model.diffusions:
+        return
+    learned = {learnable.symbol for learnable in model.learnables}
+    for dose in model.doses:
+        if dose.lag.free_symbols & learned:
+            message = f"the lag of the doses into `{dose.state}` is learned"
+            _together(message, dose.span, "give the lag a value, or leave out the diffusions", findings)
+    for learnable in model.learnables:
+        if learnable.distribution is not None:
+            help = "leave out `~ …`, so that each trajectory has a value of its own, or leave out the diffusions"
+            _together(f"`{learnable.name}` is distributed between trajectories", learnable.span, help, findings)
+    for channel in model.channels:
+        if channel.noise is not None and channel.noise.value is not None:
+            help = "leave out the noise: its standard deviation is then learned, or leave out the diffusions"
+            _together(f"the noise of `{channel.name}` holds learned constants", channel.span, help, findings)
+
+
+def _together(what: str, place: Span | None, help: str, findings: Findings) -> None:
+    findings.error("GB344", f"{what}, which is not offered together with `diffusion`", place, help=help)

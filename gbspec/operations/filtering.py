@@ -1,0 +1,78 @@
+"""Results of the filter of a run whose model has random disturbances: errors ahead, smoothed states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from gbspec.analysis import ChannelErrors, Forecast, Use
+    from gbspec.arrays import Mask
+    from gbspec.data import Trajectories
+    from gbspec.runs import Run
+
+STEPS: Mapping[str, int | None] = {"1": 1, "10": 10, "all": None}
+"""How many rows ahead predictions are compared with the measurements."""
+
+
+def errors_ahead(run: Run, data: Trajectories, member: int) -> dict[str, dict[str, ChannelErrors]]:
+    """The errors of predictions by the number of rows that they are ahead, and by channel; of one member."""
+    from gbspec.analysis import channel_errors
+    from gbspec.training import filter_run
+
+    filtered = filter_run(run, data, member)
+    if not filtered.finite:
+        return {}
+    measured = np.concatenate([item.values[item.times >= item.start] for item in data.items])
+    out = {}
+    for name, steps in STEPS.items():
+        found = np.concatenate(filtered.ahead(steps))
+        out[name] = {c.name: channel_errors(measured[:, j], found[:, j]) for j, c in enumerate(run.model.channels)}
+    return out
+
+
+def smoothed_forecast(run: Run, data: Trajectories, window: int | None) -> Forecast:
+    """Channels and states at all rows of a table, with bands, as the measurements of the first `window` rows (all of
+    them without it) show them; of the best member."""
+    from gbspec.analysis import Forecast, PredictedTrajectory, Start
+    from gbspec.training import filter_run
+
+    filtered = filter_run(run, data, run.best, window)
+    model = run.model
+    items: list[PredictedTrajectory] = []
+    hidden = [i for i in range(len(model.states)) if all(c.state != i for c in model.channels)]
+    for item, one in zip(data.items, filtered.smoothed(), strict=True):
+        rows = item.times >= item.start
+        log = np.concatenate([one.log_channels, one.log[hidden]])
+        mean = np.concatenate([one.channels, one.states[:, hidden]], axis=1)
+        sd = np.concatenate([one.channel_sd, one.state_sd[:, hidden]], axis=1)
+        values = np.concatenate([item.values[rows], np.full((len(mean), len(hidden)), np.nan)], axis=1)
+        used = _uses(np.isfinite(item.values[rows]), window)
+        first = one.states[0] if len(one.states) else np.full(len(model.states), np.nan)
+        items.append(
+            PredictedTrajectory(
+                item.label,
+                item.times[rows],
+                mean,
+                np.where(log, sd * np.abs(mean), sd),
+                values,
+                used,
+                ((),) * len(mean),
+                Start(first, run.member(run.best).weights["constants"], "estimated"),
+                (),
+                log,
+            )
+        )
+    channels, states = tuple(c.name for c in model.channels), tuple(s.name for s in model.states)
+    warnings = () if filtered.finite else ("the moments of the filter are not finite",)
+    names = (*channels, *(states[i] for i in hidden))
+    return Forecast(names, channels, states, tuple(items), 1, warnings, model.time.name)
+
+
+def _uses(measured: Mask, window: int | None) -> tuple[Use, ...]:
+    """The use of each row of a trajectory with these `measured` values [R, C]."""
+    some = measured.any(axis=1).astype(int)
+    before = np.cumsum(some) - some
+    return tuple("window" if window is None or int(count) < window else "predicted" for count in before)

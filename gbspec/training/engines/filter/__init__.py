@@ -1,0 +1,5 @@
+"""Extended Kalman filter: the likelihood of innovations of models with random disturbances."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

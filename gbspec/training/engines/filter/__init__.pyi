@@ -1,0 +1,10 @@
+from .ahead import from_starts as from_starts
+from .ahead import steps_ahead as steps_ahead
+from .ahead import with_smoothed_starts as with_smoothed_starts
+from .engine import FilterEngine as FilterEngine
+from .layout import At as At
+from .residual_tests import Whiteness as Whiteness
+from .residual_tests import whiteness as whiteness
+from .result import Filtered as Filtered
+from .result import Information as Information
+from .smoother import smoothed as smoothed

@@ -1,0 +1,66 @@
+"""Predictions of a filter several rows ahead of the measurements that it has used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.training.engines.filter.engine import FilterEngine
+from gbspec.training.engines.filter.layout import At
+from gbspec.training.engines.filter.recursion import Moment, predicted
+from gbspec.training.engines.filter.result import Filtered
+from gbspec.training.problem import Integers
+
+
+def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int) -> Array:
+    """The prediction of each measured value [R, C] from the measurements up to `steps` rows before, in the unit of the
+    channel; NaN in the first rows of a trajectory."""
+    theta, log_sd = engine.layout.split(vector)
+    at, legs, problem = At.of(engine.layout, theta), engine.legs, engine.problem
+    following = _following(engine)
+    leg = np.flatnonzero(legs.row >= 0)
+    moment = Moment(found.post_mean[leg], found.post_cov[leg])
+    passed, leg = np.zeros(len(leg), dtype=np.int64), following[leg]
+    out = np.full((problem.packed.rows, len(problem.model.channels)), np.nan)
+    while True:
+        going = np.flatnonzero(leg >= 0)
+        if not len(going):
+            return out
+        leg, passed = leg[going], passed[going]
+        moment = Moment(moment.m[going], moment.p[going])
+        moment = predicted(moment, engine.flows(at, leg, moment.m))
+        rows = legs.row[leg]
+        passed = passed + (rows >= 0)
+        there = np.flatnonzero((passed == steps) & (rows >= 0))
+        if len(there):
+            reading = engine.readings(at, log_sd, rows[there], moment.m[there])
+            out[rows[there]] = np.where(engine.noise.log, np.exp(np.where(engine.noise.log, reading.y, 0.0)), reading.y)
+        leg = np.where((passed == steps) & (rows >= 0), -1, following[leg])
+
+
+def from_starts(engine: FilterEngine, vector: Array) -> Array:
+    """The prediction of each value [R, C] from the start of its trajectory, without any measurement."""
+    found = engine.filtered(vector, seen=np.zeros_like(engine.problem.seen))
+    return np.where(engine.noise.log, np.exp(np.where(engine.noise.log, found.mean, 0.0)), found.mean)
+
+
+def _following(engine: FilterEngine) -> Integers:
+    """The leg after each leg of the same trajectory [B]; -1 after the last one."""
+    legs = engine.legs
+    out = np.full(len(legs.owner), -1, dtype=np.int64)
+    for place in range(legs.places - 1):
+        here, there = legs.at(place), legs.at(place + 1)
+        count = there.stop - there.start
+        out[here.start : here.start + count] = np.arange(there.start, there.stop)
+    return out
+
+
+def with_smoothed_starts(engine: FilterEngine, found: Filtered) -> FilterEngine:
+    """The engine whose unknown starts are known to be the smoothed ones: its solutions without measurements are those
+    of the drift from there."""
+    smoothed = engine.coordinates.states(engine.smoothed_start(found))
+    start = np.where(engine.start_variance > 0, smoothed, engine.parameters.start_value)
+    parameters = replace(engine.parameters, start_value=start)
+    return FilterEngine(engine.problem, parameters, np.zeros_like(engine.start_variance))

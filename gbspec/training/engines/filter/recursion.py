@@ -1,0 +1,183 @@
+"""The Kalman filter over the legs of all trajectories side by side, with the sensitivities of its moments.
+
+All channels of a row are linearised at the predicted mean and then taken one after the other, which is the same as
+together since their noises are independent; each value then has a mean and a variance given all earlier ones, and the
+log likelihood is a sum over values (Schweppe 1965; Kristensen, Madsen, Jorgensen 2004). Sensitivities are propagated
+with the moments (Gupta and Mehra 1974), all parameters at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbspec.arrays import Array, Mask
+
+
+@dataclass
+class Moment:
+    """Mean `m` [N, n] and covariance `p` [N, n, n], and where wanted their derivatives [N, n, k] and [N, n, n, k]."""
+
+    m: Array
+    p: Array
+    dm: Array | None = None
+    dp: Array | None = None
+
+    def first(self, count: int) -> Moment:
+        """The moments of the first trajectories."""
+        parts = (None if part is None else part[:count] for part in (self.m, self.p, self.dm, self.dp))
+        return Moment(*parts)  # type: ignore[arg-type]
+
+    def put(self, other: Moment) -> Moment:
+        """These moments with those of the first trajectories replaced, in place."""
+        count = len(other.m)
+        for mine, its in zip((self.m, self.p, self.dm, self.dp), (other.m, other.p, other.dm, other.dp), strict=True):
+            if mine is not None and its is not None:
+                mine[:count] = its
+        return self
+
+
+@dataclass(frozen=True)
+class Flow:
+    """What happens in a leg of b trajectories, linearised at the coordinates `at` [b, n].
+
+    `mean`, `a`, `q` as in `local`; `a_state` and `q_state` [b, n, n, n] their derivatives in the coordinates (None:
+    zero), `d_mean`, `d_a`, `d_q` [b, ..., k] those in the parameters.
+    """
+
+    at: Array
+    mean: Array
+    a: Array
+    q: Array
+    a_state: Array | None = None
+    q_state: Array | None = None
+    d_mean: Array | None = None
+    d_a: Array | None = None
+    d_q: Array | None = None
+
+
+def predicted(before: Moment, flow: Flow) -> Moment:
+    """The moments at the end of a leg."""
+    m = flow.mean + np.matmul(flow.a, (before.m - flow.at)[:, :, None])[:, :, 0]
+    pa = np.matmul(before.p, flow.a.transpose(0, 2, 1))
+    p = np.matmul(flow.a, pa) + flow.q
+    if before.dm is None or before.dp is None:
+        return Moment(m, _symmetric(p))
+    assert flow.d_mean is not None
+    assert flow.d_a is not None
+    assert flow.d_q is not None
+    b, n, k = before.dm.shape
+    dm = flow.d_mean + np.matmul(flow.a, before.dm)
+    da, dp = flow.d_a, flow.d_q
+    if flow.a_state is not None:
+        da = da + np.matmul(flow.a_state.reshape(b, n * n, n), before.dm).reshape(b, n, n, k)
+    if flow.q_state is not None:
+        dp = dp + np.matmul(flow.q_state.reshape(b, n * n, n), before.dm).reshape(b, n, n, k)
+    moved = np.matmul(pa.transpose(0, 2, 1)[:, None], da)
+    inner = np.matmul(flow.a, before.dp.reshape(b, n, n * k)).reshape(b, n, n, k)
+    dp = dp + moved + moved.transpose(0, 2, 1, 3) + np.matmul(flow.a[:, None], inner)
+    return Moment(m, _symmetric(p), dm, dp)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The channels of a row of b trajectories, linearised at the coordinates `at` [b, n].
+
+    Predictions `y` [b, C] and slopes `c` [b, C, n], measurements `value` [b, C] with variances `r` [b, C], and which
+    are `seen` [b, C]; derivatives in the coordinates `c_state` [b, C, n, n], and in the parameters `d_y`, `d_c` and
+    `d_r` [b, ..., k].
+    """
+
+    at: Array
+    y: Array
+    c: Array
+    value: Array
+    r: Array
+    seen: Mask
+    c_state: Array | None = None
+    d_y: Array | None = None
+    d_c: Array | None = None
+    d_r: Array | None = None
+
+
+@dataclass
+class Innovations:
+    """Errors and variances [b, C] of the values of a row, each given the earlier ones, and their derivatives
+    [b, C, k]."""
+
+    error: Array
+    variance: Array
+    d_error: Array | None = None
+    d_variance: Array | None = None
+
+
+def updated(before: Moment, reading: Reading) -> tuple[Moment, Innovations]:
+    """The moments after the measurements of a row, and what these showed."""
+    b, channels = reading.y.shape
+    y = reading.y + np.matmul(reading.c, (before.m - reading.at)[:, :, None])[:, :, 0]
+    now = Moment(before.m.copy(), before.p.copy())
+    out = Innovations(np.zeros((b, channels)), np.ones((b, channels)))
+    dc = dy = None
+    if before.dm is not None and before.dp is not None:
+        assert reading.d_y is not None
+        assert reading.d_c is not None
+        dy, dc = reading.d_y + np.matmul(reading.c, before.dm), reading.d_c
+        if reading.c_state is not None:
+            n, k = before.dm.shape[1:]
+            dc = dc + np.matmul(reading.c_state.reshape(b, channels * n, n), before.dm).reshape(b, channels, n, k)
+        now.dm, now.dp = before.dm.copy(), before.dp.copy()
+        out.d_error, out.d_variance = (np.zeros((b, channels, before.dm.shape[2])) for _ in range(2))
+    for channel in range(channels):
+        who = np.flatnonzero(reading.seen[:, channel])
+        if len(who):
+            rows = slice(None) if len(who) == b else who
+            _one_value(before, now, reading, channel, rows, y[rows, channel], (dy, dc), out)
+    return now, out
+
+
+def _one_value(
+    before: Moment,
+    now: Moment,
+    reading: Reading,
+    channel: int,
+    rows: slice | np.ndarray,
+    y: Array,
+    slopes: tuple[Array | None, Array | None],
+    out: Innovations,
+) -> None:
+    """Takes one channel's values into account, in place."""
+    c, r = reading.c[rows, channel], reading.r[rows, channel]
+    m, p = now.m[rows], now.p[rows]
+    moved = m - before.m[rows]
+    error = reading.value[rows, channel] - y - np.einsum("bi,bi->b", c, moved)
+    pc = np.matmul(p, c[:, :, None])[:, :, 0]
+    variance = np.einsum("bi,bi->b", c, pc) + r
+    gain = pc / variance[:, None]
+    out.error[rows, channel], out.variance[rows, channel] = error, variance
+    dy, dc = slopes
+    if dy is not None and dc is not None and now.dm is not None and now.dp is not None:
+        assert before.dm is not None
+        assert reading.d_r is not None
+        assert out.d_error is not None
+        assert out.d_variance is not None
+        dm, dp, dcc = now.dm[rows], now.dp[rows], dc[rows, channel]
+        n, k = dm.shape[1:]
+        d_error = -dy[rows, channel] - np.matmul(c[:, None], dm - before.dm[rows])[:, 0]
+        d_error -= np.matmul(moved[:, None], dcc)[:, 0]
+        dpc = np.matmul(c[:, None], dp.reshape(-1, n, n * k)).reshape(-1, n, k) + np.matmul(p, dcc)
+        d_variance = np.matmul(c[:, None], dpc)[:, 0] + np.matmul(pc[:, None], dcc)[:, 0] + reading.d_r[rows, channel]
+        d_gain = (dpc - gain[:, :, None] * d_variance[:, None]) / variance[:, None, None]
+        now.dm[rows] = dm + d_gain * error[:, None, None] + gain[:, :, None] * d_error[:, None]
+        part = d_gain[:, :, None] * pc[:, None, :, None] + gain[:, :, None, None] * dpc[:, None]
+        now.dp[rows] = dp - part
+        out.d_error[rows, channel], out.d_variance[rows, channel] = d_error, d_variance
+    now.m[rows] = m + gain * error[:, None]
+    # (1 - K c) P (1 - K c)' + K r K', which stays positive whatever is rounded
+    left = np.eye(p.shape[1]) - gain[:, :, None] * c[:, None]
+    p = np.matmul(np.matmul(left, p), left.transpose(0, 2, 1)) + r[:, None, None] * gain[:, :, None] * gain[:, None]
+    now.p[rows] = _symmetric(p)
+
+
+def _symmetric(p: Array) -> Array:
+    return 0.5 * (p + p.transpose(0, 2, 1))

@@ -1,0 +1,295 @@
+"""The stage that maximises the likelihood of innovations of a model with random disturbances.
+
+A Levenberg-Marquardt method on the expected information (Fisher scoring), whose matrix needs first derivatives only and
+is never indefinite. Weights of networks have a normal prior whose precision is that of the evidence (MacKay 1992):
+with the effective number of weights gamma it is gamma / |w|^2. Constants have the priors that the model states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.data import Estimated
+from gbspec.diagnostics import ComputationError
+from gbspec.training.engines import Filtered, FilterEngine
+from gbspec.training.optimise.levenberg_marquardt import Certainty
+from gbspec.training.optimise.priors import Priors
+from gbspec.training.optimise.stage import Outcome, State, scalar
+
+ATTEMPTS = 12
+"""Number of dampings tried in one iteration before the stage ends."""
+LONGEST = 0.7
+"""Largest change of a constant in one step, in units of its trainable value (a factor of e^2.1); of a noise and of a
+weight it is 2."""
+SMALL = 1e-4
+"""The stage ends when two steps raise the log likelihood by less: constants are then within hundredths of their sd."""
+SCALES = ((1.0, 0.0), (0.1, -2.0))
+"""Factors on disturbances and logarithms of factors on noises of the vectors that are tried."""
+STARTS, ROUND = 3, 8
+"""The number of vectors from which fits begin, and the iterations after which these are compared."""
+FLAT = 1e-8
+"""Smallest information of an entry: a diffusion or a noise that goes to zero has none."""
+
+
+@dataclass(frozen=True)
+class _System:
+    """The penalised objective at a vector: value, gradient and matrix; `found` is the filter there."""
+
+    found: Filtered
+    value: float
+    gradient: Array
+    matrix: Array
+
+
+class InnovationsFit:
+    """Maximises the likelihood of the engine that `engine()` returns, from the best of several vectors.
+
+    `others` are vectors that the stage may begin from beside the one it gets.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        total: int,
+        engine: Callable[[], FilterEngine],
+        others: Sequence[Array],
+        precision: float | None,
+    ) -> None:
+        self.name, self.total, self._make = name, total, engine
+        self.others, self.precision = others, precision
+        self._engine: FilterEngine | None = None
+
+    @property
+    def engine(self) -> FilterEngine:
+        """The filter of the data."""
+        if self._engine is None:
+            self._engine = self._make()
+        return self._engine
+
+    # ---------------------------------------------------------------- the stage
+    def begin(self, theta: Array) -> State:
+        """The vectors to begin from, the best first: those given, with several sizes of noises and disturbances."""
+        first, engine = self.engine.noise.first(), self.engine
+        starts = [
+            np.concatenate([self._scaled(each, factor), first + shift])
+            for each in (theta, *self.others)
+            for factor, shift in SCALES
+        ]
+        values = np.array([engine.value(each) for each in starts])
+        order = np.argsort(values, kind="stable")[:STARTS]
+        return self._begun(starts[order[0]]) | {
+            "waiting": np.array([starts[i] for i in order[1:]]).reshape(-1, len(starts[0])),
+            "best": np.zeros(0),
+            "best_value": np.array(np.inf),
+            "left": np.array(float(ROUND if len(order) > 1 else self.total)),
+        }
+
+    def _begun(self, vector: Array) -> State:
+        """The state at a vector of the likelihood."""
+        theta, log_sd = self.engine.layout.split(vector)
+        weights = theta[: self.engine.parameters.n_weights]
+        ridge = len(weights) / max(float(weights @ weights), 1e-12) if self.precision is None else self.precision
+        return {
+            "theta": theta,
+            "log_sd": log_sd,
+            "damping": np.array(1e-2),
+            "ridge": np.array(ridge if len(weights) else 0.0),
+            "small": np.array(0.0),
+        }
+
+    def _scaled(self, theta: Array, factor: float) -> Array:
+        """The vector with learned constants that occur only in disturbances multiplied by a factor."""
+        parameters, model = self.engine.parameters, self.engine.problem.model
+        inside = {symbol for diffusion in model.diffusions for symbol in diffusion.value.free_symbols}
+        elsewhere = {symbol for value in model.inlined(model.balances) for symbol in value.free_symbols}
+        out = theta.copy()
+        with torch.no_grad():
+            values = parameters.constants(torch.from_numpy(theta)).numpy()[0, len(model.constants) :]
+        for place, index in enumerate(parameters.shared):
+            if model.learnables[index].symbol in inside - elsewhere:
+                entry = parameters.n_weights + place
+                moved = parameters.bijections((index,)).from_natural(np.array([factor * values[index]]))[0]
+                out[entry] = moved if factor != 1.0 else theta[entry]
+        return out
+
+    def step(self, state: State, iteration: int) -> Outcome:
+        """One iteration; after `ROUND` of them the next vector, and after the last one the best goes on."""
+        outcome = self._iteration(state, iteration)
+        left = scalar(state, "left") - 1
+        new = {**state, **outcome.state, "left": np.array(left)}
+        if not len(state["waiting"]) and not len(state["best"]):
+            return Outcome(new, outcome.loss, outcome.done)
+        if left > 0 and not outcome.done:
+            return Outcome(new, outcome.loss, False)
+        vector = np.concatenate([new["theta"], new["log_sd"]])
+        if outcome.loss < scalar(state, "best_value"):
+            new |= {"best": vector, "best_value": np.array(outcome.loss)}
+        if len(state["waiting"]):
+            following = self._begun(state["waiting"][0])
+            new |= {**following, "waiting": state["waiting"][1:], "left": np.array(float(ROUND))}
+            return Outcome(new, outcome.loss, False)
+        new |= {**self._begun(new["best"]), "best": np.zeros(0), "left": np.array(float(self.total))}
+        return Outcome(new, scalar(new, "best_value"), False)
+
+    def _iteration(self, state: State, iteration: int) -> Outcome:
+        """One iteration: the information, and as many dampings as are needed for a higher likelihood."""
+        engine, vector = self.engine, np.concatenate([state["theta"], state["log_sd"]])
+        damping, ridge, small = (scalar(state, name) for name in ("damping", "ridge", "small"))
+        system = self._system(vector, ridge)
+        if not system.found.finite:
+            raise self._failure(vector, system.found)
+        count = max(int(engine.problem.seen.sum()), 1)
+        for _ in range(ATTEMPTS):
+            move = self._move(system, damping, vector)
+            predicted = -float(system.gradient @ move + 0.5 * move @ system.matrix @ move)
+            trial = vector + move
+            found = engine.filtered(trial, guess=system.found)
+            value = self._value(trial, ridge, found)
+            if value < system.value:
+                break
+            if abs(predicted) < SMALL:
+                return Outcome(state, system.found.value / count, True)
+            damping *= 4.0
+        else:
+            return Outcome(state, system.found.value / count, True)
+        gain = (system.value - value) / max(predicted, 1e-300)
+        theta, log_sd = engine.layout.split(trial)
+        if self.precision is None and engine.parameters.n_weights:
+            ridge = self._evidence(system, trial, ridge)
+        small = small + 1 if min(system.value - value, predicted) < SMALL * max(1.0, 1e-3 * abs(value)) else 0.0
+        new: State = {
+            "theta": theta,
+            "log_sd": log_sd,
+            "damping": np.array(float(np.clip(damping * (0.2 if gain > 0.5 else 2.0), 1e-9, 1e6))),
+            "ridge": np.array(ridge),
+            "small": np.array(small),
+        }
+        return Outcome(new, found.value / count, small >= 2)
+
+    def _move(self, system: _System, damping: float, vector: Array) -> Array:
+        """The damped step within a box: no entry longer than allowed, and no noise below the least.
+
+        Entries that would leave the box go to its side, and the others are solved again with these fixed.
+        """
+        size, least = self.engine.parameters.size, self.engine.noise.least()
+        matrix = system.matrix + np.diag(damping * np.maximum(np.diag(system.matrix), FLAT))
+        limit = np.full(len(vector), LONGEST)
+        limit[: self.engine.parameters.n_weights] = limit[size:] = 2.0
+        low, high = -limit, limit
+        low[size:] = np.maximum(low[size:], least - vector[size:])
+        move, inside = np.zeros(len(vector)), self.engine.layout.free > 0
+        while inside.any():
+            given = -system.gradient - matrix[:, ~inside] @ move[~inside]
+            scale = 1 / np.sqrt(np.maximum(np.diag(matrix)[inside], FLAT))
+            block = matrix[np.ix_(inside, inside)] * np.outer(scale, scale)
+            move[inside] = scale * np.linalg.lstsq(block, scale * given[inside], rcond=1e-13)[0]
+            beyond = inside & ((move < low) | (move > high))
+            move = np.clip(move, low, high)
+            if not beyond.any():
+                break
+            inside &= ~beyond
+        return move
+
+    # ---------------------------------------------------------------- the objective
+    def _priors(self) -> Priors:
+        parameters, problem = self.engine.parameters, self.engine.problem
+        return replace(Priors.of(problem, parameters, np.zeros(1)), noise=1.0)
+
+    def _value(self, vector: Array, ridge: float, found: Filtered) -> float:
+        theta, _ = self.engine.layout.split(vector)
+        weights = theta[: self.engine.parameters.n_weights]
+        if not found.finite:
+            return float("inf")
+        return found.value + 0.5 * ridge * float(weights @ weights) + self._priors().penalty(theta)
+
+    def _system(self, vector: Array, ridge: float) -> _System:
+        engine = self.engine
+        found = engine.filtered(vector)
+        information = engine.information(vector, found)
+        theta, _ = engine.layout.split(vector)
+        gradient, matrix = information.gradient.copy(), information.matrix.copy()
+        weights = np.arange(engine.parameters.n_weights)
+        gradient[weights] += ridge * theta[weights]
+        matrix[weights, weights] += ridge
+        priors = self._priors()
+        if len(priors):
+            gradient[: len(theta)] += priors.gradient(theta)
+            slopes = np.zeros((len(priors), len(vector)))
+            slopes[np.arange(len(priors)), priors.column] = priors.slopes(theta)
+            matrix += slopes.T @ slopes
+        return _System(found, self._value(vector, ridge, found), gradient, matrix)
+
+    def _evidence(self, system: _System, vector: Array, ridge: float) -> float:
+        """The precision of the weights' prior by the evidence, averaged with the present one (in logarithms)."""
+        count = self.engine.parameters.n_weights
+        weights, inverse = vector[:count], _inverse(system.matrix, self.engine.layout.free)
+        effective = float(np.clip(count - ridge * np.trace(inverse[:count, :count]), 1.0, count))
+        return float(np.sqrt(ridge * effective / max(float(weights @ weights), 1e-12)))
+
+    def _failure(self, vector: Array, found: Filtered) -> ComputationError:
+        """The error for a vector whose solution is not finite: trajectory and time."""
+        engine = self.engine
+        packed, legs = engine.problem.packed, engine.legs
+        bad = np.flatnonzero(found.bad | ~np.isfinite(found.end_mean).all(axis=1))
+        first = int(bad[0]) if len(bad) else 0
+        owner = int(legs.owner[first])
+        step = min(int(legs.first[first]), max(packed.depth - 1, 0))
+        time = float(packed.t[step, owner]) if packed.depth else float(packed.start[owner])
+        x = engine.coordinates.states(found.start_mean[first])
+        values = ", ".join(f"{s.name} = {v:.6g}" for s, v in zip(engine.problem.model.states, x, strict=True))
+        return ComputationError(
+            f"the filter's moments are not finite in stage `{self.name}`",
+            where=f"trajectory `{packed.labels[owner]}` at {engine.problem.model.time.name} = {time:.6g}, "
+            f"where {values}",
+            remedy="try a smaller `--max-step`, bounds on the learned constants (`learn k = 1 in [0, 10]`), or a range "
+            "and a start for each state (`state x in [0, 1] = 0.5`)",
+        )
+
+    # ---------------------------------------------------------------- what is known at the end
+    def estimated(self, state: State) -> Estimated:
+        """The learned noises of the channels."""
+        noise = np.full(len(self.engine.problem.model.channels), np.nan)
+        noise[self.engine.noise.learned] = np.exp(state["log_sd"])
+        return Estimated(noise, np.ones(len(noise)))
+
+    def certainty(self, state: State) -> Certainty:
+        """Standard deviations and correlations of constants from the inverse of the information; unknown (NaN) for a
+        constant on which the data say nothing, such as a diffusion that has gone to zero."""
+        engine, parameters = self.engine, self.engine.parameters
+        vector = np.concatenate([state["theta"], state["log_sd"]])
+        system = self._system(vector, scalar(state, "ridge"))
+        if not system.found.finite:
+            return Certainty.unknown(parameters)
+        inverse = _inverse(system.matrix, engine.layout.free)
+        known = np.diag(system.matrix) > 10 * FLAT
+        theta = state["theta"]
+        places = np.arange(parameters.n_weights, parameters.n_shared)
+        slopes = parameters.bijections(parameters.shared).derivative(theta[places])
+        sd = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+        block = inverse[np.ix_(places, places)]
+        roots = np.maximum(sd[places], 1e-300) * np.where(slopes < 0, -1.0, 1.0)
+        own = np.zeros((parameters.trajectories, len(parameters.own)))
+        if parameters.own:
+            table = theta[parameters.n_shared :].reshape(-1, parameters.n_local)[:, : len(parameters.own)]
+            begin = parameters.n_shared + np.arange(parameters.trajectories)[:, None] * parameters.n_local
+            at = begin + np.arange(len(parameters.own))
+            own_slopes = np.abs(parameters.bijections(parameters.own).derivative(table.copy()))
+            own = np.where(known[at], own_slopes * sd[at], np.nan)
+        freedom = float(np.sum(known & (engine.layout.free > 0)))
+        deviations = np.where(known[places], np.abs(slopes) * sd[places], np.nan)
+        return Certainty(deviations, block / np.outer(roots, roots), freedom, own)
+
+
+def _inverse(matrix: Array, free: Array) -> Array:
+    """The inverse of the information of the free entries; zero elsewhere."""
+    out, chosen = np.zeros_like(matrix), np.flatnonzero(free > 0)
+    block = matrix[np.ix_(chosen, chosen)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(block), FLAT))
+    inverse = np.linalg.pinv(block * np.outer(scale, scale), rcond=1e-13, hermitian=True) * np.outer(scale, scale)
+    out[np.ix_(chosen, chosen)] = inverse
+    return out

@@ -1,0 +1,98 @@
+"""The recipe of models with random disturbances: after the warm start, the likelihood of innovations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.diagnostics import Diagnostic, UserError
+from gbspec.ir import METHODS, Model, RosenbrockW
+from gbspec.training.engines import Filtered, FilterEngine
+from gbspec.training.optimise import InnovationsFit, Stage
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem import Parameters, Problem, pack, teacher_forcing
+from gbspec.training.recipe.context import Context, start_states
+from gbspec.training.recipe.planned import Planned, Reached
+from gbspec.training.recipe.stiffness import solver_of
+from gbspec.training.stages import StageName
+from gbspec.training.starts import fit_curves
+
+
+def check_disturbed(model: Model, options: TrainOptions) -> None:
+    """Raises UserError (GB770) for options that a model with disturbances, or a population, cannot have."""
+    found = []
+    stiff = options.tolerance is not None or isinstance(METHODS[solver_of(options)], RosenbrockW)
+    if stiff and (model.diffusions or model.marginal):
+        message = (
+            "adaptive steps are not for a model with `diffusion` or a population: steps of its likelihood are fixed"
+        )
+        help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
+        found.append(Diagnostic("GB770", message, None, help=help))
+    if not model.diffusions:
+        if found:
+            raise UserError(found)
+        return
+    if options.method != "auto":
+        message = f"`--method {options.method}` is not for a model with `diffusion`: only the likelihood is maximised"
+        found.append(Diagnostic("GB770", message, None, help="leave it out"))
+    if options.forcing != "teacher":
+        message = f"`--forcing {options.forcing}` is not for a model with `diffusion`: no measurement resets a state"
+        found.append(Diagnostic("GB770", message, None, help="leave it out"))
+    if found:
+        raise UserError(found)
+
+
+def disturbed_stage(context: Context, parameters: Parameters, total: int) -> Planned:
+    """The one stage that fits a model with disturbances."""
+
+    def make(reached: Reached) -> Stage:
+        module = context.module
+        declared = parameters.vector(module.weights)
+        declared[: parameters.n_weights] = reached.theta[: parameters.n_weights]
+        ridge = context.options.ridge
+        return InnovationsFit(StageName.INNOVATIONS, total, lambda: filter_of(context, parameters), [declared], ridge)
+
+    return Planned(StageName.INNOVATIONS, total, make)
+
+
+def filter_of(context: Context, parameters: Parameters) -> FilterEngine:
+    """The filter of the training data."""
+    return FilterEngine.of(context.problem(0.0), parameters)
+
+
+def whole_vector(context: Context, engine: FilterEngine, theta: Array) -> Array:
+    """The vector of the likelihood: the trainable one, and the noises as they are known so far."""
+    log_sd = engine.noise.first()
+    if context.estimated is not None:
+        known = context.estimated.noise[engine.noise.learned]
+        log_sd = np.where(np.isfinite(known) & (known > 0), np.log(np.where(known > 0, known, 1.0)), log_sd)
+    return np.concatenate([theta, log_sd])
+
+
+def held_out_filter(context: Context, parameters: Parameters, theta: Array) -> tuple[FilterEngine, Filtered]:
+    """The filter of the held-out data, whose predictions count; of a single trajectory only the last rows."""
+    held, model = context.held, context.model
+    packed = pack(held, model, context.max_step, method=context.method)
+    problem = Problem(model, context.module, packed, teacher_forcing(model, packed, 0.0), context.scaling(packed))
+    value, free = start_states(model, held, fit_curves(model, held), packed)
+    local = replace(parameters, start_value=value, start_free=free)
+    own = theta[parameters.n_shared :].reshape(parameters.trajectories, parameters.n_local)
+    block = np.tile(own.mean(axis=0), (len(held), 1))
+    vector = np.concatenate([theta[: parameters.n_shared], block.ravel()])
+    engine = FilterEngine.of(problem, local)
+    return engine, engine.filtered(whole_vector(context, engine, vector))
+
+
+def held_out_likelihood(context: Context, parameters: Parameters, theta: Array) -> float:
+    """The negative log likelihood of the held-out values, over their number."""
+    engine, found = held_out_filter(context, parameters, theta)
+    if not found.finite:
+        return float("inf")
+    counted = engine.problem.seen
+    if len(context.held) == 1 and context.held.items[0].label == context.trajectories.items[0].label:
+        later = engine.problem.packed.row_time > context.trajectories.items[0].end
+        counted = counted & later[:, None]
+    error, variance = found.error[counted], found.variance[counted]
+    return float(0.5 * np.mean(error**2 / variance + np.log(2 * np.pi * variance))) if counted.any() else 0.0

@@ -1,0 +1,184 @@
+"""The summary of a member whose model has random disturbances: predictions from row to row, and the likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.backends import GeneratedModule
+from gbspec.data import variance_of
+from gbspec.files import finite
+from gbspec.runs import (
+    Certainties,
+    ChannelRecord,
+    LikelihoodRecord,
+    NoiseRecord,
+    ObjectiveRecord,
+    StageRecord,
+    WhitenessRecord,
+)
+from gbspec.training.engines import Filtered, FilterEngine, whiteness
+from gbspec.training.problem import Parameters, autocorrelation_of, in_time
+from gbspec.training.recipe import Context, filter_of, held_out_filter, whole_vector
+from gbspec.training.runs import certainties as of_squares
+from gbspec.training.runs import summary
+from gbspec.training.runs.constants import QUANTILE
+from gbspec.training.runs.summary import MemberResult
+
+UNKNOWN = 3.0
+"""A noise whose logarithm has a larger standard deviation has gone to zero, and has no interval."""
+OBJECTIVE = "likelihood of innovations (extended Kalman filter)"
+
+
+def summarise(
+    context: Context,
+    parameters: Parameters,
+    theta: Array,
+    freedom: float,
+    seconds: float,
+    stages: Sequence[StageRecord],
+) -> MemberResult:
+    """Evaluates a member at `theta`, with or without disturbances."""
+    if not context.model.diffusions:
+        return summary.summarise(context, parameters, theta, freedom, seconds, stages)
+    engine = filter_of(context, parameters)
+    vector = whole_vector(context, engine, theta)
+    found, model = engine.filtered(vector), context.model
+    problem, seen = engine.problem, engine.problem.seen
+    log = engine.noise.log
+    errors = np.where(seen, found.error, np.nan)
+    natural = np.where(log, problem.packed.values * (np.exp(-errors) - 1), -errors)
+    blown = seen & ~np.isfinite(errors)
+    rmse = {c.name: _root_mean_square(natural[seen[:, i], i]) for i, c in enumerate(model.channels)}
+    variances = engine.noise.variances(engine.layout.split(vector)[1])
+    noise = {c.name: _root_mean_square(np.sqrt(variances[seen[:, i], i])) for i, c in enumerate(model.channels)}
+    with torch.no_grad():
+        constants = parameters.constants(torch.from_numpy(theta)).numpy()
+    known, names = len(model.constants), [k.name for k in model.learnables]
+    scaled = errors / context.scaled(None).channel
+    loss = 0.5 * float(np.mean(scaled[seen] ** 2)) if seen.any() else 0.0
+    own = constants[:, [known + i for i in parameters.own]]
+    likelihood = _likelihood(engine, found, vector)
+    return MemberResult(
+        context.seed,
+        loss,
+        loss,
+        _channels(context, parameters, theta, engine, found),
+        rmse,
+        noise,
+        dict(zip(names, map(float, constants[:, known:].mean(axis=0)), strict=True)),
+        {name: float("nan") for name in names},
+        seconds,
+        list(stages),
+        _starts(engine, found, parameters, theta),
+        list(context.packed().labels),
+        sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]}),
+        own=own,
+        own_sd=np.full(own.shape, np.nan),
+        scales=None,
+        objective=ObjectiveRecord(OBJECTIVE, likelihood.minus2ll),
+        likelihood=likelihood,
+    )
+
+
+def _root_mean_square(values: Array) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _starts(engine: FilterEngine, found: Filtered, parameters: Parameters, theta: Array) -> Array:
+    """The initial states as all measurements show them [N, n]; those that the model gives as it gives them."""
+    with torch.no_grad():
+        fixed = parameters.starts(torch.from_numpy(theta)).numpy()
+    if not found.finite:
+        return np.array(fixed, dtype=np.float64)
+    smoothed = engine.coordinates.states(engine.smoothed_start(found))
+    return np.where(engine.start_variance > 0, smoothed, fixed)
+
+
+def _channels(
+    context: Context, parameters: Parameters, theta: Array, engine: FilterEngine, found: Filtered
+) -> dict[str, ChannelRecord]:
+    """How predictions from row to row follow each channel's data, and held-out ones."""
+    held = held_out_filter(context, parameters, theta) if len(context.held) else None
+    scales, problem, out = context.scaled(None), engine.problem, {}
+    for i, channel in enumerate(context.model.channels):
+        rows = in_time(problem, i)
+        standard = found.error[rows, i] / np.sqrt(found.variance[rows, i])
+        learned = context.estimated is not None and bool(np.isfinite(context.estimated.noise[i]))
+        out[channel.name] = ChannelRecord(
+            _r2(engine, found, i),
+            None,
+            "",
+            _r2(*held, i) if held is not None else None,
+            int(problem.seen[:, i].sum()),
+            finite(float(scales.value_weights[i])),
+            finite(float(context.estimated.noise[i])) if learned and context.estimated is not None else None,
+            1.0 if learned else None,
+            *autocorrelation_of(standard, problem.packed.row_trajectory[rows]),
+        )
+    return out
+
+
+def _r2(engine: FilterEngine, found: Filtered, channel: int) -> float | None:
+    """1 minus the mean squared error of predictions from row to row over the variance of the data."""
+    seen = engine.problem.seen[:, channel]
+    variance = variance_of([engine.noise.value[seen, channel]])
+    if not variance > 0:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        return finite(1 - float(np.mean(found.error[seen, channel] ** 2)) / variance)
+
+
+def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:
+    """The likelihood, its criteria, the learned noises with intervals, and tests of the innovations."""
+    count, values = int(engine.layout.free.sum()), int(engine.problem.seen.sum())
+    minus2 = finite(2 * found.value)
+    model, noise = engine.problem.model, {}
+    deviations = engine.deviations(vector, found) if found.finite else np.full(len(vector), np.nan)
+    _, log_sd = engine.layout.split(vector)
+    for place, channel in enumerate(engine.noise.learned):
+        value, sd = float(np.exp(log_sd[place])), finite(float(deviations[engine.parameters.size + place]))
+        known = sd is not None and sd < UNKNOWN
+        interval = (value * np.exp(-QUANTILE * (sd or 0)), value * np.exp(QUANTILE * (sd or 0))) if known else None
+        noise[model.channels[channel].name] = NoiseRecord(value, sd, interval)
+    return LikelihoodRecord(
+        OBJECTIVE,
+        minus2,
+        count,
+        values,
+        None if minus2 is None else minus2 + 2 * count,
+        None if minus2 is None else minus2 + count * float(np.log(max(values, 1))),
+        noise,
+        _whiteness(engine, found),
+    )
+
+
+def _whiteness(engine: FilterEngine, found: Filtered) -> dict[str, WhitenessRecord]:
+    out = {}
+    for i, channel in enumerate(engine.problem.model.channels):
+        tested = whiteness(engine.standardised(found, i)) if found.finite else None
+        if tested is not None:
+            out[channel.name] = WhitenessRecord(
+                tested.values,
+                len(tested.autocorrelations),
+                finite(tested.ljung_box),
+                finite(tested.p),
+                finite(tested.distance),
+                finite(tested.distance_p),
+            )
+    return out
+
+
+def certainties(
+    context: Context, parameters: Parameters, theta: Array, stages: Sequence[str], member: GeneratedModule
+) -> Certainties:
+    """The certainty of a finished fit: with disturbances that of its constants stands in `fit.json` alone."""
+    if not context.model.diffusions:
+        return of_squares.certainties(context, parameters, theta, stages, member)
+    engine = filter_of(context, parameters)
+    found = engine.filtered(whole_vector(context, engine, theta))
+    return Certainties(None, of_squares.support_of(engine.problem, parameters, theta, engine.row_states(found), member))

@@ -1,0 +1,162 @@
+"""The filter of a finished run on a table: states as measurements show them, and predictions ahead of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gbspec.arrays import Array, Mask
+from gbspec.backends import GeneratedModule
+from gbspec.data import Trajectories, fingerprint
+from gbspec.training.engines import Filtered, FilterEngine, Whiteness, filter, whiteness
+from gbspec.training.options import TrainOptions
+from gbspec.training.problem import Integers
+from gbspec.training.recipe import build_context
+
+if TYPE_CHECKING:
+    from gbspec.runs import Run
+
+
+@dataclass(frozen=True)
+class Smoothed:
+    """A trajectory's rows [R]: means and standard deviations of its states [R, n], where `log` [n] of their logarithms,
+    and of a new measurement of each channel [R, C], where `log_channels` [C] of its logarithm."""
+
+    states: Array
+    state_sd: Array
+    channels: Array
+    channel_sd: Array
+    log: Mask
+    log_channels: Mask
+
+
+@dataclass(frozen=True)
+class FilteredRun:
+    """A member's filter on a table, with the measurements that it used."""
+
+    engine: FilterEngine
+    vector: Array
+    found: Filtered
+
+    @property
+    def finite(self) -> bool:
+        """Whether all moments are."""
+        return self.found.finite
+
+    def ahead(self, steps: int | None) -> list[Array]:
+        """The predictions [R, C] of each trajectory's rows from the measurements `steps` rows before; None: from its
+        (smoothed) start alone."""
+        if steps is None:
+            engine = filter.with_smoothed_starts(self.engine, self.found)
+            return self._by_trajectory(filter.from_starts(engine, self.vector))
+        return self._by_trajectory(filter.steps_ahead(self.engine, self.vector, self.found, steps))
+
+    def standardised(self, channel: int) -> list[Array]:
+        """A channel's errors of predictions, in their standard deviations, trajectory by trajectory."""
+        return self.engine.standardised(self.found, channel)
+
+    def whiteness(self, channel: int) -> Whiteness | None:
+        """The tests of a channel's innovations."""
+        return whiteness(self.standardised(channel)) if self.finite else None
+
+    def smoothed(self) -> list[Smoothed]:
+        """States and channels at the rows of each trajectory as all used measurements show them."""
+        engine, (mean, cov, *_) = self.engine, filter.smoothed(self.found, self.engine.legs)
+        ends = np.flatnonzero(engine.legs.row >= 0)
+        rows, n = engine.legs.row[ends], mean.shape[1]
+        z = np.zeros((engine.problem.packed.rows, n))
+        p = np.zeros((len(z), n, n))
+        z[rows], p[rows] = mean[ends], cov[ends]
+        y, variance = self._read(z, p)
+        states = engine.coordinates.states(z)
+        sd = np.sqrt(np.maximum(np.diagonal(p, axis1=1, axis2=2), 0.0))
+        log, log_y = engine.coordinates.log, engine.noise.log
+        channels, spread = np.where(log_y, np.exp(np.where(log_y, y, 0.0)), y), np.sqrt(variance)
+        return [Smoothed(states[mine], sd[mine], channels[mine], spread[mine], log, log_y) for mine in self._rows]
+
+    def _read(self, z: Array, p: Array) -> tuple[Array, Array]:
+        """Predicted channels [R, C] and the variances of new measurements."""
+
+        theta, log_sd = self.engine.layout.split(self.vector)
+        at, every = filter.At.of(self.engine.layout, theta), np.arange(len(z), dtype=np.int64)
+        reading = self.engine.readings(at, log_sd, every, z)
+        own = self.engine.noise.variances(log_sd)
+        seen = self.engine.problem.seen
+        # Cells without a measurement have no variance of their own: the usual one of the channel stands for it.
+        usual = np.array([np.median(own[seen[:, i], i]) if seen[:, i].any() else 0.0 for i in range(own.shape[1])])
+        spread = np.einsum("rci,rij,rcj->rc", reading.c, p, reading.c)
+        return reading.y, np.maximum(spread, 0.0) + np.where(own > 0, own, usual)
+
+    @cached_property
+    def _rows(self) -> list[Integers]:
+        packed = self.engine.problem.packed
+        found = [np.flatnonzero(packed.row_trajectory == i) for i in range(packed.trajectories)]
+        return [rows[np.argsort(packed.row_index[rows])] for rows in found]
+
+    def _by_trajectory(self, table: Array) -> list[Array]:
+        return [table[rows] for rows in self._rows]
+
+
+def filter_run(run: Run, trajectories: Trajectories, member: int, window: int | None = None) -> FilteredRun:
+    """A member's filter on a table; with `window` only the first so many measured rows of each trajectory are used."""
+    instance, record = run.member(member), run.fit.members[run.numbers.index(member)]
+    step = run.step(member)
+    options = TrainOptions(backend="torch", device="cpu", max_step=step, solver=run.fit.solver)
+    context = build_context(run.model, run.module, trajectories, options, 0)
+    context.module = instance
+    fixed = {k: v for k, v in instance.weights.items() if k.endswith(("_center", "_scale"))}
+    starts, constants = _known(run, instance.weights, _marks(instance), trajectories, context.start_value)
+    parameters = replace(context.parameters(fixed), start_value=starts)
+    engine = FilterEngine.of(context.problem(0.0), parameters)
+    noise = {} if record.likelihood is None else record.likelihood.noise
+    log_sd, channels = engine.noise.first(), run.model.channels
+    for place, channel in enumerate(engine.noise.learned):
+        known = noise.get(channels[channel].name)
+        log_sd[place] = log_sd[place] if known is None else np.log(max(known.value, 1e-300))
+    vector = np.concatenate([parameters.vector(instance.weights, constants), log_sd])
+    seen = engine.problem.seen
+    if window is not None:
+        early = _measured_place(engine) < int(window)
+        seen = seen & early.reshape(-1, 1)
+    return FilteredRun(engine, vector, engine.filtered(vector, seen=seen))
+
+
+def _marks(instance: GeneratedModule) -> Sequence[object]:
+    """The fingerprints of the trajectories that training saw."""
+    found = instance.info.get("fingerprints")
+    return found if isinstance(found, list) else []
+
+
+def _measured_place(engine: FilterEngine) -> Integers:
+    """The number of rows with a measurement before each key row [R]."""
+    packed, seen = engine.problem.packed, engine.problem.seen.sum(axis=1) > 0
+    out = np.zeros(packed.rows, dtype=np.int64)
+    for i in range(packed.trajectories):
+        rows = np.flatnonzero(packed.row_trajectory == i)
+        rows = rows[np.argsort(packed.row_index[rows])]
+        out[rows] = np.cumsum(seen[rows]) - seen[rows]
+    return out
+
+
+def _known(
+    run: Run, weights: Mapping[str, Array], marks: Sequence[object], trajectories: Trajectories, guess: Array
+) -> tuple[Array, Array]:
+    """Starts [N, n] and learnable constants [N, k] of trajectories: those learned, where training saw them."""
+    model, known = run.model, len(run.model.constants)
+    learned = {str(mark): i for i, mark in enumerate(marks)}
+    starts = guess.copy()
+    constants = np.tile(np.asarray(weights["constants"], dtype=np.float64)[known:], (len(trajectories), 1))
+    kinds = np.array([state.initial.kind == "learned" for state in model.states])
+    for i, item in enumerate(trajectories.items):
+        place = learned.get(fingerprint(item))
+        if place is None:
+            continue
+        starts[i, kinds] = np.asarray(weights["initial"])[place, kinds]
+        for j, learnable in enumerate(model.learnables):
+            if learnable.per_trajectory and f"per_trajectory.{learnable.name}" in weights:
+                constants[i, j] = weights[f"per_trajectory.{learnable.name}"][place]
+    return starts, constants

@@ -1,0 +1,183 @@
+"""Fits, validations, predictions and simulations of models with random disturbances."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gbspec.data import SimulateOptions, Trajectories, read
+from gbspec.diagnostics import Findings, UserError
+from gbspec.frontend import load_model
+from gbspec.ir import Model
+from gbspec.operations import analysing, fitting, models
+from gbspec.runs import Run, open_run
+from gbspec.training import TrainOptions, train
+from gbspec.training.engines import whiteness
+
+PROCESS = """model process
+time t
+state X in [-5, 5] = 0
+learn theta = 0.5 in [0.01, 10]
+learn mu = 0.5 in [-5, 5]
+learn s = 0.3 in [0, 5]
+X' = theta*(mu - X)
+diffusion X = s
+observe X
+truth theta = 1
+truth mu = 1
+truth s = 0.5
+"""
+FAST = TrainOptions(effort="low", backend="torch", device="cpu")
+
+
+def model_in(folder: Path, text: str) -> Model:
+    path = folder / "m.gb"
+    path.write_text(text, encoding="utf-8")
+    return load_model(path, Findings())
+
+
+def data_in(folder: Path, model: Model, rows: int = 120, noise: float = 0.1) -> Trajectories:
+    rng, x, step = np.random.default_rng(3), 1.0, 0.2
+    a = np.exp(-step)
+    lines = ["t,X"]
+    for k in range(rows):
+        lines.append(f"{k * step:.2f},{x + noise * rng.standard_normal():.6f}")
+        x = 1 + a * (x - 1) + 0.5 * np.sqrt((1 - a * a) / 2) * rng.standard_normal()
+    path = folder / "d.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return read(path, model, Findings())
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Trajectories]:
+    folder = tmp_path_factory.mktemp("process")
+    model = model_in(folder, PROCESS)
+    data = data_in(folder, model)
+    return train(model, data, FAST, folder / "run"), data
+
+
+def test_drift_disturbance_and_noise_are_found_with_intervals(fitted: tuple[Run, Trajectories]) -> None:
+    run, _ = fitted
+    found = run.fit.constants
+    for name, true in (("theta", 1.0), ("mu", 1.0), ("s", 0.5)):
+        sd = found[name].sd
+        assert sd is not None
+        assert abs(found[name].value - true) < 3.5 * sd
+    likelihood = run.fit.members[0].likelihood
+    assert likelihood is not None
+    assert likelihood.minus2ll is not None
+    assert likelihood.aic == pytest.approx(likelihood.minus2ll + 2 * 4)
+    interval = likelihood.noise["X"].interval
+    assert interval is not None
+    assert interval[0] < 0.1 < interval[1]
+    assert run.fit.objective is not None
+    assert likelihood.whiteness["X"].values == 120
+
+
+def test_the_same_seed_gives_the_same_fit_and_an_interrupted_one_goes_on(
+    fitted: tuple[Run, Trajectories], tmp_path: Path
+) -> None:
+    run, data = fitted
+
+    class Stop:
+        count = 0
+
+        def update(self, update: object) -> None:
+            Stop.count += 1
+            if Stop.count == 4:
+                raise KeyboardInterrupt
+
+        def message(self, text: str) -> None:
+            pass
+
+    with pytest.raises(KeyboardInterrupt):
+        train(run.model, data, FAST, tmp_path / "again", Stop())
+    from dataclasses import replace
+
+    resumed = train(run.model, data, replace(FAST, resume=True), tmp_path / "again")
+    assert {k: v.value for k, v in resumed.fit.constants.items()} == {k: v.value for k, v in run.fit.constants.items()}
+
+
+def test_validation_has_errors_one_ten_and_all_rows_ahead(fitted: tuple[Run, Trajectories]) -> None:
+    run, data = fitted
+    found = analysing.validate(run, data, 0)
+    assert list(found.ahead) == ["1", "10", "all"]
+    one, ten, whole = (found.ahead[name]["X"] for name in ("1", "10", "all"))
+    assert one.rmse < ten.rmse
+    assert whole.rmse == pytest.approx(found.channels["X"].rmse, rel=1e-3)
+    assert "rows ahead" in str(found)
+    assert "10" in json.loads(json.dumps(found.to_json()))["ahead"]
+
+
+def test_predictions_are_smoothed_states_with_bands_that_widen_after_the_window(
+    fitted: tuple[Run, Trajectories],
+) -> None:
+    run, data = fitted
+    frame = analysing.predict(run, data, window=60).to_frame()
+    width = (frame["X_high"] - frame["X_low"]).to_numpy()
+    assert frame["used"][:60].unique().to_list() == ["window"]
+    assert width[60:].min() > width[5:55].max()
+    # Far ahead the band is that of the stationary distribution and the noise.
+    constants = run.fit.constants
+    noise = run.fit.noise["X"] or 0.0
+    sd = np.sqrt(constants["s"].value ** 2 / (2 * constants["theta"].value) + noise**2)
+    assert width[-1] == pytest.approx(2 * 1.645 * sd, rel=1e-2)
+
+
+def test_profiles_are_refused(fitted: tuple[Run, Trajectories]) -> None:
+    run, data = fitted
+    with pytest.raises(UserError) as caught:
+        fitting.profile(run, "theta", data)
+    assert [d.code for d in caught.value.diagnostics] == ["GB772"]
+
+
+def test_other_methods_are_refused(tmp_path: Path) -> None:
+    model = model_in(tmp_path, PROCESS)
+    with pytest.raises(UserError) as caught:
+        train(model, data_in(tmp_path, model), TrainOptions(method="adam"), tmp_path / "run")
+    assert {d.code for d in caught.value.diagnostics} == {"GB770"}
+
+
+def test_simulated_disturbances_have_their_distribution(tmp_path: Path) -> None:
+    text = PROCESS.replace("diffusion X = s", "diffusion X = s\ninitial X = 1").replace("observe X", "observe X")
+    model = model_in(tmp_path, text)
+    subject = models.reference(model)
+    from gbspec.analysis import simulate
+
+    options = SimulateOptions(trajectories=40, span=2.0, dt=1.0, noise=0.0, seed=1)
+    found = simulate(subject.evaluator, subject.model, options)
+    ends = np.array([item.values[-1, 0] for item in found.items])
+    variance = 0.25 / 2 * (1 - np.exp(-4.0))
+    assert abs(ends.mean() - 1) < 4 * np.sqrt(variance / 40)
+    assert 0.5 < ends.var() / variance < 1.7
+    again = simulate(subject.evaluator, subject.model, options)
+    assert np.array_equal(again.items[3].values, found.items[3].values)
+
+
+def test_white_and_coloured_series_are_told_apart() -> None:
+    rng = np.random.default_rng(0)
+    white = rng.standard_normal(500)
+    coloured = np.convolve(white, [1, 0.8, 0.5], mode="valid")
+    for series, expected in ((white, True), (coloured, False)):
+        found = whiteness([series])
+        assert found is not None
+        assert (found.p > 0.01) == expected
+        assert (found.distance_p > 0.01) == expected
+    assert whiteness([white[:5]]) is None
+
+
+def test_a_run_is_read_again(fitted: tuple[Run, Trajectories]) -> None:
+    run, _ = fitted
+    found = open_run(run.path).fit.members[0].likelihood
+    assert found == run.fit.members[0].likelihood
+
+
+def test_the_innovations_are_drawn(fitted: tuple[Run, Trajectories]) -> None:
+    from gbspec.report.figures import innovations
+    from gbspec.report.source import Source
+
+    run, data = fitted
+    assert len(innovations.build(Source(run, data)).rows[0][0].rows[0].panels) == 3
