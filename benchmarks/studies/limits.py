@@ -216,6 +216,10 @@ Not offered yet, and said so: constants that differ between groups of another co
 (GB421), noises with constants of single trajectories (GB425), values of single trajectories without a
 distribution beside others with one (GB426), profiles of models with populations (GB777).
 
+Not offered together with `diffusion`: populations, noises with learned constants, learned lags of doses, measured
+rates of the disturbed state (GB344); profiles (GB772); stiff solvers and tolerances (GB770; these not for populations
+either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a population its medians.
+
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 
