@@ -24,6 +24,7 @@ class TrainKeywords(TypedDict, total=False):
     seed: int
     max_step: float | None
     solver: str
+    tolerance: float | None
     method: Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
     stages: str | None
     effort: Effort

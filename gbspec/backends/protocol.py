@@ -175,6 +175,7 @@ class GeneratedModule(Protocol):
         inputs: Value = None,
         max_step: float | None = None,
         constants: Value = None,
+        tolerance: float | None = None,
     ) -> Value:
         """States [..., n_times, n_states] at the times, torch."""
 

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.backends import GeneratedModule, NetworkNumbers, network_numbers, numbers_of
-from gbspec.ir import METHODS, Method, Model, Range
+from gbspec.backends import GeneratedModule, NetworkNumbers, NotCoveredError, network_numbers, numbers_of
+from gbspec.ir import METHODS, Explicit, Model, Range
 from gbspec.version import __version__
 
 NOTHING_KNOWN = 1.0
@@ -33,9 +33,13 @@ class Exported:
     step: float | None = None
 
     @property
-    def method(self) -> Method:
-        """The integration method of its steps."""
-        return METHODS[self.instance.solver]
+    def method(self) -> Explicit:
+        """The integration method of its steps. Raises NotCoveredError for one that needs the Jacobian."""
+        method = METHODS[self.instance.solver]
+        if not isinstance(method, Explicit):
+            reason = f"its solver `{method.name}`, for stiff models, needs the Jacobian at each step"
+            raise NotCoveredError(f"{reason}; `gbspec train --solver dopri5` takes explicit ones")
+        return method
 
     @cached_property
     def constants(self) -> Array:

@@ -97,8 +97,9 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
         return None
     if not usage.has_states(items, names, findings):
         return None
-    usage.unused(places_of, merged.in_indices, names, findings)
-    usage.only_compared(places_of, usage.observed_names(items), names, findings)
+    observed = usage.observed_names(items)
+    usage.unused(places_of, merged.in_indices | observed, names, findings)
+    usage.only_compared(places_of, observed, names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
     subject = doubts.Subject(items, names, values, order, numbers, places_of)
     doubts.check(subject, findings)

@@ -20,6 +20,7 @@ from gbspec.backends.module import load_module
 from gbspec.backends.native import CompilerError, Precision, Source, compiled, source
 from gbspec.backends.native import compiler as compiling
 from gbspec.backends.native.compiler import find_compiler
+from gbspec.data.shipped import shipped_models
 from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
 from gbspec.diagnostics import Defect
 from gbspec.ir.methods import Method
@@ -99,7 +100,8 @@ def quick(kernels: Path) -> Iterator[None]:
         yield
 
 
-SHIPPED = sorted(path.stem for path in (Path(__file__).parents[2] / "models").glob("*/*.gb"))
+# The stiff ones overflow in explicit steps; tests/training/test_adaptive_steps.py compares their own.
+SHIPPED = sorted(name for name in shipped_models() if not name.startswith("robertson"))
 
 
 @pytest.mark.usefixtures("quick")

@@ -44,7 +44,8 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
         else:
             assert isinstance(there, type(declared)), f"{method} is of a class on one side alone"
             assert parameters(getattr(module, method)) == parameters(getattr(GeneratedModule, method)), method
-    for method in offered(Equations):
+    optional = set() if model.diffusions else {"diffusions"}
+    for method in set(offered(Equations)) - optional:
         expected = [(model.time.name if key == "t" and method != "grid" else key, default)
                     for key, default in parameters(getattr(Equations, method))]  # fmt: skip
         assert parameters(getattr(module.equations, method)) == expected, method

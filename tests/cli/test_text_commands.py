@@ -205,7 +205,7 @@ def test_a_copy_keeps_comments_and_says_nothing_of_simulation_without_a_truth(gb
 def test_models_lists_every_bundled_model_with_its_title(gbspec: Run, document: Run) -> None:
     shown = gbspec("models").stdout.splitlines()
     assert [line.split()[0] for line in shown] == list(shipped_models())
-    assert "fed_batch             Fed-batch fermenter, growth kinetics unknown" in shown
+    assert "fed_batch                Fed-batch fermenter, growth kinetics unknown" in shown
     assert document("models")["models"][0]["title"]
 
 

@@ -25,7 +25,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import METHODS
 from gbspec.operations import exporting, models
 from tests.backends.examples import clinic, reactor
-from tests.exports.texts import CHOICES, DOSED, exported, model_of
+from tests.exports.texts import BUNDLED, CHOICES, DOSED, EXPLICIT, exported, model_of
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler on this machine")
@@ -46,7 +46,7 @@ def agree(subject: Exported, folder: Path, tolerance: float = 1e-13) -> Compiled
     return compiled
 
 
-@pytest.mark.parametrize("name", sorted(shipped_models()))
+@pytest.mark.parametrize("name", BUNDLED)
 def test_every_bundled_model(name: str, tmp_path: Path) -> None:
     agree(exported(load_model(shipped_models()[name], Findings())), tmp_path)
 
@@ -56,7 +56,7 @@ def test_choices_inputs_and_activations(activation: str, tmp_path: Path) -> None
     agree(exported(model_of(CHOICES.replace("silu", activation))), tmp_path)
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("method", EXPLICIT)
 def test_doses_contracts_and_methods(method: str, tmp_path: Path) -> None:
     agree(exported(model_of(DOSED), METHODS[method]), tmp_path)
 

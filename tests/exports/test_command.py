@@ -12,8 +12,13 @@ from typer.testing import CliRunner
 
 import gbspec
 from gbspec.cli.app import build
+from gbspec.data.shipped import shipped_models
+from gbspec.diagnostics import Findings, UserError
+from gbspec.exports import ExportOptions
 from gbspec.exports.c.printer import WORDS
-from gbspec.operations import exporting
+from gbspec.frontend import load_model
+from gbspec.ir import METHODS
+from gbspec.operations import exporting, models
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
@@ -85,3 +90,17 @@ def test_a_run_with_its_learned_values(tmp_path: Path) -> None:
     source = (tmp_path / "library" / "decay.c").read_text(encoding="utf-8")
     assert f"p->k = {run.constants['k']!r};" in source
     assert "a[0] >= " in source and run.export(tmp_path / "x.fmu", "fmu").checked
+
+
+@pytest.mark.parametrize("form", ["c", "fmu2", "fmu3", "onnx"])
+def test_steps_of_a_solver_for_stiff_models_are_refused_with_the_reason(form: str, tmp_path: Path) -> None:
+    """Nothing is written."""
+    if form == "onnx":
+        pytest.importorskip("onnx", reason="the package onnx is not installed")
+    model = load_model(shipped_models()["robertson"], Findings())
+    source = models.reference(model, None, METHODS["ros34pw2"])
+    with pytest.raises(UserError) as caught:
+        exporting.export(source, tmp_path / "x", form, ExportOptions(), Findings())
+    (diagnostic,) = caught.value.diagnostics
+    assert diagnostic.code == "GB808" and "`ros34pw2`, for stiff models, needs the Jacobian" in diagnostic.message
+    assert "--solver dopri5" in diagnostic.message and not list(tmp_path.iterdir())

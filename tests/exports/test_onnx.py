@@ -16,7 +16,7 @@ from gbspec.exports import ExportOptions, Precision
 from gbspec.frontend import load_model
 from gbspec.operations import exporting, models
 from tests.backends.examples import clinic, reactor
-from tests.exports.texts import CHOICES, DOSED, exported, model_of
+from tests.exports.texts import BUNDLED, CHOICES, DOSED, exported, model_of
 
 onnx = pytest.importorskip("onnx", reason="the package onnx is not installed")
 pytest.importorskip("onnxruntime", reason="the package onnxruntime is not installed")
@@ -31,7 +31,7 @@ PRECISIONS = pytest.mark.parametrize("precision", list(TOLERANCE))
 
 
 @PRECISIONS
-@pytest.mark.parametrize("name", sorted(shipped_models()))
+@pytest.mark.parametrize("name", BUNDLED)
 def test_every_bundled_model(name: str, precision: Precision) -> None:
     made = make(exported(load_model(shipped_models()[name], Findings())), ExportOptions(precision=precision))
     assert len(made.checked) >= 3

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from gbspec.backends import load_module
+from gbspec.data.shipped import shipped_models
 from gbspec.diagnostics import Findings, Source
 from gbspec.exports import Exported
 from gbspec.frontend import load_model
-from gbspec.ir import RK4, Method, Model
+from gbspec.ir import METHODS, RK4, Explicit, Method, Model
+
+BUNDLED = sorted(name for name in shipped_models() if not name.startswith("robertson"))
+"""The names of the bundled models; of stiff ones the explicit steps that an export has would multiply rounding errors."""
+EXPLICIT = sorted(name for name, method in METHODS.items() if isinstance(method, Explicit))
+"""The methods whose steps can be exported."""
 
 CHOICES = """model choices
 time t

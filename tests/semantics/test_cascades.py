@@ -84,6 +84,10 @@ def test_several_mistakes_are_all_reported() -> None:
     assert codes(text) == ["GB227", "GB223", "GB201"]
 
 
+def test_an_observed_definition_is_used() -> None:
+    assert codes("model m\nstate x = 1\nx' = -x\nlet y = 2*x\nobserve y\n") == []
+
+
 def test_unused_names_are_reported_only_of_a_text_without_errors() -> None:
     assert codes(RIGHT.replace("- f(y)", "")) == ["GB403"]
     assert codes(RIGHT.replace("- f(y)", "- g(y)")) == ["GB201"]

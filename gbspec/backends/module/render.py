@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import attributes, equations
+from gbspec.backends.module import attributes, equations, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -44,7 +44,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.initial_method(model),
         equations.doses_method(model),
         *equations.diffusions_method(model),
-        *equations.solver_methods(method),
+        *stepping.solver_methods(method),
         _unknown_table(model),
     ]
     return {

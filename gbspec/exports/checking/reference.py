@@ -132,6 +132,11 @@ class Reference:
         return np.asarray(np.broadcast_to(found[output], len(self.points)), dtype=np.float64)
 
     # -------------------------------------------------------------- over time
+    def sizes_of_steps(self, most: float) -> Array:
+        """Sizes [R] of steps to compare: at most `most`, and so short that rounding errors do not grow in a step."""
+        rates = [float(np.abs(blocks[1]).sum(axis=1).max()) for blocks in self._blocks(self.evaluator.rhs)]
+        return np.minimum(most, 1.0 / np.maximum(rates, 1e-300))
+
     def step(self, h: Array) -> Pair:
         """The states [R, n] after a step of size h [R] with the inputs held, and the size of their terms."""
         instance, math = self.exported.instance, self.exported.instance.arithmetic("numpy")

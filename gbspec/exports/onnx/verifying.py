@@ -42,7 +42,7 @@ def verify(
         elif part == "observe":
             values, pair, name = run(data, feeds(exported, points)), known.observe, "the channels"
         else:
-            h = np.full(len(points), exported.step or STEP)
+            h = known.sizes_of_steps(exported.step or STEP)
             values, pair, name = run(data, step_feeds(exported, points, h)), known.step(h), "a step"
         found.append(compare(name, values, pair, ACCEPTED[precision]))
     return found

@@ -248,6 +248,8 @@ def _agreeing(question: Question, first: Sequence[Expr], second: Sequence[Expr],
         return None
     clock = question.model.time.symbol
     names = [n for n in generic.variables if n != clock or question.model.time.start is None]
+    if not names:  # everything is given: no other point exists
+        return None
     sizes = np.array([generic.widths.get(n) or 1e-9 for n in names])
     point = np.array([generic.variables[n] for n in names])
     algebra = Algebra(0, 0)

@@ -23,7 +23,7 @@ from gbspec.training.starts import fit_curves
 def check_disturbed(model: Model, options: TrainOptions) -> None:
     """Raises UserError (GB770) for options that a model with disturbances, or a population, cannot have."""
     found = []
-    stiff = options.tolerance is not None or isinstance(METHODS[solver_of(options)], RosenbrockW)
+    stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
     if stiff and (model.diffusions or model.marginal):
         message = (
             "adaptive steps are not for a model with `diffusion` or a population: steps of its likelihood are fixed"
