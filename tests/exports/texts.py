@@ -10,7 +10,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import METHODS, RK4, Explicit, Method, Model
 
 BUNDLED = sorted(name for name in shipped_models() if not name.startswith("robertson"))
-"""The names of the bundled models; of stiff ones the explicit steps that an export has would multiply rounding errors."""
+"""The names of the bundled models but the stiff ones, where explicit steps multiply rounding errors."""
 EXPLICIT = sorted(name for name, method in METHODS.items() if isinstance(method, Explicit))
 """The methods whose steps can be exported."""
 
