@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Event
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,22 +27,40 @@ OPTIONS = {"members": 3, "warm_start": False, "method": "lm", "epochs": 3, "thre
 
 
 @pytest.fixture(scope="module")
-def scheduler() -> Iterator[Any]:
-    """A cluster of two processes of one thread each, which come back when they are killed."""
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with two workers of one thread each, which come back when they are killed.
+
+    They are processes of their own, started as a user starts them and killed at the end: nothing waits for them to
+    close in order.
+    """
+    folder = tmp_path_factory.mktemp("scheduler")
+    place = folder / "scheduler.json"
     quiet = {
-        "distributed.worker.daemon": False,
-        "distributed.worker.profile.enabled": False,
-        "distributed.nanny.environ.OMP_NUM_THREADS": 1,
+        "DASK_DISTRIBUTED__WORKER__DAEMON": "False",
+        "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+        "OMP_NUM_THREADS": "1",
     }
-    with (
-        __import__("dask").config.set(quiet),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-        ) as cluster,
-        pytest.MonkeyPatch.context() as patch,
-    ):
-        patch.setattr("gbspec.training.runs.cluster.PATIENCE", 120)
-        yield cluster
+    common = ["--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", str(place)]
+    with ExitStack() as stack:
+        for program, options in (("scheduler", ["--port", "0"]), ("worker", ["--nworkers", "2", "--nthreads", "1"])):
+            command = [sys.executable, "-m", f"distributed.cli.dask_{program}", *common, *options]
+            output = stack.enter_context((folder / f"{program}.log").open("wb"))
+            process = subprocess.Popen(
+                command, cwd=folder, env=os.environ | quiet, stdout=output, stderr=output, start_new_session=True
+            )
+            stack.callback(killed, process)
+        with distributed.Client(scheduler_file=str(place), timeout=120, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=120)
+            address = client.scheduler.address
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("gbspec.training.runs.cluster.PATIENCE", 120)
+            yield address
+
+
+def killed(process: subprocess.Popen[bytes]) -> None:
+    """Ends a process and all that it started."""
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def holding(mark: Path) -> Callable[[], None]:
@@ -66,8 +85,8 @@ def holding(mark: Path) -> Callable[[], None]:
 class Killer:
     """Progress that kills the worker of member 0 when this has told of an iteration of its last stage."""
 
-    def __init__(self, cluster: Any, mark: Path) -> None:
-        self.client = distributed.Client(cluster.scheduler_address, set_as_default=False)
+    def __init__(self, address: str, mark: Path) -> None:
+        self.client = distributed.Client(address, timeout=120, set_as_default=False)
         self.client.run(holding(mark))
         self.killed: int | None = None
         self.starts: Counter[int] = Counter()
@@ -101,10 +120,10 @@ def assert_equal(run: Run, alone: Run) -> None:
             assert np.array_equal(run.member(member).weights[name], value), name
 
 
-def test_a_killed_worker_changes_nothing(scheduler: Any, alone: Run, tmp_path: Path) -> None:
+def test_a_killed_worker_changes_nothing(scheduler: str, alone: Run, tmp_path: Path) -> None:
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     killer = Killer(scheduler, tmp_path / "held")
-    options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
+    options = TrainOptions(**OPTIONS, scheduler=scheduler)  # type: ignore[arg-type]
     train(model, data, options, tmp_path / "cluster", killer)
     killer.client.close()
     assert killer.killed == 0
@@ -114,9 +133,9 @@ def test_a_killed_worker_changes_nothing(scheduler: Any, alone: Run, tmp_path: P
     assert not list((tmp_path / "cluster" / "members").glob(".*")), "nothing is left behind"
 
 
-def test_an_interrupted_run_goes_on_without_the_cluster(scheduler: Any, alone: Run, tmp_path: Path) -> None:
+def test_an_interrupted_run_goes_on_without_the_cluster(scheduler: str, alone: Run, tmp_path: Path) -> None:
     model, data = model_of(URP), urp_data(4, 2.0, 6)
-    options = TrainOptions(**OPTIONS, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
+    options = TrainOptions(**OPTIONS, scheduler=scheduler)  # type: ignore[arg-type]
     with pytest.raises(KeyboardInterrupt):
         train(model, data, options, tmp_path / "run", Recorder(interrupt_after=1))
     assert open_run(tmp_path / "run").fit.warnings
@@ -125,14 +144,14 @@ def test_an_interrupted_run_goes_on_without_the_cluster(scheduler: Any, alone: R
 
 
 def test_a_worker_that_does_not_see_the_directory_sends_its_files(
-    scheduler: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # What is written under this name, no worker looks for.
     monkeypatch.setattr("gbspec.training.runs.cluster.TOKEN", ".elsewhere")
     model, data = model_of(URP), urp_data(4, 2.0, 6)
     few = OPTIONS | {"members": 1, "epochs": 1}
     alone = train(model, data, TrainOptions(**few), tmp_path / "alone")  # type: ignore[arg-type]
-    options = TrainOptions(**few, scheduler=scheduler.scheduler_address)  # type: ignore[arg-type]
+    options = TrainOptions(**few, scheduler=scheduler)  # type: ignore[arg-type]
     run = train(model, data, options, tmp_path / "cluster")
     assert np.array_equal(run.member().weights["constants"], alone.member().weights["constants"])
     written = {path.name for path in (tmp_path / "cluster" / "members" / "0").iterdir()}
