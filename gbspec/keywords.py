@@ -28,6 +28,7 @@ class TrainKeywords(TypedDict, total=False):
     method: Literal["auto", "gradient-matching", "adam", "lbfgs", "lm"]
     stages: str | None
     effort: Effort
+    start: str | None
     epochs: int | None
     quadrature: int
     holdout: float

@@ -14,7 +14,7 @@ GROUPS: dict[str, dict[str, tuple[str, ...]]] = {
         FIRST: ("members", "effort", "seed", "holdout", "resume"),
         "Solver": ("max_step", "solver", "tolerance", "random_substeps"),
         "Where it runs": ("workers", "threads", "device", "backend", "scheduler"),
-        "Stages": ("initial", "forcing", "stages", "method", "warm_start", "half_step"),
+        "Stages": ("start", "initial", "forcing", "stages", "method", "warm_start", "half_step"),
         "Details of the fit": ("ridge", "quadrature", "output_scale", "epochs", "batch_size", "learning_rate"),
     },
     "SimulateOptions": {

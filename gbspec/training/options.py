@@ -72,6 +72,14 @@ class TrainOptions:
         },
     )
     effort: Effort = field(default="normal", metadata={"help": "How many iterations each stage may take."})
+    start: str | None = field(
+        default=None,
+        metadata={
+            "help": "Start from the weights and constants of an earlier run of this model, or of one with networks and "
+            "constants of the same names.",
+            "metavar": "RUN",
+        },
+    )
     epochs: int | None = field(
         default=None,
         metadata={"help": "Passes over the data for `adam`; iterations for `lbfgs` and `lm`.", "metavar": "N"},
@@ -245,7 +253,7 @@ class TrainOptions:
 
         Options that earlier versions did not have are omitted at their defaults, so that fingerprints stay valid.
         """
-        usual = {"solver": AUTO, "tolerance": None, "quadrature": 1}
+        usual = {"solver": AUTO, "tolerance": None, "quadrature": 1, "start": None}
         kept = {name: value for name, value in self.to_json().items() if name not in left_out}
         return {name: value for name, value in kept.items() if name not in usual or value != usual[name]}
 

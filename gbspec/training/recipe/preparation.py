@@ -17,7 +17,7 @@ from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, 
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.recipe.weighing import first as first_weights
-from gbspec.training.starts import eliminate, network_scales, regress_slopes
+from gbspec.training.starts import Earlier, earlier, eliminate, network_scales, regress_slopes
 
 SUSPECT = 0.03
 """Smoothing is tried above this typical residual (in standard deviations of the data) with interpolating curves."""
@@ -36,9 +36,13 @@ class Prepared:
 def prepare(
     model: Model, module: type[GeneratedModule], trajectories: Trajectories, options: TrainOptions, seed: int
 ) -> Prepared:
-    """The context and the initial vector, from interpolating curves, or smoothing ones if these give a better fit."""
-    first = _attempt(_weighed(build_context(model, module, trajectories, options, seed)))
-    if not options.warm_start or not first.context.points.equations:
+    """The context and the initial vector, from interpolating curves, or smoothing ones if these give a better fit.
+
+    With `--start` the networks and constants of an earlier run replace those that have their names.
+    """
+    given = None if options.start is None else earlier(options.start, model, module)
+    first = _attempt(_weighed(build_context(model, module, trajectories, options, seed)), given)
+    if given is not None or not options.warm_start or not first.context.points.equations:
         return first
     if _misfit(first) <= SUSPECT:
         return first
@@ -64,11 +68,22 @@ def _imputed_residuals(context: Context, parameters: Parameters, theta: Array) -
     return residual_vector(context.choice.engine(imputed, parameters), theta)
 
 
-def _attempt(context: Context) -> Prepared:
+def _attempt(context: Context, given: Earlier | None = None) -> Prepared:
     parameters, theta = initial(context)
-    if context.options.warm_start:
+    if context.options.warm_start and (given is None or not set(parameters.weight_shapes) <= set(given.weights)):
         theta = regress_slopes(parameters, context.module, context.points, theta, context.seed)
+    if given is not None:
+        parameters, theta = _started(context, parameters, theta, given)
     return Prepared(context, parameters, theta, mean_loss(_imputed_residuals(context, parameters, theta)))
+
+
+def _started(context: Context, parameters: Parameters, theta: Array, given: Earlier) -> tuple[Parameters, Array]:
+    """The layout and the vector with what an earlier run has of them; the rest is as it was."""
+    fixed = {name: given.weights.get(name, value) for name, value in parameters.fixed.items()}
+    layout, vector = replace(parameters, fixed=fixed), torch.from_numpy(theta)
+    weights = {name: value.numpy() for name, value in parameters.weights(vector).items()}
+    natural = parameters.constants(vector).numpy()[:, len(context.model.constants) :]
+    return layout, layout.vector(weights | given.weights, given.natural(context.model, natural))
 
 
 def initial(context: Context) -> tuple[Parameters, Array]:

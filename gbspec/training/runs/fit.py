@@ -47,6 +47,7 @@ from gbspec.training.runs.jobs import Job
 from gbspec.training.runs.parallel import fit_jobs
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import autocorrelations, inseparable, verdicts
+from gbspec.training.starts import earlier
 from gbspec.version import __version__
 
 OWN = frozenset(
@@ -115,6 +116,8 @@ class Fitting:
             device_of(options.device)
             if options.backend == "native":
                 choose(model, module, options, 0)
+        if options.start is not None:
+            earlier(options.start, model, module)
         if options.named_stages:
             anywhere = replace(options, backend="torch", device="cpu")  # a worker's resources are not checked here
             context = build_context(model, module, trajectories, anywhere, options.seed)

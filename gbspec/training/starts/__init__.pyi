@@ -1,4 +1,6 @@
 from .differentiation import with_derived as with_derived
+from .from_run import Earlier as Earlier
+from .from_run import earlier as earlier
 from .initial_states import refit_starts as refit_starts
 from .own_constants import refit_own as refit_own
 from .search import PATIENCE as PATIENCE
