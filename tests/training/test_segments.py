@@ -11,14 +11,16 @@ import pytest
 
 from gbspec.backends.module import load_module
 from gbspec.data import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.diagnostics import ComputationError
 from gbspec.ir import Model
 from gbspec.training import TrainOptions, train
 from gbspec.training.engines import residual_vector
-from gbspec.training.optimise import Outcome
+from gbspec.training.optimise import LevenbergMarquardt, Outcome, State
 from gbspec.training.options import Backend
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.growing import GrowingHorizons
 from gbspec.training.recipe.segments import Segments, cut, divisible, horizons
+from gbspec.training.stages import StageName
 from gbspec.training.starts.differentiation import determined, slopes, with_derived
 from gbspec.training.starts.splines import fit_curves
 from tests.training.conftest import model_of
@@ -165,3 +167,34 @@ def test_a_drive_is_trained_with_default_options(tmp_path: Path) -> None:
     assert found.r2 is not None and found.naive is not None
     assert found.r2 > 0.9999 > 0.98 > found.naive
     assert not [warning for warning in run.fit.warnings if "hardly better" in warning or "worse than" in warning]
+
+
+@pytest.mark.usefixtures("quick_fits")
+@pytest.mark.parametrize("segments_too", [False, True])
+def test_segments_are_tried_where_no_interval_can_be_fitted(
+    segments_too: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The failure of an earlier stage is told; the fit fails only where segments fail too."""
+    step, begin = LevenbergMarquardt.step, GrowingHorizons.begin
+
+    def failing(self: LevenbergMarquardt, state: State, iteration: int) -> Outcome:
+        if self.name in (StageName.TEACHER, StageName.IMPUTED):
+            raise ComputationError("the solution blew up")
+        return step(self, state, iteration)
+
+    def begun(self: GrowingHorizons, theta: np.ndarray) -> State:
+        if segments_too:
+            raise ComputationError("segments blew up")
+        return begin(self, theta)
+
+    monkeypatch.setattr(LevenbergMarquardt, "step", failing)
+    monkeypatch.setattr(GrowingHorizons, "begin", begun)
+    options = TrainOptions(workers=1, seed=1, effort="low")
+    if segments_too:
+        with pytest.raises(ComputationError, match="segments blew up"):
+            train(model_of(DRIVE), drive_data(), options, tmp_path / "run")
+        return
+    run = train(model_of(DRIVE), drive_data(), options, tmp_path / "run")
+    (member,) = run.fit.members
+    assert StageName.HORIZONS in [stage.name for stage in member.stages]
+    assert [w for w in run.fit.warnings if "failed: the solution blew up; segments" in w]

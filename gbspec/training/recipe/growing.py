@@ -90,8 +90,12 @@ class GrowingHorizons:
         return short_loss(self.context, self._segments(0), theta), mean_loss(residual_vector(whole, theta))
 
     def _attempt(self, number: int) -> State:
-        theta = self._segments(0).vector(self.starts[number], None)
-        return self._begun(theta, 0) | {"attempt": np.array(float(number))}
+        """The state at the beginning of an attempt: this one, or the next one whose solutions do not blow up."""
+        segments = self._segments(0)
+        vectors = [segments.vector(start, None) for start in self.starts[number:]]
+        finite = (i for i, one in enumerate(vectors) if np.isfinite(residual_vector(segments.engine, one)).all())
+        skipped = next(finite, 0)
+        return self._begun(vectors[skipped], 0) | {"attempt": np.array(float(number + skipped))}
 
     def _next(self, horizon: int, segments: Segments, theta: Array) -> State | None:
         """The state at the beginning of the next horizon; None after the last one, or if its solutions blow up."""

@@ -48,6 +48,8 @@ NOISE = 0.01
 noisy; above this root mean square of a channel's residual whole solutions do not follow the data."""
 ASTRAY = 0.3
 """Above this root mean square of a channel's residual (R² of 0.91) whole solutions have to be found from segments."""
+LOST = 1.0
+"""Above it (R² below 0) they tell nothing."""
 FEW = 600
 """Below this number of measured values the weights have a prior from the first iteration."""
 WITH_FEW_DATA: Mapping[Effort, int] = {"low": 8, "normal": 60, "high": 120}
@@ -314,14 +316,18 @@ class _Planner:
         engine = self.context.engine(self.released, 0.0, step_fraction(reached.begun))
         table, seen = noise_table(engine, reached.theta), engine.problem.seen
         losses = [mean_loss(table[seen[:, i], i]) for i in range(table.shape[1])]
-        return float(np.sqrt(2 * max(losses, default=0.0)))
+        return float(np.sqrt(2 * max(losses, default=0.0))) if np.isfinite(losses).all() else float("inf")
 
     def _astray(self, reached: Reached) -> bool:
         """Whether whole solutions are so far from the data that segments are needed to find them.
 
-        Not with few noisy values: segments are fitted without a ridge, and would follow the noise.
+        Not with few noisy values: segments are fitted without a ridge, and would follow the noise. Yet they are all
+        that is left where intervals could not be fitted.
         """
-        return self._whole_error(reached) > ASTRAY and (self.values >= FEW or not self._noisy(reached))
+        if StageName.TEACHER not in reached.marks:
+            return True
+        error = self._whole_error(reached)
+        return error > LOST or (error > ASTRAY and (self.values >= FEW or not self._noisy(reached)))
 
     def _unfollowed(self, reached: Reached) -> bool:
         """Whether whole solutions have to be fitted: they do not follow the data, or the data are noisy."""

@@ -37,6 +37,9 @@ SAVE_EVERY = 5.0
 SAVING_SHARE = 0.05
 """The share of the time that saving may take where it is slow: the whole solution is computed each time."""
 
+NO_FITS = frozenset({StageName.WARM_START, StageName.STARTS, StageName.STARTS_AGAIN, StageName.WHOLE_STARTS})
+"""Stages that prepare a fit; alone they are no result."""
+
 TIGHT = 1e-3
 """Stages whose tolerance is at most this are expected to converge; the size of the next step is the criterion."""
 
@@ -156,21 +159,32 @@ class _Runner:
             if planned.weigh is not None:
                 self._weigh(planned.weigh(Reached(position.theta, position.marks, begun)))
         stage = planned.make(Reached(position.entry, position.marks, begun))
-        if position.iteration == 0:
-            position.state = stage.begin(position.theta)
-            position.stages.append(StageRecord(stage.name, 0, None, 0.0))
         try:
+            if position.iteration == 0:
+                position.state = stage.begin(position.theta)
+                position.stages.append(StageRecord(stage.name, 0, None, 0.0))
             self._take_steps(stage, stop)
         except ComputationError as error:
-            if not set(position.marks) - {StageName.WARM_START}:
-                raise  # there is no result to keep
-            position.notes.append(f"the stage `{planned.name}` ended early, and what was reached is kept: {error.what}")
+            position.notes.append(self._after_failure(planned, error))
             if position.iteration == 0:
-                position.stages.pop()
+                del position.stages[len(begun) :]
                 self._weigh(weights)
                 return
         position.marks[planned.name] = position.theta
         self._take_certainty(stage)
+
+    def _after_failure(self, planned: Planned, error: ComputationError) -> str:
+        """What is said of a stage that failed. Raises its error if there is no fit to keep and no remedy follows."""
+        position = self.position
+        if set(position.marks) - NO_FITS:
+            return f"the stage `{planned.name}` ended early, and what was reached is kept: {error.what}"
+        if not any(later.name is StageName.HORIZONS for later in self.plan[position.stage + 1 :]):
+            raise error
+        if position.iteration:  # what blew up on the way is no better a start than the one before
+            position.theta = position.entry
+        said = f"the stage `{planned.name}` failed: {error.what}; segments of the trajectories are tried instead"
+        self.progress.message(f"member {self.member}: {said}")
+        return said
 
     def _weigh(self, noise: Estimated | None) -> None:
         """Weighs channels by this noise from now on; the best vector so far is scored again, with the same weights."""
