@@ -4,12 +4,12 @@
     python -m benchmarks.studies.mutants -o mutants --coverage .coverage --durations durations.log --count 300
     python -m benchmarks.studies.mutants -o mutants --table docs/studies/mutants.md
 
-Mutants are drawn at random, with a seed, over the functions of `ROOMS`: operators (`+`, `*`, `<`, `and`, ...), numbers,
-`min` for `max`, negated conditions, and two exchanged arguments. Messages and declarations are left alone. The tests
-whose coverage contains the mutated line are run in a copy of the tree, fastest first, within `--seconds` of processor
-time; a mutant that one of them notices, or that does not end, is killed. A row is added to OUT/mutants.csv as soon as a
-mutant is judged; the same command run again continues. `equivalent` marks survivors that a reader found to change no
-result: they are listed by file and line in `mutants_equivalent.toml`, each with the reason.
+Mutants are drawn at random, with a seed, as many of the functions of each of `ROOMS`: operators (`+`, `*`, `<`, `and`,
+...), numbers, `min` for `max`, negated conditions, and two exchanged arguments. Messages and declarations are left
+alone. The tests whose coverage contains the mutated line are run in a copy of the tree, fastest first, within
+`--seconds` of processor time; a mutant that one of them notices, or that does not end, is killed. A row is added to
+OUT/mutants.csv as soon as a mutant is judged; the same command run again continues. `equivalent` marks survivors that a
+reader found to change no result: they are listed by file and line in `mutants_equivalent.toml`, each with the reason.
 """
 
 from __future__ import annotations
@@ -18,21 +18,25 @@ import argparse
 import ast
 import copy
 import csv
+import importlib
 import os
 import random
 import re
 import shutil
+import signal
 import sqlite3
-import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("ir", "lower", "passes", "training", "analysis", "backends")
+ROOMS = ("ir", "lower", "passes", "training", "analysis", "backends", "data")
 FIELDS = ("file", "line", "change", "result", "tests", "by")
 BINARY: Mapping[type[ast.AST], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
@@ -44,6 +48,8 @@ COMPARED: Mapping[type[ast.AST], type[ast.cmpop]] = {
 }  # fmt: skip
 CALLED = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum",
           "argmin": "argmax", "argmax": "argmin", "floor": "ceil", "ceil": "floor"}  # fmt: skip
+CHANGED = (ast.BinOp, ast.AugAssign, ast.Compare, ast.BoolOp, ast.UnaryOp, ast.Constant, ast.If, ast.IfExp, ast.While,
+           ast.Call)  # fmt: skip
 SPOKEN = ("Diagnostic", "UserError", "ComputationError", "warn", "message")
 """Calls whose arguments are words for the user: their numbers and operators are not mutated."""
 Row = dict[str, str]
@@ -89,6 +95,8 @@ class _Mutator(ast.NodeTransformer):
 
 def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
     """What a node can be changed to, with words."""
+    if not isinstance(node, CHANGED):
+        return
     new = copy.deepcopy(node)
     if isinstance(new, ast.BinOp | ast.AugAssign) and type(new.op) in BINARY:
         new.op = BINARY[type(new.op)]()
@@ -122,6 +130,7 @@ def _name(function: ast.expr) -> str:
     return function.id if isinstance(function, ast.Name) else getattr(function, "attr", "")
 
 
+@cache
 def mutants_of(path: Path) -> list[Mutant]:
     """All mutants of a file."""
     mutator = _Mutator()
@@ -137,10 +146,14 @@ def mutated(mutant: Mutant, source: str) -> str:
 
 
 def drawn(count: int, seed: int) -> list[Mutant]:
-    """Random mutants, without repetition."""
-    paths = [path for room in ROOMS for path in sorted((ROOT / "gbspec" / room).rglob("*.py"))]
-    every = [mutant for path in paths for mutant in mutants_of(path)]
-    return random.Random(seed).sample(every, min(count, len(every)))
+    """Random mutants, as many of each package, without repetition; one of each package after the other."""
+    chance = random.Random(seed)
+    share = -(-count // len(ROOMS))
+    draws = []
+    for room in ROOMS:
+        every = [one for path in sorted((ROOT / "gbspec" / room).rglob("*.py")) for one in mutants_of(path)]
+        draws.append(chance.sample(every, min(share, len(every))))
+    return [one for turn in zip_longest(*draws) for one in turn if one is not None]
 
 
 @dataclass(frozen=True)
@@ -198,15 +211,57 @@ class Judge:
             path.write_text(original, encoding="utf-8")
 
     def _verdict(self, tests: Sequence[str], place: Path) -> Row:
-        environment = os.environ | {"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *tests]
-        try:
-            done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False,
-                                  timeout=60 + 10 * self.seconds)  # fmt: skip
-        except subprocess.TimeoutExpired:
+        log = place.with_suffix(".log")
+        process = _started([*("-x", "-q", "-p", "no:cacheprovider", "--no-header"), *tests], place, log)
+        status = _awaited(process, 60 + 10 * self.seconds)
+        if status is None:
             return {"result": "killed", "by": "did not end"}
-        by = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-        return {"result": "killed" if done.returncode else "survived", "by": by.group(1) if by else ""}
+        by = re.search(r"^(?:FAILED|ERROR) (\S+)", log.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+        return {"result": "killed" if status else "survived", "by": by.group(1) if by else ""}
+
+
+def _started(arguments: Sequence[str], place: Path, log: Path) -> int:
+    """A forked process that runs pytest in a copy of the tree: it has the large libraries that this one imported."""
+    process = os.fork()
+    if process:
+        return process
+    status = 1
+    try:
+        os.setpgid(0, 0)
+        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for stream in (1, 2):
+            os.dup2(output, stream)
+        os.chdir(place)
+        os.environ.update({"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"})
+        sys.dont_write_bytecode = True
+        sys.path[:] = [str(place), *(one for one in sys.path if Path(one or ".").resolve() != ROOT)]
+        for name in [name for name in sys.modules if name.partition(".")[0] == "benchmarks"]:
+            del sys.modules[name]
+        import pytest
+
+        status = int(pytest.main(["--rootdir", str(place), "-c", str(place / "pyproject.toml"), *arguments]))
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def _awaited(process: int, seconds: float) -> int | None:
+    """The exit status of a process; None where it did not end in time, and was killed with those that it started."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found, status = os.waitpid(process, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.1)
+    os.killpg(process, signal.SIGKILL)
+    os.waitpid(process, 0)
+    return None
+
+
+def prepare() -> None:
+    """Imports what the tests would import in each process again."""
+    for name in ("numpy", "scipy.optimize", "sympy", "torch", "casadi", "polars", "pyarrow", "hypothesis", "pytest"):
+        importlib.import_module(name)
 
 
 def durations(path: Path) -> dict[str, float]:
@@ -272,6 +327,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=40.0, help="of tests for a mutant, as they last without it")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--rooms", default=",".join(ROOMS), help="judge the drawn mutants of these packages alone")
     parser.add_argument("--table", type=Path, help="write the table of the judged mutants, without running tests")
     chosen = parser.parse_args()
     chosen.output.mkdir(parents=True, exist_ok=True)
@@ -279,7 +335,10 @@ def main() -> None:
     if chosen.table is None:
         judge = Judge(chosen.coverage.resolve(), durations(chosen.durations), chosen.seconds)
         done = {(row["file"], row["line"], row["change"]) for row in _read(path)}
-        waiting = [m for m in drawn(chosen.count, chosen.seed) if (m.file, str(m.line), m.change) not in done]
+        rooms = chosen.rooms.split(",")
+        new = [m for m in drawn(chosen.count, chosen.seed) if (m.file, str(m.line), m.change) not in done]
+        waiting = [m for m in new if Path(m.file).parts[1] in rooms]
+        prepare()
         _campaign(judge, waiting, path, chosen.workers)
     rows = _read(path)
     print(table(rows))

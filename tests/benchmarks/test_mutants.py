@@ -44,6 +44,11 @@ def test_a_draw_repeats_itself() -> None:
     assert mutants.drawn(20, 3) == mutants.drawn(20, 3) != mutants.drawn(20, 4)
 
 
+def test_each_package_has_its_share() -> None:
+    rooms = [Path(mutant.file).parts[1] for mutant in mutants.drawn(2 * len(mutants.ROOMS), 5)]
+    assert sorted(rooms) == sorted(2 * mutants.ROOMS)
+
+
 def test_the_table_counts_and_lists_survivors() -> None:
     row = {"file": "gbspec/ir/a.py", "line": "3", "change": "x -> y", "tests": "2", "by": ""}
     text = mutants.table([row | {"result": "killed"}, row | {"result": "survived"}])
