@@ -32,7 +32,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from itertools import zip_longest
+from itertools import accumulate, zip_longest
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -65,32 +65,29 @@ class Mutant:
     change: str
 
 
-class _Mutator(ast.NodeTransformer):
-    """Counts the places where a function's code can be changed, and changes the one of number `wanted`."""
+class _Mutator(ast.NodeVisitor):
+    """Counts the places where a function's code can be changed, and keeps the change of number `wanted`."""
 
     def __init__(self, wanted: int = -1) -> None:
         self.wanted, self.depth, self.found = wanted, 0, list[tuple[int, str]]()
+        self.change: tuple[ast.AST, ast.AST] | None = None
 
-    def generic_visit(self, node: ast.AST) -> ast.AST:
+    def generic_visit(self, node: ast.AST) -> None:
         if isinstance(node, ast.FunctionDef):
             self.depth += 1
-            node.body = [self.visit(one) for one in node.body]
+            for one in node.body:
+                self.visit(one)
             self.depth -= 1
-            return node
+            return
         if isinstance(node, ast.AnnAssign | ast.Raise | ast.Assert | ast.JoinedStr | ast.Global | ast.ImportFrom):
-            return node
+            return
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in SPOKEN:
-            return node
-        changed = self._changed(node) if self.depth else None
-        return changed if changed is not None else super().generic_visit(node)
-
-    def _changed(self, node: ast.AST) -> ast.AST | None:
-        """The changed node if this place is the wanted one."""
-        for new, what in _changes(node):
+            return
+        for new, what in _changes(node) if self.depth else ():
+            if len(self.found) == self.wanted:
+                self.change = node, new
             self.found.append((getattr(node, "lineno", 0), what))
-            if len(self.found) - 1 == self.wanted:
-                return ast.copy_location(new, node)
-        return None
+        super().generic_visit(node)
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
@@ -140,9 +137,21 @@ def mutants_of(path: Path) -> list[Mutant]:
 
 
 def mutated(mutant: Mutant, source: str) -> str:
-    """The source with the change."""
-    tree = _Mutator(mutant.place).visit(ast.parse(source))
-    return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
+    """The source with the change; everything else, comments too, stays as it is."""
+    mutator = _Mutator(mutant.place)
+    mutator.visit(ast.parse(source))
+    assert mutator.change is not None
+    old, new = mutator.change
+    if isinstance(old, ast.If | ast.IfExp | ast.While) and isinstance(new, ast.If | ast.IfExp | ast.While):
+        old, new = old.test, new.test
+    assert isinstance(old, ast.expr | ast.AugAssign)
+    text = ast.unparse(ast.fix_missing_locations(new))
+    text = f"({text})" if isinstance(old, ast.expr) else text
+    lines = source.encode().splitlines(keepends=True)
+    starts = [0, *accumulate(map(len, lines))]
+    begin = starts[old.lineno - 1] + old.col_offset
+    end = starts[(old.end_lineno or old.lineno) - 1] + (old.end_col_offset or 0)
+    return (source.encode()[:begin] + text.encode() + source.encode()[end:]).decode()
 
 
 def drawn(count: int, seed: int) -> list[Mutant]:

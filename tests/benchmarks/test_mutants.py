@@ -40,6 +40,14 @@ def test_each_mutant_is_another_program(every: list[mutants.Mutant]) -> None:
         compile(program, "a.py", "exec")
 
 
+def test_nothing_else_of_a_source_changes(every: list[mutants.Mutant]) -> None:
+    # templates of generated code are cut at comments
+    source = SOURCE.replace("    if x", "    # a comment: α\n    if x")
+    for mutant in every:
+        lines = zip(source.splitlines(), mutants.mutated(mutant, source).splitlines(), strict=True)
+        assert len([1 for old, new in lines if old != new]) == 1
+
+
 def test_a_draw_repeats_itself() -> None:
     assert mutants.drawn(20, 3) == mutants.drawn(20, 3) != mutants.drawn(20, 4)
 
