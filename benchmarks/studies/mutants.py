@@ -2,6 +2,7 @@
 
     python -m pytest -n 2 --cov=gbspec --cov-context=test --cov-report= --durations=0 tests > durations.log
     python -m benchmarks.studies.mutants -o mutants --coverage .coverage --durations durations.log --count 300
+    python -m benchmarks.studies.mutants -o mutants --again tests/contracts,tests/api,tests/cli
     python -m benchmarks.studies.mutants -o mutants --table docs/studies/mutants.md
 
 Mutants are drawn at random, with a seed, as many of the functions of each of `ROOMS`: operators (`+`, `*`, `<`, `and`,
@@ -9,7 +10,8 @@ Mutants are drawn at random, with a seed, as many of the functions of each of `R
 alone. The tests whose coverage contains the mutated line are run in a copy of the tree, fastest first, within
 `--seconds` of processor time; a mutant that one of them notices, or that does not end, is killed. A row is added to
 OUT/mutants.csv as soon as a mutant is judged; the same command run again continues. `equivalent` marks survivors that a
-reader found to change no result: they are listed by file and line in `mutants_equivalent.toml`, each with the reason.
+reader found to change no result: they are listed by file and change in `mutants_equivalent.toml`, each with the reason.
+`--again` judges those that survived once more, by the tests that it names: new ones, or those of other packages.
 """
 
 from __future__ import annotations
@@ -212,10 +214,14 @@ class Judge:
             tests = self.fallback(mutant)
         if not tests:
             return row | {"result": "not run", "by": ""}
+        return row | self.by_tests(mutant, tests, place)
+
+    def by_tests(self, mutant: Mutant, tests: Sequence[str], place: Path) -> Row:
+        """The result of a mutant by the given tests."""
         path, original = place / mutant.file, (ROOT / mutant.file).read_text(encoding="utf-8")
         path.write_text(mutated(mutant, original), encoding="utf-8")
         try:
-            return row | self._verdict(tests, place)
+            return self._verdict(tests, place)
         finally:
             path.write_text(original, encoding="utf-8")
 
@@ -336,12 +342,16 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=40.0, help="of tests for a mutant, as they last without it")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--again", default="", help="judge survivors again, by these tests (commas between them)")
     parser.add_argument("--rooms", default=",".join(ROOMS), help="judge the drawn mutants of these packages alone")
     parser.add_argument("--table", type=Path, help="write the table of the judged mutants, without running tests")
     chosen = parser.parse_args()
     chosen.output.mkdir(parents=True, exist_ok=True)
     path = chosen.output / "mutants.csv"
-    if chosen.table is None:
+    if chosen.again:
+        prepare()
+        _again(Judge(chosen.coverage, {}, chosen.seconds), path, chosen.again.split(","))
+    elif chosen.table is None:
         judge = Judge(chosen.coverage.resolve(), durations(chosen.durations), chosen.seconds)
         done = {(row["file"], row["line"], row["change"]) for row in _read(path)}
         rooms = chosen.rooms.split(",")
@@ -364,6 +374,23 @@ def _campaign(judge: Judge, waiting: Sequence[Mutant], path: Path, workers: int)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, range(workers)))
+
+
+def _again(judge: Judge, path: Path, tests: Sequence[str]) -> None:
+    """Judges survivors by other tests, in a new copy of the tree, and writes their rows anew."""
+    place = path.parent.resolve() / "again"
+    shutil.rmtree(place, ignore_errors=True)
+    copied(place)
+    for row in _read(path):
+        if row["result"] == "killed" or _label(row) in equivalent():
+            continue
+        key = (row["line"], row["change"])
+        found = [one for one in mutants_of(ROOT / row["file"]) if (str(one.line), one.change) == key]
+        verdict = row | judge.by_tests(found[0], tests, place)
+        rows = [verdict if old == row else old for old in _read(path)]
+        path.unlink()
+        for one in rows:
+            _append(path, one)
 
 
 def _append(path: Path, row: Row) -> None:
