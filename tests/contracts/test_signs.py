@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gbspec.ir.model import symbol
+from gbspec.passes import signs
 from gbspec.passes.intervals import REAL, Interval, enclosure
 from gbspec.passes.signs import Prover
 
@@ -60,6 +61,12 @@ def test_true_signs_are_proved(expression: sympy.Expr, strict: bool) -> None:
 def test_false_signs_are_not_proved(expression: sympy.Expr, strict: bool) -> None:
     prover = Prover(BOX)
     assert not (prover.positive(expression) if strict else prover.nonnegative(expression))
+
+
+def test_a_box_is_halved_up_to_a_number_of_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Prover(BOX).positive(sympy.exp(u / 3) - 2 * u / 3 + 0.7)
+    monkeypatch.setattr(signs, "BOXES", 2)
+    assert not Prover(BOX).positive(sympy.exp(u / 3) - 2 * u / 3 + 0.7)
 
 
 def test_decimal_coefficients_are_divided_without_a_remainder() -> None:

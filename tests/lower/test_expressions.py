@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from gbspec.diagnostics import Findings, Source
 from gbspec.ir.model import NN, symbol, unknown_function
 from gbspec.lower import lower_expression
-from gbspec.lower.expressions import number, power
+from gbspec.lower.expressions import number, power, relation
 from gbspec.syntax.parser import parse_expression
 from tests.texts import codes, model_of
 
@@ -64,6 +64,12 @@ def test_conditional_is_piecewise() -> None:
     assert value.subs({x: 3, k: 1}) == 3
     assert value.subs({x: 6, k: 1}) == 1
     assert value.subs({x: 0, k: 1}) == 1
+
+
+def test_a_comparison_is_decided_at_once_only_between_numbers() -> None:
+    assert relation(">", sympy.Integer(2), sympy.Integer(1)) is sympy.true
+    for left, right in ((x**2, sympy.Integer(-1)), (sympy.Integer(-1), x**2)):
+        assert not isinstance(relation(">" if left.has(x) else "<", left, right), sympy.logic.boolalg.BooleanAtom)
 
 
 @pytest.mark.parametrize("text", ["9^9^9^2*x", "(1/3)^1000000*x", "(2*x)^1000000", "7^(1000000/3)*x"])

@@ -127,6 +127,7 @@ def test_the_spread_of_a_population_starts_in_proportion_to_what_varies() -> Non
         "learn b : g/h = 0.1 in [0.001, 1] per trajectory ~ lognormal\nx' = -k*x + b\nobserve x\n"
     )
     spreads = {one.name: (one.start, one.unit) for one in model.implied if one.name.startswith("sd_")}
+    assert [(one.start, one.unit) for one in model.implied if one.name == "noise_x"] == [(1.0, None)]
     assert spreads == {"sd_k": (pytest.approx(0.3 * 4), "1/h"), "sd_b": (0.3, None)}
 
 
