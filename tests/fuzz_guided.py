@@ -10,7 +10,9 @@ as libFuzzer does. Atheris has wheels for Linux and macOS: `pip install atheris`
 
 from __future__ import annotations
 
+import importlib
 import json
+import pkgutil
 import shutil
 import sys
 import tempfile
@@ -118,6 +120,20 @@ def weights(place: Path) -> tuple[Target, list[bytes]]:
     return _opened(place, "weights.safetensors")
 
 
+ROOMS = ("diagnostics", "syntax", "semantics", "ir", "lower", "passes", "data", "runs")
+
+
+def loaded() -> list[str]:
+    """Imports every module that the targets may reach: packages load theirs when first used, which is too late."""
+    names = ["gbspec.frontend", "gbspec.operations.models"]
+    for room in ROOMS:
+        package = importlib.import_module(f"gbspec.{room}")
+        names += [each.name for each in pkgutil.walk_packages(package.__path__, f"gbspec.{room}.")]
+    for name in names:
+        importlib.import_module(name)
+    return names
+
+
 def main() -> int:
     """Runs one target; arguments after its name go to libFuzzer."""
     if len(sys.argv) < 3 or sys.argv[1] not in TARGETS:
@@ -130,10 +146,7 @@ def main() -> int:
         return 2
     name, corpus = sys.argv[1], Path(sys.argv[2])
     with atheris.instrument_imports(include=["gbspec"]):
-        import gbspec.data
-        import gbspec.frontend
-        import gbspec.operations.models
-        import gbspec.syntax.formatter  # noqa: F401
+        loaded()
     place = Path(tempfile.mkdtemp())
     try:
         run, seeds = globals()[name](place)

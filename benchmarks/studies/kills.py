@@ -5,9 +5,10 @@
 
 Each run is a small fit of two members in a process of its own, which is killed once, then continued by the same call
 with `--resume`. A run counts as continued if fit, history and weights equal, bit by bit, those of a run that was not
-killed (times apart). `kill -9`: at a random moment; `write`: at a chosen step of a write (the file beside, its sync,
-its renaming), one after the other; `INT`, `TERM`, `HUP`: the signal at a random moment; what it leaves must be usable;
-`workers`: kill -9 of the parent of two workers, which must end too; the others: kill -9 of the whole command.
+killed (times apart). `kill -9`: at a random moment; `write`: at each step of a write (the file beside, its sync, its
+renaming), one after the other, however many --runs says; `INT`, `TERM`, `HUP`: the signal at a random moment; what it
+leaves must be usable; `workers`: kill -9 of the parent of two workers, which must end too; the others: kill -9 of the
+whole command.
 """
 
 from __future__ import annotations
@@ -96,6 +97,9 @@ def child(kind: str, place: Path, resume: bool, before: Callable[[], None] = lam
     os.dup2(quiet, 1)
     os.dup2(os.open(str(place / "stderr"), os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
     os.setpgid(0, 0)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's command in the background ignores it
+    for name in ("SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
     os.environ[MARK] = str(place)
     status = 0
     try:
@@ -274,6 +278,7 @@ def main() -> int:
     """Runs the campaign and prints (or writes) the table; status 1 if a run could not be continued."""
     parser = argparse.ArgumentParser(description="Kills of training, and what they leave.")
     parser.add_argument("--runs", type=int, default=300, help="runs of each kind")
+    parser.add_argument("--first", type=int, default=0, help="number of the first run; a number always does the same")
     parser.add_argument("--kinds", default=",".join(KINDS), help=", ".join((*KINDS, *SLOW)))
     parser.add_argument("-o", "--output", type=Path, help="a table in Markdown, to which rows are added")
     options = parser.parse_args()
@@ -287,9 +292,10 @@ def main() -> int:
     rows, status = [], 0
     for kind in options.kinds.split(","):
         seconds, steps, whole = reference(kind)
+        print(f"{kind}: {seconds:.1f} s without a kill, {steps} steps of writes", flush=True)
         counts: Counter[str] = Counter()
-        runs = options.runs if kind != "write" else max(options.runs, steps)
-        for number in range(runs):
+        numbers = range(options.first, steps if kind == "write" else options.first + options.runs)
+        for number in numbers:
             try:
                 said = one(kind, number, seconds, max(steps, 1), whole, Path())
                 counts.update(["continued", *(name for name, holds in said.items() if holds)])
@@ -302,7 +308,7 @@ def main() -> int:
                 counts["failed"] += 1
                 print(kind, number, type(error).__name__, error, flush=True)
         rows.append(
-            f"| {kind} | {runs} | {counts['killed']} | {counts['usable']} | {counts['continued']} | "
+            f"| {kind} | {len(numbers)} | {counts['killed']} | {counts['usable']} | {counts['continued']} | "
             f"{counts['workers left']} |"
         )
         print(rows[-1], flush=True)

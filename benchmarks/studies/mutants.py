@@ -2,14 +2,16 @@
 
     python -m pytest -n 2 --cov=gbspec --cov-context=test --cov-report= --durations=0 tests > durations.log
     python -m benchmarks.studies.mutants -o mutants --coverage .coverage --durations durations.log --count 300
+    python -m benchmarks.studies.mutants -o mutants --again tests/contracts,tests/api,tests/cli
     python -m benchmarks.studies.mutants -o mutants --table docs/studies/mutants.md
 
-Mutants are drawn at random, with a seed, over the functions of `ROOMS`: operators (`+`, `*`, `<`, `and`, ...), numbers,
-`min` for `max`, negated conditions, and two exchanged arguments. Messages and declarations are left alone. The tests
-whose coverage contains the mutated line are run in a copy of the tree, fastest first, within `--seconds` of processor
-time; a mutant that one of them notices, or that does not end, is killed. A row is added to OUT/mutants.csv as soon as a
-mutant is judged; the same command run again continues. `equivalent` marks survivors that a reader found to change no
-result: they are listed by file and line in `mutants_equivalent.toml`, each with the reason.
+Mutants are drawn at random, with a seed, as many of the functions of each of `ROOMS`: operators (`+`, `*`, `<`, `and`,
+...), numbers, `min` for `max`, negated conditions, and two exchanged arguments. Messages and declarations are left
+alone. The tests whose coverage contains the mutated line are run in a copy of the tree, fastest first, within
+`--seconds` of processor time; a mutant that one of them notices, or that does not end, is killed. A row is added to
+OUT/mutants.csv as soon as a mutant is judged; the same command run again continues. `equivalent` marks survivors that a
+reader found to change no result: they are listed by file and change in `mutants_equivalent.toml`, each with the reason.
+`--again` judges those that survived once more, by the tests that it names: new ones, or those of other packages.
 """
 
 from __future__ import annotations
@@ -18,21 +20,25 @@ import argparse
 import ast
 import copy
 import csv
+import importlib
 import os
 import random
 import re
 import shutil
+import signal
 import sqlite3
-import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
+from itertools import accumulate, zip_longest
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-ROOMS = ("ir", "lower", "passes", "training", "analysis", "backends")
+ROOMS = ("ir", "lower", "passes", "training", "analysis", "backends", "data")
 FIELDS = ("file", "line", "change", "result", "tests", "by")
 BINARY: Mapping[type[ast.AST], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
@@ -44,6 +50,8 @@ COMPARED: Mapping[type[ast.AST], type[ast.cmpop]] = {
 }  # fmt: skip
 CALLED = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum",
           "argmin": "argmax", "argmax": "argmin", "floor": "ceil", "ceil": "floor"}  # fmt: skip
+CHANGED = (ast.BinOp, ast.AugAssign, ast.Compare, ast.BoolOp, ast.UnaryOp, ast.Constant, ast.If, ast.IfExp, ast.While,
+           ast.Call)  # fmt: skip
 SPOKEN = ("Diagnostic", "UserError", "ComputationError", "warn", "message")
 """Calls whose arguments are words for the user: their numbers and operators are not mutated."""
 Row = dict[str, str]
@@ -59,36 +67,35 @@ class Mutant:
     change: str
 
 
-class _Mutator(ast.NodeTransformer):
-    """Counts the places where a function's code can be changed, and changes the one of number `wanted`."""
+class _Mutator(ast.NodeVisitor):
+    """Counts the places where a function's code can be changed, and keeps the change of number `wanted`."""
 
     def __init__(self, wanted: int = -1) -> None:
         self.wanted, self.depth, self.found = wanted, 0, list[tuple[int, str]]()
+        self.change: tuple[ast.AST, ast.AST] | None = None
 
-    def generic_visit(self, node: ast.AST) -> ast.AST:
+    def generic_visit(self, node: ast.AST) -> None:
         if isinstance(node, ast.FunctionDef):
             self.depth += 1
-            node.body = [self.visit(one) for one in node.body]
+            for one in node.body:
+                self.visit(one)
             self.depth -= 1
-            return node
+            return
         if isinstance(node, ast.AnnAssign | ast.Raise | ast.Assert | ast.JoinedStr | ast.Global | ast.ImportFrom):
-            return node
+            return
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in SPOKEN:
-            return node
-        changed = self._changed(node) if self.depth else None
-        return changed if changed is not None else super().generic_visit(node)
-
-    def _changed(self, node: ast.AST) -> ast.AST | None:
-        """The changed node if this place is the wanted one."""
-        for new, what in _changes(node):
+            return
+        for new, what in _changes(node) if self.depth else ():
+            if len(self.found) == self.wanted:
+                self.change = node, new
             self.found.append((getattr(node, "lineno", 0), what))
-            if len(self.found) - 1 == self.wanted:
-                return ast.copy_location(new, node)
-        return None
+        super().generic_visit(node)
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[ast.AST, str]]:
     """What a node can be changed to, with words."""
+    if not isinstance(node, CHANGED):
+        return
     new = copy.deepcopy(node)
     if isinstance(new, ast.BinOp | ast.AugAssign) and type(new.op) in BINARY:
         new.op = BINARY[type(new.op)]()
@@ -122,6 +129,7 @@ def _name(function: ast.expr) -> str:
     return function.id if isinstance(function, ast.Name) else getattr(function, "attr", "")
 
 
+@cache
 def mutants_of(path: Path) -> list[Mutant]:
     """All mutants of a file."""
     mutator = _Mutator()
@@ -131,16 +139,32 @@ def mutants_of(path: Path) -> list[Mutant]:
 
 
 def mutated(mutant: Mutant, source: str) -> str:
-    """The source with the change."""
-    tree = _Mutator(mutant.place).visit(ast.parse(source))
-    return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
+    """The source with the change; everything else, comments too, stays as it is."""
+    mutator = _Mutator(mutant.place)
+    mutator.visit(ast.parse(source))
+    assert mutator.change is not None
+    old, new = mutator.change
+    if isinstance(old, ast.If | ast.IfExp | ast.While) and isinstance(new, ast.If | ast.IfExp | ast.While):
+        old, new = old.test, new.test
+    assert isinstance(old, ast.expr | ast.AugAssign)
+    text = ast.unparse(ast.fix_missing_locations(new))
+    text = f"({text})" if isinstance(old, ast.expr) else text
+    lines = source.encode().splitlines(keepends=True)
+    starts = [0, *accumulate(map(len, lines))]
+    begin = starts[old.lineno - 1] + old.col_offset
+    end = starts[(old.end_lineno or old.lineno) - 1] + (old.end_col_offset or 0)
+    return (source.encode()[:begin] + text.encode() + source.encode()[end:]).decode()
 
 
 def drawn(count: int, seed: int) -> list[Mutant]:
-    """Random mutants, without repetition."""
-    paths = [path for room in ROOMS for path in sorted((ROOT / "gbspec" / room).rglob("*.py"))]
-    every = [mutant for path in paths for mutant in mutants_of(path)]
-    return random.Random(seed).sample(every, min(count, len(every)))
+    """Random mutants, as many of each package, without repetition; one of each package after the other."""
+    chance = random.Random(seed)
+    share = -(-count // len(ROOMS))
+    draws = []
+    for room in ROOMS:
+        every = [one for path in sorted((ROOT / "gbspec" / room).rglob("*.py")) for one in mutants_of(path)]
+        draws.append(chance.sample(every, min(share, len(every))))
+    return [one for turn in zip_longest(*draws) for one in turn if one is not None]
 
 
 @dataclass(frozen=True)
@@ -190,23 +214,69 @@ class Judge:
             tests = self.fallback(mutant)
         if not tests:
             return row | {"result": "not run", "by": ""}
+        return row | self.by_tests(mutant, tests, place)
+
+    def by_tests(self, mutant: Mutant, tests: Sequence[str], place: Path) -> Row:
+        """The result of a mutant by the given tests."""
         path, original = place / mutant.file, (ROOT / mutant.file).read_text(encoding="utf-8")
         path.write_text(mutated(mutant, original), encoding="utf-8")
         try:
-            return row | self._verdict(tests, place)
+            return self._verdict(tests, place)
         finally:
             path.write_text(original, encoding="utf-8")
 
     def _verdict(self, tests: Sequence[str], place: Path) -> Row:
-        environment = os.environ | {"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *tests]
-        try:
-            done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False,
-                                  timeout=60 + 10 * self.seconds)  # fmt: skip
-        except subprocess.TimeoutExpired:
+        log = place.with_suffix(".log")
+        process = _started([*("-x", "-q", "-p", "no:cacheprovider", "--no-header"), *tests], place, log)
+        status = _awaited(process, 60 + 10 * self.seconds)
+        if status is None:
             return {"result": "killed", "by": "did not end"}
-        by = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-        return {"result": "killed" if done.returncode else "survived", "by": by.group(1) if by else ""}
+        by = re.search(r"^(?:FAILED|ERROR) (\S+)", log.read_text(encoding="utf-8", errors="replace"), re.MULTILINE)
+        return {"result": "killed" if status else "survived", "by": by.group(1) if by else ""}
+
+
+def _started(arguments: Sequence[str], place: Path, log: Path) -> int:
+    """A forked process that runs pytest in a copy of the tree: it has the large libraries that this one imported."""
+    process = os.fork()
+    if process:
+        return process
+    status = 1
+    try:
+        os.setpgid(0, 0)
+        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for stream in (1, 2):
+            os.dup2(output, stream)
+        os.chdir(place)
+        os.environ.update({"PYTHONPATH": str(place), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"})
+        sys.dont_write_bytecode = True
+        sys.path[:] = [str(place), *(one for one in sys.path if Path(one or ".").resolve() != ROOT)]
+        for name in [name for name in sys.modules if name.partition(".")[0] == "benchmarks"]:
+            del sys.modules[name]
+        import pytest
+
+        status = int(pytest.main(["--rootdir", str(place), "-c", str(place / "pyproject.toml"), *arguments]))
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def _awaited(process: int, seconds: float) -> int | None:
+    """The exit status of a process; None where it did not end in time, and was killed with those that it started."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found, status = os.waitpid(process, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.1)
+    os.killpg(process, signal.SIGKILL)
+    os.waitpid(process, 0)
+    return None
+
+
+def prepare() -> None:
+    """Imports what the tests would import in each process again."""
+    for name in ("numpy", "scipy.optimize", "sympy", "torch", "casadi", "polars", "pyarrow", "hypothesis", "pytest"):
+        importlib.import_module(name)
 
 
 def durations(path: Path) -> dict[str, float]:
@@ -272,14 +342,22 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=40.0, help="of tests for a mutant, as they last without it")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--again", default="", help="judge survivors again, by these tests (commas between them)")
+    parser.add_argument("--rooms", default=",".join(ROOMS), help="judge the drawn mutants of these packages alone")
     parser.add_argument("--table", type=Path, help="write the table of the judged mutants, without running tests")
     chosen = parser.parse_args()
     chosen.output.mkdir(parents=True, exist_ok=True)
     path = chosen.output / "mutants.csv"
-    if chosen.table is None:
+    if chosen.again:
+        prepare()
+        _again(Judge(chosen.coverage, {}, chosen.seconds), path, chosen.again.split(","))
+    elif chosen.table is None:
         judge = Judge(chosen.coverage.resolve(), durations(chosen.durations), chosen.seconds)
         done = {(row["file"], row["line"], row["change"]) for row in _read(path)}
-        waiting = [m for m in drawn(chosen.count, chosen.seed) if (m.file, str(m.line), m.change) not in done]
+        rooms = chosen.rooms.split(",")
+        new = [m for m in drawn(chosen.count, chosen.seed) if (m.file, str(m.line), m.change) not in done]
+        waiting = [m for m in new if Path(m.file).parts[1] in rooms]
+        prepare()
         _campaign(judge, waiting, path, chosen.workers)
     rows = _read(path)
     print(table(rows))
@@ -296,6 +374,23 @@ def _campaign(judge: Judge, waiting: Sequence[Mutant], path: Path, workers: int)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(work, range(workers)))
+
+
+def _again(judge: Judge, path: Path, tests: Sequence[str]) -> None:
+    """Judges survivors by other tests, in a new copy of the tree, and writes their rows anew."""
+    place = path.parent.resolve() / "again"
+    shutil.rmtree(place, ignore_errors=True)
+    copied(place)
+    for row in _read(path):
+        if row["result"] == "killed" or _label(row) in equivalent():
+            continue
+        key = (row["line"], row["change"])
+        found = [one for one in mutants_of(ROOT / row["file"]) if (str(one.line), one.change) == key]
+        verdict = row | judge.by_tests(found[0], tests, place)
+        rows = [verdict if old == row else old for old in _read(path)]
+        path.unlink()
+        for one in rows:
+            _append(path, one)
 
 
 def _append(path: Path, row: Row) -> None:

@@ -116,13 +116,7 @@ def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Fi
         findings.error("GB704", "the table has a header and no rows", Cell(path, 1), help="each row is one time")
         return None
     try:
-        frame = pl.read_csv(
-            records.body,
-            has_header=False,
-            separator=separator,
-            infer_schema=False,
-            new_columns=[str(i) for i in range(len(names))],
-        )
+        frame = _cells(records.body, separator, len(names))
     except pl.exceptions.PolarsError:
         frame = pl.DataFrame()
     if frame.shape != (len(rows), len(names)):
@@ -134,6 +128,17 @@ def _delimited(path: str, data: bytes, separator: str, sha256: str, findings: Fi
         )
         return None
     return Sheet(path, _named(names, frame.get_columns()), rows, sha256, decimal_comma=separator == ";")
+
+
+def _cells(body: bytes, separator: str, width: int) -> pl.DataFrame:
+    """The cells of a text without header, as texts.
+
+    A text that begins like a compressed one (`x^`, as a label may) would be unpacked: a row before it prevents that.
+    """
+    before = b"0" + separator.encode() * (width - 1) + b"\n" if body.startswith(b"x") else b""
+    columns = [str(i) for i in range(width)]
+    frame = pl.read_csv(before + body, has_header=False, separator=separator, infer_schema=False, new_columns=columns)
+    return frame[1:] if before else frame
 
 
 def _by_semicolons(data: bytes) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import assert_never
 
-from gbspec.diagnostics import Defect, Findings, Label, Span
+from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
 from gbspec.semantics.dimensions import NEEDS_UNIT, Units
 from gbspec.semantics.merge import Item
@@ -120,7 +120,7 @@ class _Rules:
                 if self._usable(rate):
                     units.agrees(rate, units.of(name.text), f"the rate of `{name.text}`", name.span)
             case _:
-                raise Defect("a name with a value whose statement has no rule for units")
+                pass  # a name that was declared before as something without a value: already reported
 
     def statement(self, statement: ast.Statement) -> None:
         """Checks the units of any other statement."""

@@ -62,6 +62,7 @@ def test_bred_initial_states_are_closer_to_the_truth_than_wrong_ones(found: Init
 def test_they_print_write_and_draw_themselves(found: InitialStates) -> None:
     text = str(found)
     assert all(word in text for word in ("learned", "bred", "true", "mode 2 (real part"))
+    assert all(" bred " in line for line in text.splitlines() if line.startswith("  mode"))
     document = json.loads(json.dumps(found.to_json()))
     assert set(document["initial_states"][0]["bred"]) == {"x1", "x2"}
     made = draw(found)

@@ -65,3 +65,13 @@ def test_a_channel_that_does_not_vary_has_no_r2() -> None:
     assert found.nrmse == pytest.approx(0.1)
     assert found.to_json()["r2"] is None
     assert channel_errors(np.full(2, np.nan), np.ones(2)).n == 0
+
+
+@pytest.mark.parametrize(("share", "flat"), [(0.5, True), (3.0, False)])
+def test_values_that_vary_by_rounding_alone_have_no_share_explained(share: float, flat: bool) -> None:
+    measured = 7.0 * (1.0 + share * 1e-9 * (-1.0) ** np.arange(10))
+    assert math.isnan(channel_errors(measured, measured).r2) == flat
+
+
+def test_zeros_have_no_share_explained() -> None:
+    assert math.isnan(channel_errors(np.zeros(3), np.array([0.0, 0.1, 0.0])).r2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -194,6 +194,24 @@ def test_some_trajectories_and_threads(small: tuple[Problem, Parameters, np.ndar
     torch.set_num_threads(2)
     together = half_squares(kernel, problem, parameters, theta)
     assert np.allclose(alone[1], together[1], rtol=1e-12, atol=1e-14 * np.abs(alone[1]).max())
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_work_is_shared_out_among_several_threads_alone(
+    small: tuple[Problem, Parameters, np.ndarray, Kernel], threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, parameters, theta, kernel = small
+    engine, counts = NativeEngine(problem, parameters, kernel), list[int]()
+
+    def one_after_the_other(part: Callable[[int], None], count: int, _: int) -> None:
+        counts.append(count)
+        for i in range(count):
+            part(i)
+
+    monkeypatch.setattr("gbspec.training.engines.native.kernel.shared_out", one_after_the_other)
+    tables = engine.tables(engine.plan(theta))
+    found = kernel.sweep(tables, KernelInputs.of(problem, parameters, torch.from_numpy(theta)), True, threads=threads)
+    assert np.isfinite(found.d_weights).all() and len(counts) == threads - 1 and all(count > 1 for count in counts)
 
 
 def test_any_cotangent(small: tuple[Problem, Parameters, np.ndarray, Kernel]) -> None:

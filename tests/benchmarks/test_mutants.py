@@ -40,8 +40,21 @@ def test_each_mutant_is_another_program(every: list[mutants.Mutant]) -> None:
         compile(program, "a.py", "exec")
 
 
+def test_nothing_else_of_a_source_changes(every: list[mutants.Mutant]) -> None:
+    # templates of generated code are cut at comments
+    source = SOURCE.replace("    if x", "    # a comment: α\n    if x")
+    for mutant in every:
+        lines = zip(source.splitlines(), mutants.mutated(mutant, source).splitlines(), strict=True)
+        assert len([1 for old, new in lines if old != new]) == 1
+
+
 def test_a_draw_repeats_itself() -> None:
     assert mutants.drawn(20, 3) == mutants.drawn(20, 3) != mutants.drawn(20, 4)
+
+
+def test_each_package_has_its_share() -> None:
+    rooms = [Path(mutant.file).parts[1] for mutant in mutants.drawn(2 * len(mutants.ROOMS), 5)]
+    assert sorted(rooms) == sorted(2 * mutants.ROOMS)
 
 
 def test_the_table_counts_and_lists_survivors() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gbspec.ir.model import symbol
+from gbspec.passes import signs
 from gbspec.passes.intervals import REAL, Interval, enclosure
 from gbspec.passes.signs import Prover
 
@@ -60,6 +61,22 @@ def test_true_signs_are_proved(expression: sympy.Expr, strict: bool) -> None:
 def test_false_signs_are_not_proved(expression: sympy.Expr, strict: bool) -> None:
     prover = Prover(BOX)
     assert not (prover.positive(expression) if strict else prover.nonnegative(expression))
+
+
+@pytest.mark.parametrize(
+    ("function", "low", "high"),
+    [(sympy.acos, -1.0, 0.5), (sympy.asin, -1.0, 0.5), (sympy.atan, -2.0, 1.0), (sympy.cosh, -1.0, 2.0)],
+)
+def test_the_interval_of_a_function_is_as_narrow_as_its_values(function: Any, low: float, high: float) -> None:
+    found = enclosure(function(u), {u: Interval(low, high)})
+    values = [float(function(x)) for x in np.linspace(low, high, 31)]
+    assert found is not None and (found.low, found.high) == pytest.approx((min(values), max(values)))
+
+
+def test_a_box_is_halved_up_to_a_number_of_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Prover(BOX).positive(sympy.exp(u / 3) - 2 * u / 3 + 0.7)
+    monkeypatch.setattr(signs, "BOXES", 2)
+    assert not Prover(BOX).positive(sympy.exp(u / 3) - 2 * u / 3 + 0.7)
 
 
 def test_decimal_coefficients_are_divided_without_a_remainder() -> None:

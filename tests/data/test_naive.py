@@ -47,5 +47,11 @@ def test_logarithms_are_compared_where_the_noise_is_log_normal() -> None:
     assert naive_predictors(model_with(Noise("lognormal", 0.1)), data)["x"].r2 == pytest.approx(1.0)
 
 
+def test_a_zero_has_no_logarithm_and_is_left_out() -> None:
+    data = series([0.0, 10.0, 100.0, 1000.0, 10000.0])
+    found = naive_predictors(model_with(Noise("lognormal", 0.1)), data)["x"]
+    assert found.r2 == pytest.approx(1.0)
+
+
 def test_a_channel_that_does_not_vary_has_none() -> None:
     assert naive_predictors(model_with(), series([2.0, 2.0, 2.0])) == {}

@@ -47,6 +47,14 @@ def test_the_file_is_identified(tmp_path: Path) -> None:
     assert found.path == str(path)
 
 
+@pytest.mark.parametrize("label", ["x^2", "x\u06aa", "x\x01", "x"])
+def test_a_first_label_that_begins_like_compressed_data(reading: Reader, label: str) -> None:
+    # zlib's streams begin with these bytes, and polars unpacked them
+    found, findings = reading(f"trajectory,t,x1,x2,Da\n{label},0,0.5,1.5,0.3\n{label},1,0.6,1.5,0.3\n")
+    assert findings == [] and found is not None
+    assert [item.label for item in found.items] == [label] and found.items[0].values.shape == (2, 2)
+
+
 @pytest.mark.parametrize("change", [
     lambda text: text.replace("\n", "\r\n"),
     lambda text: text.replace("\n", "\r"),

@@ -142,3 +142,9 @@ def test_floats_in_a_dump_are_whole() -> None:
 
 def test_semantics_knows_the_same_activations() -> None:
     assert set(get_args(Activation)) == set(ACTIVATIONS)
+
+
+def test_a_dump_has_the_disturbances() -> None:
+    text = "model m\nstate x = 1\nlearn s = 0.1 > 0\ndiffusion x = {}\nx' = -x\nobserve x\n"
+    assert "x by s\n" in dump(model_of(text.format("s")))
+    assert "x by s*x  (logarithm by s)" in dump(model_of(text.format("s*x")))

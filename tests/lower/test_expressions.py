@@ -6,13 +6,13 @@ import math
 
 import pytest
 import sympy
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gbspec.diagnostics import Findings, Source
 from gbspec.ir.model import NN, symbol, unknown_function
 from gbspec.lower import lower_expression
-from gbspec.lower.expressions import number
+from gbspec.lower.expressions import number, power, relation
 from gbspec.syntax.parser import parse_expression
 from tests.texts import codes, model_of
 
@@ -30,6 +30,8 @@ def test_every_float_keeps_its_value(value: float) -> None:
 
 
 @given(st.integers(0, 2**60))
+@example(2**53)
+@example(2**53 + 1)
 def test_whole_numbers_are_exact_while_they_are_doubles(value: int) -> None:
     assert float(number(str(value))) == float(value)
     assert number(str(value)).is_Integer == (value <= 2**53)
@@ -64,10 +66,22 @@ def test_conditional_is_piecewise() -> None:
     assert value.subs({x: 0, k: 1}) == 1
 
 
+def test_a_comparison_is_decided_at_once_only_between_numbers() -> None:
+    assert relation(">", sympy.Integer(2), sympy.Integer(1)) is sympy.true
+    for left, right in ((x**2, sympy.Integer(-1)), (sympy.Integer(-1), x**2)):
+        assert not isinstance(relation(">" if left.has(x) else "<", left, right), sympy.logic.boolalg.BooleanAtom)
+
+
 @pytest.mark.parametrize("text", ["9^9^9^2*x", "(1/3)^1000000*x", "(2*x)^1000000", "7^(1000000/3)*x"])
 def test_large_powers_are_cheap(text: str) -> None:
     found = codes(DECAY.format(text + " + k"))
     assert found in ([], ["GB223"])
+
+
+@pytest.mark.parametrize("factor", [2, -3, sympy.Rational(1, 3)])
+def test_the_factor_of_a_large_power_becomes_a_float(factor: sympy.Expr) -> None:
+    found = power(factor * x, sympy.Integer(5000))
+    assert found.has(sympy.Float) and all(n.is_Float or abs(n) <= 5000 for n in found.atoms(sympy.Number))
 
 
 def test_exact_numbers_too_long_to_print_become_floats() -> None:

@@ -114,3 +114,33 @@ def test_unit_text(unit: str, text: str) -> None:
 def test_one_bound_is_enough_to_start_from() -> None:
     model = model_of("model m\nstate x\nlearn k > 0\nx' = -k*x\nobserve x\n")
     assert model.learnables[0].start == 1.0
+
+
+def test_a_unit_of_several_outputs_is_that_of_each() -> None:
+    model = model_of("model m\nstate x : g\ntime t : h\nunknown f, g(x) : g/h by mlp(4)\nx' = f - g\nobserve x\n")
+    assert [unknown.unit for unknown in model.unknowns] == ["g/h", "g/h"]
+
+
+def test_the_spread_of_a_population_starts_in_proportion_to_what_varies() -> None:
+    model = model_of(
+        "model m\ntime t : h\nstate x : g\nlearn k : 1/h = 4 in [0.1, 50] per trajectory ~ normal\n"
+        "learn b : g/h = 0.1 in [0.001, 1] per trajectory ~ lognormal\nx' = -k*x + b\nobserve x\n"
+    )
+    spreads = {one.name: (one.start, one.unit) for one in model.implied if one.name.startswith("sd_")}
+    assert [(one.start, one.unit) for one in model.implied if one.name == "noise_x"] == [(1.0, None)]
+    assert spreads == {"sd_k": (pytest.approx(0.3 * 4), "1/h"), "sd_b": (0.3, None)}
+
+
+def test_the_range_of_a_single_value_is_that_of_its_distribution() -> None:
+    lines = [f"learn {name} = 1 in [0.5, 3] per trajectory ~ {name}" for name in ("lognormal", "normal", "logitnormal")]
+    sums = "lognormal + normal + logitnormal"
+    model = model_of("\n".join(["model m", "state x", *lines, f"x' = -x*({sums})", "observe x"]) + "\n")
+    found = {one.name: one.individual.range for one in model.learnables}
+    assert found == {"lognormal": Range(0.0, inf), "normal": Range(-inf, inf), "logitnormal": Range(0.5, 3.0)}
+
+
+@pytest.mark.parametrize(("noise", "learned"), [("a", True), ("0.1*x", True), ("a*x", True), ("2*b", False)])
+def test_a_noise_is_learned_if_it_depends_on_learned_constants_or_the_prediction(noise: str, learned: bool) -> None:
+    text = f"model m\nstate x\nlearn a = 1 > 0\nconst b = 2\nx' = -a*x\nobserve x noise normal({noise})\n"
+    found = model_of(text).channels[0].noise
+    assert found is not None and math.isnan(found.scale) == learned and (found.value is not None) == learned

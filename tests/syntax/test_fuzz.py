@@ -7,6 +7,7 @@ from collections import Counter
 import pytest
 
 from tests.fuzz import MUTATIONS, campaign, corpus, outcome
+from tests.fuzz_guided import loaded
 
 
 def test_mutated_files_give_a_model_or_diagnostics() -> None:
@@ -28,3 +29,10 @@ def test_every_mutation_changes_some_text() -> None:
     text = corpus()[0]
     for mutation in MUTATIONS:
         assert any(mutation(text, random.Random(seed)) != text for seed in range(20)), mutation.__name__
+
+
+def test_guided_fuzzing_sees_the_modules_of_the_readers() -> None:
+    # packages load their modules when first used; what is loaded after the instrumentation is not seen
+    names = loaded()
+    for name in ("syntax.reading", "semantics.units", "lower.statements", "data.sheet", "data.cells", "runs.record"):
+        assert f"gbspec.{name}" in names

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from gbspec.data.trajectories import Trajectories
 from gbspec.runs.store import Run
 from gbspec.training import TrainOptions, train
+from gbspec.training.recipe import breeding
 from tests.training.conftest import model_of, trajectory
 
 FAST = """model fast
@@ -61,3 +62,13 @@ def test_an_expressed_start_is_not_bred(tmp_path: Path) -> None:
     model = model_of(FAST + "state c in [0, 9]\nc' = k*h\ninitial c = 0\n")
     run = train(model, data, TrainOptions(initial="bred", **QUICK), tmp_path / "run")  # type: ignore[arg-type]
     assert any("not bred" in warning and "`c`" in warning for warning in run.fit.warnings)
+
+
+@pytest.mark.parametrize(("start", "times"), [(1.0, [1.0, 2.0, 4.0]), (0.0, [0.0, 1.0, 2.0, 4.0])])
+def test_an_earlier_start_leaves_a_row_where_the_trajectory_began(start: float, times: list[float]) -> None:
+    item = trajectory("a", start, np.array([1.0, 2.0, 4.0]), np.array([[5.0], [6.0], [7.0]]), [])
+    earlier = breeding._begun_earlier(item)
+    assert earlier.start < start and earlier.times.tolist() == times
+    new = len(times) - 3
+    assert np.isnan(earlier.values[:new]).all() and earlier.values[new:, 0].tolist() == [5.0, 6.0, 7.0]
+    assert earlier.counts[:, 0].tolist() == [0.0] * new + [1.0] * 3 and earlier.sd.shape == earlier.values.shape

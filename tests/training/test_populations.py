@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Model
 from gbspec.operations import comparing, models, tables
 from gbspec.training import TrainOptions, train
-from gbspec.training.population import Layout, Marginal, Predictions
+from gbspec.training.population import Layout, Marginal, Predictions, marginal
 from gbspec.training.population.predictions import _Graph
 from gbspec.training.recipe import build_context
 
@@ -167,6 +169,23 @@ def test_the_sweeps_and_the_torch_graph_agree(tmp_path: Path) -> None:
         results.append([mean, sensitivity, *torch.autograd.grad(total, [k, w])])
     for ours, reference in zip(*results, strict=True):
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-9)
+
+
+def test_the_information_of_spreads_is_that_of_a_normal_distribution() -> None:
+    """Two trajectories with two deviations; every parameter moves one entry of the variance matrix's parts."""
+    rng = np.random.default_rng(1)
+    owner, f, variance = np.array([0, 0, 0, 1, 1]), rng.normal(size=(5, 2)), rng.uniform(1, 2, 5)
+    omega = np.array([[2.0, 0.3], [0.3, 1.0]])
+    spread = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]], np.zeros((2, 2))])
+    noise = np.stack([*np.zeros((3, 5)), np.ones(5)], axis=1)
+    of = cast(Any, SimpleNamespace(by_z=torch.from_numpy(f), variance=torch.from_numpy(variance)))
+    found = marginal._information(owner, np.zeros((5, 4)), of, omega, spread, noise)
+    expected = np.zeros((4, 4))
+    for rows in (owner == 0, owner == 1):
+        inverse = np.linalg.inv(np.diag(variance[rows]) + f[rows] @ omega @ f[rows].T)
+        parts = [inverse @ (np.diag(noise[rows, p]) + f[rows] @ spread[p] @ f[rows].T) for p in range(4)]
+        expected += 0.5 * np.array([[np.trace(a @ b) for b in parts] for a in parts])
+    assert np.allclose(found, expected) and (np.diag(found) > 0).all()
 
 
 def test_correlations_are_those_of_the_deviations(tmp_path: Path) -> None:
