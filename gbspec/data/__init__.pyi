@@ -11,6 +11,8 @@ from .columns import form_of as form_of
 from .draws import sobol as sobol
 from .draws import spread_over_ranges as spread_over_ranges
 from .fingerprints import fingerprint as fingerprint
+from .formats import Format as Format
+from .formats import format_named as format_named
 from .keeping import content_digest as content_digest
 from .keeping import from_arrays as from_arrays
 from .keeping import to_arrays as to_arrays

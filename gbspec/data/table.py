@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.checks import check, first_times
-from gbspec.data.columns import form_of, quantities, recognise
+from gbspec.data.checks import check, starts_of
+from gbspec.data.columns import Quantity, form_of, quantities, recognise
+from gbspec.data.formats import Format
 from gbspec.data.keeping import content_digest
 from gbspec.data.memory import Frame, sheet_of
+from gbspec.data.nonmem import is_nonmem, nonmem_records
 from gbspec.data.records import Records, records
 from gbspec.data.regimens import Given, regimens, with_infusions
 from gbspec.data.sheet import Sheet, read_sheet
@@ -28,42 +30,61 @@ from gbspec.ir import Model
 
 __all__ = ["read", "read_frame", "write"]
 
+AUTO = Format()
+"""The form is recognised by the columns."""
 
-def read(path: str | Path, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
-    """The table at `path` (CSV, TSV or Parquet; wide or long layout) as trajectories for `model`.
+
+def read(
+    path: str | Path, model: Model, findings: Findings, require_channels: bool = True, form: Format = AUTO
+) -> Trajectories:
+    """The table at `path` (CSV, TSV or Parquet; wide or long layout, or NONMEM's form) as trajectories for `model`.
 
     Cells that are empty, or are NA, NaN, null, none, `-` or `.`, mean *not measured*. With `require_channels` False (a
     table to predict on), columns of channels may be missing and a trajectory's `times` hold every row, measured or not.
 
     Warnings go into `findings`. Raises UserError with all diagnostics if the table has errors.
     """
-    return _read(read_sheet(path, findings), model, findings, require_channels)
+    return _read(read_sheet(path, findings), model, findings, require_channels, form)
 
 
-def read_frame(data: Frame, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
+def read_frame(
+    data: Frame, model: Model, findings: Findings, require_channels: bool = True, form: Format = AUTO
+) -> Trajectories:
     """A table in memory as trajectories, like `read`; they are identified by their content.
 
     `data` is a data frame of polars, pandas or pyarrow, or a mapping of names to columns (arrays, lists, tensors).
     """
-    found = _read(sheet_of(data, findings), model, findings, require_channels)
+    found = _read(sheet_of(data, findings), model, findings, require_channels, form)
     return replace(found, path="", sha256=content_digest(found))
 
 
-def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channels: bool) -> Trajectories:
+def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channels: bool, form: Format) -> Trajectories:
     if sheet is None:
         raise UserError(tuple(findings))
     wanted = quantities(model, require_channels)
-    layout = recognise(sheet, model, wanted, findings)
-    if layout is None:
-        raise UserError(tuple(findings))
-    table = records(sheet, layout, findings)
+    table, kind = _recorded(sheet, model, wanted, form, findings)
     check(table, model, wanted, require_channels, findings)
     findings.raise_if_failed()
     conditions = _conditions(table, model)
     items = _cut(table, model, require_channels, conditions, regimens(table, model, conditions, findings))
     channels = tuple(channel.name for channel in model.channels)
-    kind = {"layout": "long" if layout.long else "wide"}
     return Trajectories(items, channels, sheet.path, sheet.sha256, len(sheet.rows), kind, form_of(model))
+
+
+def _recorded(
+    sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], form: Format, findings: Findings
+) -> tuple[Records, dict[str, str]]:
+    """The records of a sheet of any form, and what is remembered of the form."""
+    if form.kind == "nonmem" or (form.kind == "auto" and is_nonmem(sheet, model)):
+        form.check(model)
+        table = nonmem_records(sheet, model, wanted, form, findings)
+        if table is None:
+            raise UserError(tuple(findings))
+        return table, {"layout": "nonmem", "format": form.text if form.kind == "nonmem" else "nonmem"}
+    layout = recognise(sheet, model, wanted, findings)
+    if layout is None:
+        raise UserError(tuple(findings))
+    return records(sheet, layout, findings), {"layout": "long" if layout.long else "wide"}
 
 
 def _cut(
@@ -71,7 +92,7 @@ def _cut(
 ) -> tuple[Trajectory, ...]:
     """The trajectories of valid records, in the order of their first rows."""
     values, counts, sd = _measurements(table, len(model.channels))
-    starts = first_times(table) if model.time.start is None else np.full(len(table.labels), model.time.start)
+    starts = starts_of(table, model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
     inputs = [_pieces(table, i) for i in range(len(model.inputs))]
     hit: Mask = np.ones(len(table.time), dtype=bool)
