@@ -216,6 +216,11 @@ Not offered yet, and said so: constants that differ between groups of another co
 (GB421), noises with constants of single trajectories (GB425), values of single trajectories without a
 distribution beside others with one (GB426), profiles of models with populations (GB777).
 
+Not offered for infusions (`dose … over`): durations and lags that are learned (GB427, GB428), elements of arrays
+(GB429), measured rates of the infused state (GB430). A dose in a steady state is preceded by a number of doses, not by
+a fixed point: it begins its trajectory (GB749), all initial values are given (GB757), and a table that `simulate --like`
+writes of it has the doses before its first row, which a model with `time … from` does not read (GB717).
+
 Not offered together with `diffusion`: populations, noises with learned constants, learned lags of doses, measured
 rates of the disturbed state (GB344); profiles (GB772); stiff solvers and tolerances (GB770; these not for populations
 either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a population its medians.

@@ -15,6 +15,15 @@ Settings = Annotated[
     typer.Option("--set", help="Another value for a constant, learnable or condition.", metavar="NAME=VALUE"),
 ]
 """The parameter `--set` of the commands that have it."""
+Form = Annotated[
+    str,
+    typer.Option(
+        "--format",
+        help="How the table is written: auto (by its columns), table, nonmem, or nonmem:1=gut,2=conc (compartments).",
+        metavar="FORM",
+    ),
+]
+"""The parameter `--format` of the commands that read a table."""
 
 
 def settings(texts: Sequence[str] | None) -> dict[str, float]:

@@ -11,6 +11,8 @@ from .columns import form_of as form_of
 from .draws import sobol as sobol
 from .draws import spread_over_ranges as spread_over_ranges
 from .fingerprints import fingerprint as fingerprint
+from .formats import Format as Format
+from .formats import format_named as format_named
 from .keeping import content_digest as content_digest
 from .keeping import from_arrays as from_arrays
 from .keeping import to_arrays as to_arrays
@@ -23,6 +25,7 @@ from .naive import variance_of as variance_of
 from .names import for_spreadsheets as for_spreadsheets
 from .names import similar as similar
 from .overlays import overlay as overlay
+from .regimens import lasting as lasting
 from .sampling import Box as Box
 from .sampling import SimulateOptions as SimulateOptions
 from .sampling import fixed as fixed
@@ -51,6 +54,7 @@ from .table import read as read
 from .table import read_frame as read_frame
 from .table import write as write
 from .trajectories import DoseEvents as DoseEvents
+from .trajectories import RunIn as RunIn
 from .trajectories import Signal as Signal
 from .trajectories import Trajectories as Trajectories
 from .trajectories import Trajectory as Trajectory

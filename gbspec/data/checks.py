@@ -27,7 +27,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
             _deviations(table, quantity, cells, findings)
         elif quantity.role == "input":
             _one_at_a_time(table, quantity, cells, findings)
-    start = first_times(table) if model.time.start is None else np.full(len(table.labels), model.time.start)
+    start = starts_of(table, model.time.start)
     for quantity in wanted:
         if quantity.role == "condition":
             default = model.conditions[quantity.index].default
@@ -56,6 +56,12 @@ def first_times(table: Records) -> Array:
     groups, index = np.unique(table.group, return_index=True)
     first[groups] = table.time[index]
     return first
+
+
+def starts_of(table: Records, fixed: float | None) -> Array:
+    """When each trajectory starts: as the table says, else as the model says, else at its first row."""
+    usual = first_times(table) if fixed is None else np.full(len(table.labels), fixed)
+    return usual if table.starts is None else np.where(np.isnan(table.starts), usual, table.starts)
 
 
 def _after_start(table: Records, start: float, findings: Findings) -> None:

@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from gbspec.data.sheet import Sheet
     from gbspec.ir import Model, Range
 
-Role = Literal["channel", "condition", "input", "dose", "sd"]
+Role = Literal["channel", "condition", "input", "dose", "sd", "regimen"]
 
 TRAJECTORY = "trajectory"
 MOST_SURPLUS = 50
 """The columns that are not used and are reported one by one."""
+REGIMEN = ("dur", "rate", "ii", "addl", "ss")
+"""What a table may say of a dose besides its amount, in columns such as `dur_STATE`: how long it lasts, or at which
+rate it is given; the interval of its repetitions and their number; whether it is given in a steady state."""
 LONG = ("name", "value")
 """The columns by which the long layout is recognised."""
 
@@ -34,10 +37,13 @@ class Quantity:
     range: Range | None = None
     positive: bool = False
     """Whether its values must be above zero (a channel with lognormal noise)."""
+    word: str = ""
+    """What is said of a dose, for the role `regimen`: one of `REGIMEN`."""
 
 
-def quantities(model: Model, require_channels: bool = True) -> tuple[Quantity, ...]:
-    """All quantities that a table for the model may contain, channels first."""
+def quantities(model: Model, require_channels: bool = True, regimens: bool = True) -> tuple[Quantity, ...]:
+    """All quantities that a table for the model may contain, channels first; those of `REGIMEN` only if wanted, and
+    where nothing else has such a column."""
     found: list[Quantity] = []
     for i, channel in enumerate(model.channels):
         column = cell_name(channel.column or channel.name)
@@ -55,6 +61,11 @@ def quantities(model: Model, require_channels: bool = True) -> tuple[Quantity, .
         found.append(Quantity("input", i, signal.name, column, signal.default is None, signal.range))
     for i, dose in enumerate(model.doses):
         found.append(Quantity("dose", i, dose.state, f"dose_{cell_name(dose.state)}", True))
+    if regimens:
+        taken = {quantity.column for quantity in found} | {cell_name(model.time.name), TRAJECTORY}
+        for i, dose in enumerate(model.doses):
+            columns = ((word, f"{word}_{cell_name(dose.state)}") for word in REGIMEN)
+            found += [Quantity("regimen", i, dose.state, c, False, word=word) for word, c in columns if c not in taken]
     return tuple(found)
 
 
@@ -108,7 +119,7 @@ class Form:
 
 def form_of(model: Model) -> Form:
     """The columns of the tables for a model."""
-    return Form(model.time.name, model.time.start is not None, quantities(model))
+    return Form(model.time.name, model.time.start is not None, quantities(model, regimens=False))
 
 
 def describe(quantity: Quantity) -> str:
@@ -120,6 +131,8 @@ def describe(quantity: Quantity) -> str:
             return f"the standard deviation of `{quantity.name}`"
         case "dose":
             return f"the doses to `{quantity.name}`"
+        case "regimen":
+            return f"`{quantity.word}` of the doses to `{quantity.name}`"
         case "condition" | "input":
             return f"the {quantity.role} `{quantity.name}`"
         case role:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.fingerprints import fingerprint
-from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.data.trajectories import DoseEvents, RunIn, Signal, Trajectories, Trajectory
 
 OF_ROWS = ("times", "values", "counts", "sd")
 
@@ -25,7 +25,8 @@ def to_arrays(trajectories: Trajectories) -> tuple[dict[str, Array], dict[str, o
     arrays: dict[str, Array] = {}
     for i, item in enumerate(trajectories.items):
         arrays |= {f"{i}.{name}": getattr(item, name) for name in (*OF_ROWS, "condition")}
-        arrays[f"{i}.start"] = np.array([item.start])
+        before = () if item.run_in is None else (item.run_in.interval, float(item.run_in.doses))
+        arrays[f"{i}.start"] = np.array([item.start, *before])
         for j, signal in enumerate(item.inputs):
             arrays |= {f"{i}.input.{j}.times": signal.times, f"{i}.input.{j}.values": signal.values}
         for j, dose in enumerate(item.doses):
@@ -41,6 +42,7 @@ def from_arrays(
         Trajectory(
             label=label,
             start=float(arrays[f"{i}.start"][0]),
+            run_in=_run_in(arrays[f"{i}.start"]),
             condition=arrays[f"{i}.condition"],
             inputs=tuple(
                 Signal(arrays[f"{i}.input.{j}.times"], arrays[f"{i}.input.{j}.values"]) for j in range(inputs)
@@ -54,3 +56,8 @@ def from_arrays(
     )
     found = Trajectories(items, tuple(channels))
     return Trajectories(items, found.channels, sha256=content_digest(found))
+
+
+def _run_in(start: Array) -> RunIn | None:
+    """What follows the start in its array: nothing, or the interval and the number of doses before the first row."""
+    return RunIn(float(start[1]), int(start[2])) if len(start) > 1 else None

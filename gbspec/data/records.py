@@ -33,7 +33,8 @@ class Records:
     """The content of a table, independent of its layout.
 
     Keys are sorted by trajectory (in the order of first rows) and time: `group` [K] indexes `labels`, `time` [K], and
-    `row` [K] is the first row of a key. `series` has the filled cells of each quantity that occurs.
+    `row` [K] is the first row of a key. `series` has the filled cells of each quantity that occurs. `starts`
+    [trajectories]: when they start, where the table itself says it (else NaN; None: nowhere).
     """
 
     path: str
@@ -43,6 +44,7 @@ class Records:
     row: Index
     series: dict[Quantity, Series]
     time_column: str
+    starts: Array | None = None
 
 
 LABELS = frozenset(

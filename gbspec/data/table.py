@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,64 +14,87 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gbspec.arrays import Array, Mask
-from gbspec.data.checks import check, first_times
-from gbspec.data.columns import form_of, quantities, recognise
+from gbspec.data.checks import check, starts_of
+from gbspec.data.columns import Quantity, form_of, quantities, recognise
+from gbspec.data.formats import Format
 from gbspec.data.keeping import content_digest
 from gbspec.data.memory import Frame, sheet_of
+from gbspec.data.nonmem import is_nonmem, nonmem_records
 from gbspec.data.records import Records, records
+from gbspec.data.regimens import Given, regimens, with_infusions
 from gbspec.data.sheet import Sheet, read_sheet
-from gbspec.data.trajectories import DoseEvents, Signal, Trajectories, Trajectory
+from gbspec.data.trajectories import Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import Model
 
 __all__ = ["read", "read_frame", "write"]
 
+AUTO = Format()
+"""The form is recognised by the columns."""
 
-def read(path: str | Path, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
-    """The table at `path` (CSV, TSV or Parquet; wide or long layout) as trajectories for `model`.
+
+def read(
+    path: str | Path, model: Model, findings: Findings, require_channels: bool = True, form: Format = AUTO
+) -> Trajectories:
+    """The table at `path` (CSV, TSV or Parquet; wide or long layout, or NONMEM's form) as trajectories for `model`.
 
     Cells that are empty, or are NA, NaN, null, none, `-` or `.`, mean *not measured*. With `require_channels` False (a
     table to predict on), columns of channels may be missing and a trajectory's `times` hold every row, measured or not.
 
     Warnings go into `findings`. Raises UserError with all diagnostics if the table has errors.
     """
-    return _read(read_sheet(path, findings), model, findings, require_channels)
+    return _read(read_sheet(path, findings), model, findings, require_channels, form)
 
 
-def read_frame(data: Frame, model: Model, findings: Findings, require_channels: bool = True) -> Trajectories:
+def read_frame(
+    data: Frame, model: Model, findings: Findings, require_channels: bool = True, form: Format = AUTO
+) -> Trajectories:
     """A table in memory as trajectories, like `read`; they are identified by their content.
 
     `data` is a data frame of polars, pandas or pyarrow, or a mapping of names to columns (arrays, lists, tensors).
     """
-    found = _read(sheet_of(data, findings), model, findings, require_channels)
+    found = _read(sheet_of(data, findings), model, findings, require_channels, form)
     return replace(found, path="", sha256=content_digest(found))
 
 
-def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channels: bool) -> Trajectories:
+def _read(sheet: Sheet | None, model: Model, findings: Findings, require_channels: bool, form: Format) -> Trajectories:
     if sheet is None:
         raise UserError(tuple(findings))
     wanted = quantities(model, require_channels)
-    layout = recognise(sheet, model, wanted, findings)
-    if layout is None:
-        raise UserError(tuple(findings))
-    table = records(sheet, layout, findings)
+    table, kind = _recorded(sheet, model, wanted, form, findings)
     check(table, model, wanted, require_channels, findings)
     findings.raise_if_failed()
-    items = _cut(table, model, require_channels)
+    conditions = _conditions(table, model)
+    items = _cut(table, model, require_channels, conditions, regimens(table, model, conditions, findings))
     channels = tuple(channel.name for channel in model.channels)
-    kind = {"layout": "long" if layout.long else "wide"}
     return Trajectories(items, channels, sheet.path, sheet.sha256, len(sheet.rows), kind, form_of(model))
 
 
-def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory, ...]:
+def _recorded(
+    sheet: Sheet, model: Model, wanted: tuple[Quantity, ...], form: Format, findings: Findings
+) -> tuple[Records, dict[str, str]]:
+    """The records of a sheet of any form, and what is remembered of the form."""
+    if form.kind == "nonmem" or (form.kind == "auto" and is_nonmem(sheet, model)):
+        form.check(model)
+        table = nonmem_records(sheet, model, wanted, form, findings)
+        if table is None:
+            raise UserError(tuple(findings))
+        return table, {"layout": "nonmem", "format": form.text if form.kind == "nonmem" else "nonmem"}
+    layout = recognise(sheet, model, wanted, findings)
+    if layout is None:
+        raise UserError(tuple(findings))
+    return records(sheet, layout, findings), {"layout": "long" if layout.long else "wide"}
+
+
+def _cut(
+    table: Records, model: Model, measured_only: bool, conditions: Array, given: Sequence[Given]
+) -> tuple[Trajectory, ...]:
     """The trajectories of valid records, in the order of their first rows."""
     values, counts, sd = _measurements(table, len(model.channels))
-    starts = first_times(table) if model.time.start is None else np.full(len(table.labels), model.time.start)
+    starts = starts_of(table, model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
-    conditions = _conditions(table, model)
-    inputs = [_pieces(table, "input", i) for i in range(len(model.inputs))]
-    doses = [_pieces(table, "dose", i) for i in range(len(model.doses))]
+    inputs = [_pieces(table, i) for i in range(len(model.inputs))]
     hit: Mask = np.ones(len(table.time), dtype=bool)
     if measured_only:
         hit = np.any(counts > 0, axis=1)
@@ -80,7 +104,8 @@ def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory,
         rows = rows[hit[rows]]
         if not len(rows):
             continue
-        start = float(starts[g])
+        run_in = given[g].run_in
+        start = float(starts[g]) if run_in is None else given[g].start - run_in.duration
         items.append(
             Trajectory(
                 label=label,
@@ -90,11 +115,15 @@ def _cut(table: Records, model: Model, measured_only: bool) -> tuple[Trajectory,
                 counts=counts[rows],
                 sd=sd[rows],
                 condition=conditions[g],
-                inputs=tuple(
-                    _signal(pieces[g], start, declared.default)
-                    for pieces, declared in zip(inputs, model.inputs, strict=True)
+                inputs=with_infusions(
+                    model,
+                    given[g],
+                    [_signal(p[g], start, one.default) for p, one in zip(inputs, model.inputs, strict=True)],
+                    start,
+                    table.time[rows],
                 ),
-                doses=tuple(DoseEvents(*pieces[g]) for pieces in doses),
+                doses=given[g].doses,
+                run_in=run_in,
             )
         )
     return tuple(items)
@@ -134,14 +163,14 @@ def _conditions(table: Records, model: Model) -> Array:
     return conditions
 
 
-def _pieces(table: Records, role: str, index: int) -> list[tuple[Array, Array]]:
-    """The filled cells of an input or a dose by trajectory: times and values, in the order of time."""
+def _pieces(table: Records, index: int) -> list[tuple[Array, Array]]:
+    """The filled cells of an input by trajectory: times and values, in the order of time."""
     number = len(table.labels)
-    found = [(q, cells) for q, cells in table.series.items() if q.role == role and q.index == index]
+    found = [(q, cells) for q, cells in table.series.items() if q.role == "input" and q.index == index]
     if not found:
         return [(np.zeros(0), np.zeros(0))] * number
-    quantity, cells = found[0]
-    key, value = _once(cells.key, cells.value) if quantity.role == "input" else (cells.key, cells.value)
+    _, cells = found[0]
+    key, value = _once(cells.key, cells.value)
     edges = np.searchsorted(table.group[key], np.arange(number + 1))
     time = table.time[key]
     return [(time[edges[g] : edges[g + 1]], value[edges[g] : edges[g + 1]]) for g in range(number)]

@@ -33,6 +33,20 @@ class DoseEvents:
 
 
 @dataclass(frozen=True)
+class RunIn:
+    """The regimen before a trajectory's first row, so long that the solution is periodic then: a number of doses, at
+    equal intervals."""
+
+    interval: float
+    doses: int
+
+    @property
+    def duration(self) -> float:
+        """How long it lasts."""
+        return self.interval * self.doses
+
+
+@dataclass(frozen=True)
 class Trajectory:
     """One trajectory of R rows and C channels, float64.
 
@@ -40,7 +54,8 @@ class Trajectory:
     each row with a measurement; `values` [R, C] is NaN where a channel was not measured (replicates are averaged);
     `counts` [R, C] is the number of measurements that an entry averages (0 where none); `sd` [R, C] is the standard
     deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and `doses` follow the
-    model's order. `end` is the last of `times`.
+    model's order. `end` is the last of `times`. `run_in`: with what the time from `start` to `begins` is filled, so
+    that a steady state is reached; None without one.
     """
 
     label: str
@@ -52,6 +67,12 @@ class Trajectory:
     condition: Array
     inputs: tuple[Signal, ...] = ()
     doses: tuple[DoseEvents, ...] = ()
+    run_in: RunIn | None = None
+
+    @property
+    def begins(self) -> float:
+        """When the trajectory of the table begins: its start, after what leads to a steady state."""
+        return self.start if self.run_in is None else self.start + self.run_in.duration
 
     @property
     def end(self) -> float:

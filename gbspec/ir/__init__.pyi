@@ -28,6 +28,7 @@ from .forms import logistic as logistic
 from .forms import raw as raw
 from .forms import scale as scale
 from .forms import softplus as softplus
+from .infusions import uninfused as uninfused
 from .linearity import Linear as Linear
 from .linearity import linear_in_states as linear_in_states
 from .methods import AUTO as AUTO

@@ -9,7 +9,7 @@ from sympy.printing.str import StrPrinter
 
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
-from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
+from gbspec.ir.model import NN, Contract, Declared, Dose, Expr, Model, Network, Range, Unknown
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
@@ -166,7 +166,7 @@ def _mathematics(model: Model) -> list[str]:
             for c in model.channels
         ),
     )
-    lines += _section("doses", (f"{d.state} times {written(d.fraction)} lag {written(d.lag)}" for d in model.doses))
+    lines += _section("doses", (_dose(d) for d in model.doses))
     lines += _section(
         "diffusions",
         (
@@ -183,6 +183,11 @@ def _mathematics(model: Model) -> list[str]:
 
 def _distribution(found: Distribution) -> str:
     return f" ~ {found.kind}({found.spread if found.spread is not None else repr(found.fixed)})"
+
+
+def _dose(dose: Dose) -> str:
+    over = "" if dose.duration is None else f" over {written(dose.duration)} as {dose.infusion}"
+    return f"{dose.state}{over} times {written(dose.fraction)} lag {written(dose.lag)}"
 
 
 def _scale(noise: Noise) -> str:

@@ -133,12 +133,13 @@ class Condition(Declared):
 
 @dataclass(frozen=True)
 class Input(Declared):
-    """A known function of time; its symbol in an expression is its current value."""
+    """A known function of time, whose symbol is its value now; a rate of infusion if it names what it `infuses`."""
 
     interpolation: Literal["held", "linear"] = "held"
     range: Range | None = None
     default: float | None = None
     column: str = ""
+    infuses: str = ""
 
 
 @dataclass(frozen=True)
@@ -282,11 +283,14 @@ class Channel(Declared):
 
 @dataclass(frozen=True)
 class Dose:
-    """Additions to a state, from the column `dose_STATE` of the data: amount times `fraction`, `lag` later."""
+    """Additions to a state, from the column `dose_STATE` of the data: amount times `fraction`, `lag` later. Those that
+    last (`duration` where the data do not say; None: never) are the input `infusion`, in its balance times that."""
 
     state: str
     fraction: Expr = sympy.S.One
     lag: Expr = sympy.S.Zero
+    duration: Expr | None = None
+    infusion: str = ""
     span: Span | None = field(default=None, compare=False, repr=False)
 
 

@@ -99,7 +99,7 @@ def _expressions(model: Model) -> None:
         check(f"the rate of the claim `{claim.name}`", claim.rate, known)
     for dose in model.doses:
         _require(dose.state in model.state_index, f"a dose into `{dose.state}`")
-        for part in (dose.fraction, dose.lag):
+        for part in (dose.fraction, dose.lag, *(() if dose.duration is None else (dose.duration,))):
             check(f"the dose into `{dose.state}`", part, constants | conditions, applies=False)
     given = constants | conditions | {item.symbol for item in model.inputs}
     for diffusion in model.diffusions:

@@ -20,6 +20,7 @@ from gbspec.lower import populations
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
+from gbspec.lower.infusions import infused, refuse_elements
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
 from gbspec.semantics import Checked, Term, default_start, network_activation, network_widths, truth_parameters
@@ -173,7 +174,7 @@ class _Lowering:
             text=self._text(),
             allowed=self._checked.allowed,
         )
-        model = populations.completed(model, self._checked)
+        model = populations.completed(infused(model, self._checked, self._findings), self._checked)
         refuse_together(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
@@ -185,7 +186,9 @@ class _Lowering:
         families = self._short.families(
             {"balances": states, "starts": states, "channels": channels, "intermediates": intermediates}
         )
-        return replace(model, arrays=self._short.arrays(states), families=families)
+        model = replace(model, arrays=self._short.arrays(states), families=families)
+        refuse_elements(model, self._findings)
+        return model
 
     def _text(self) -> str:
         """The text of the file if it extends no other; else the merged statements."""
@@ -351,7 +354,8 @@ class _Lowering:
     def _dose(self, s: ast.DoseStatement) -> ir.Dose:
         fraction = self._fixed(s.fraction) if s.fraction is not None else sympy.S.One
         lag = self._fixed(s.lag) if s.lag is not None else sympy.S.Zero
-        return ir.Dose(target_name(s.target).text, fraction, lag, s.span)
+        duration = self._fixed(s.duration) if s.duration is not None else None
+        return ir.Dose(target_name(s.target).text, fraction, lag, duration, span=s.span)
 
     def _diffusions(self) -> tuple[ir.Diffusion, ...]:
         numbers = {symbol(name): value for name, value in self._checked.constants.items()}

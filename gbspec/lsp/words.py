@@ -19,6 +19,7 @@ CLAUSES: dict[str, str] = {
     "per": "`per trajectory`: each trajectory has its own value; `per trajectory ~ lognormal`: with a distribution",
     "trajectory": "`per trajectory`: each trajectory has its own value, with or without a distribution",
     "rate": "the rate of a process, or of a claim",
+    "over": "how long an infusion lasts, where the table does not say: `dose S over 0.5`",
     "times": "the fraction of a dose that arrives",
     "lag": "how much later a dose arrives",
     "by": "the network that represents the unknown: `mlp(32, 32, activation=silu)`",

@@ -41,17 +41,21 @@ def far_outside(data: Trajectories, model: Model) -> list[str]:
 
 
 def read_data(
-    data: str | Path | Frame, model: Model, findings: Findings, *, require_channels: bool = True
+    data: str | Path | Frame, model: Model, findings: Findings, *, require_channels: bool = True, form: str = "auto"
 ) -> Trajectories:
-    """A table of measurements for a model, in a file or in memory. Raises `UserError` with all errors in it."""
-    from gbspec.data import is_frame, read, read_frame
+    """A table of measurements for a model, in a file or in memory. Raises `UserError` with all errors in it.
 
+    `form` is that of `--format`: `auto`, `table`, `nonmem`, or `nonmem:1=gut,2=conc`.
+    """
+    from gbspec.data import format_named, is_frame, read, read_frame
+
+    chosen = format_named(form)
     if isinstance(data, str | Path):
-        return read(data, model, findings, require_channels)
+        return read(data, model, findings, require_channels, chosen)
     if not is_frame(data):
         kinds = "a path, a data frame of polars, pandas or pyarrow, or a mapping of names to columns"
         raise TypeError(f"data are {kinds}, not {type(data).__name__}")
-    return read_frame(data, model, findings, require_channels)
+    return read_frame(data, model, findings, require_channels, chosen)
 
 
 def training_data(run: Run, findings: Findings, *, required: bool = True) -> Trajectories | None:
@@ -69,7 +73,7 @@ def training_data(run: Run, findings: Findings, *, required: bool = True) -> Tra
     for path in _places(run):
         if path.is_file() and path not in seen:
             if not run.fit.data.sha256 or digest(path) == run.fit.data.sha256:
-                return read_data(path, run.model, findings)
+                return read_data(path, run.model, findings, form=run.fit.data.format or "auto")
             seen.append(path)
     message, help = _trouble(run, seen)
     if required:
@@ -139,7 +143,11 @@ def _read(run: Run, given: str | Path | Frame | Trajectories | None, findings: F
 
     if isinstance(given, Trajectories):
         return given
-    return training_data(run, findings) if given is None else read_data(given, run.model, findings)
+    return (
+        training_data(run, findings)
+        if given is None
+        else read_data(given, run.model, findings, form=run.fit.data.format or "auto")
+    )
 
 
 def digest(path: Path) -> str:

@@ -15,7 +15,7 @@ from enum import Enum
 import sympy
 
 from gbspec.diagnostics import Findings, Label
-from gbspec.ir import Claim, Expr, Model
+from gbspec.ir import Claim, Expr, Model, uninfused
 from gbspec.passes.conservation import as_text
 from gbspec.passes.terms import Opened, branching, constants_of, exact, terms
 
@@ -72,10 +72,10 @@ def check_claims(model: Model, findings: Findings) -> None:
 
 def decide(model: Model, claim: Claim) -> Decision:
     """Whether the claim holds for every state, time, constant and unknown function."""
-    free = _difference(model, claim, model.balances, claim.value, claim.rate)
+    free = _difference(model, claim, uninfused(model), claim.value, claim.rate)
     if free is not None and _vanishes(model, free) is Verdict.HOLDS:
         return Decision(claim, Verdict.HOLDS)
-    *balances, value, rate = model.inlined([*model.balances, claim.value, claim.rate])
+    *balances, value, rate = model.inlined([*uninfused(model), claim.value, claim.rate])
     whole = _difference(model, claim, balances, value, rate)
     assert whole is not None
     verdict = _vanishes(model, whole)

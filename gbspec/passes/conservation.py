@@ -9,7 +9,7 @@ from typing import TypeVar
 import sympy
 from sympy.polys.matrices import DomainMatrix
 
-from gbspec.ir import Expr, Model, in_language
+from gbspec.ir import Expr, Model, in_language, uninfused
 from gbspec.passes.terms import Opened, branching, constants_of, larger_than
 
 K = TypeVar("K")
@@ -48,10 +48,10 @@ def linear_laws(model: Model) -> tuple[Law, ...]:
     independent (laws that depend on identities between functions, such as sin^2 + cos^2 = 1, are not found). The laws
     are the left null space of the matrix of coefficients, over the field of rational functions of the constants.
     """
-    laws = _laws(model, model.balances, 0)
+    laws = _laws(model, uninfused(model), 0)
     if larger_than(model, LARGEST):
         return laws
-    return _completed(laws, _laws(model, model.inlined(model.balances), len(laws)))
+    return _completed(laws, _laws(model, model.inlined(uninfused(model)), len(laws)))
 
 
 def _laws(model: Model, balances: Sequence[Expr], known: int) -> tuple[Law, ...]:

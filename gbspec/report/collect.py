@@ -107,12 +107,12 @@ def at_times(item: Trajectory, times: Array) -> Trajectory:
 
 def dense_times(item: Trajectory) -> Array:
     """Times of a curve over a trajectory; a dose, where the curve may jump, has one before it and one just after."""
-    if not item.end > item.start:
-        return np.array([item.start])
-    grid = np.linspace(item.start, item.end, int(np.clip(2 * len(item.times), DENSE, DENSEST)))
+    if not item.end > item.begins:
+        return np.array([item.begins])
+    grid = np.linspace(item.begins, item.end, int(np.clip(2 * len(item.times), DENSE, DENSEST)))
     doses = np.concatenate([np.zeros(0), *(events.times for events in item.doses)])
-    doses = doses[(doses >= item.start) & (doses < item.end)]
-    return np.unique(np.concatenate([grid, doses, doses + 1e-9 * (item.end - item.start)])) if len(doses) else grid
+    doses = doses[(doses >= item.begins) & (doses < item.end)]
+    return np.unique(np.concatenate([grid, doses, doses + 1e-9 * (item.end - item.begins)])) if len(doses) else grid
 
 
 def units(model: Model) -> dict[str, str]:
@@ -160,8 +160,8 @@ def _given(model: Model, item: Trajectory) -> tuple[Given, ...]:
     """The inputs over the trajectory's time, and the doses in it."""
     found = []
     for signal, one in zip(item.inputs, model.inputs, strict=True):
-        inside = signal.times[(signal.times > item.start) & (signal.times < item.end)]
-        times = np.concatenate([[item.start], inside, [item.end]])
+        inside = signal.times[(signal.times > item.begins) & (signal.times < item.end)]
+        times = np.concatenate([[item.begins], inside, [item.end]])
         values = evaluate(signal, one.interpolation, times)
         if one.interpolation == "held":
             before = evaluate(signal, "held", times[1:], "left")
@@ -169,7 +169,7 @@ def _given(model: Model, item: Trajectory) -> tuple[Given, ...]:
             values = np.column_stack([values[:-1], before]).ravel()
         found.append(Given(one.name, times, values, one.unit or ""))
     for events, dose in zip(item.doses, model.doses, strict=True):
-        seen = events.times <= item.end
+        seen = (events.times >= item.begins) & (events.times <= item.end)
         if seen.any():
             unit = units(model).get(dose.state, "")
             found.append(Given(f"dose, {dose.state}", events.times[seen], events.amounts[seen], unit, doses=True))
@@ -219,7 +219,7 @@ def orbits(fitted: Fitted, indices: Sequence[int], plane: tuple[int, int]) -> tu
     for index in indices:
         item = fitted.data.items[index]
         # Time is not shown, so that a fast turn needs as many points as a slow one of the same length.
-        grid = np.linspace(item.start, item.end, FINE * DENSE) if item.end > item.start else dense_times(item)
+        grid = np.linspace(item.begins, item.end, FINE * DENSE) if item.end > item.begins else dense_times(item)
         states, _ = fitted.solutions(index, grid)
         true = fitted.true_solution(index, grid)
         seen = np.zeros((0, 2))

@@ -37,9 +37,11 @@ def _columns(items: Iterable[Item]) -> Iterator[tuple[str, str, Span]]:
                 | ast.ObserveStatement(target=name, column=column)
             ):
                 yield _column(target_name(name), column)
-            case ast.DoseStatement(target=target):
+            case ast.DoseStatement(target=target, duration=duration):
                 name = target_name(target)
                 yield f"dose_{name.text}", f"the dose into `{name.text}`", name.span
+                if duration is not None:
+                    yield f"infusion_{name.text}", f"the rate of infusion into `{name.text}`", name.span
             case ast.Remark() | ast.Formula() | ast.TimeStatement() | ast.StateStatement():
                 pass
             case ast.LearnStatement() | ast.UnknownStatement():

@@ -21,19 +21,28 @@ def expand(merged: Merged, findings: Findings) -> Merged:
     if not any(_has_rate(place) for item in merged.items for place in item.statement.places()):
         return merged
     balances = _balances(merged.items)
-    disturbed = {
-        target_name(item.statement.target).text
-        for item in merged.items
-        if isinstance(item.statement, ast.DiffusionStatement)
-    }
+    disturbed, infused = _others(merged.items)
 
     def put(item: Item) -> Item:
         def change(place: Place) -> ast.Expression:
-            return rebuilt(place.expression, lambda node: _value(node, item, balances, disturbed, findings), _is_rate)
+            return rebuilt(
+                place.expression, lambda node: _value(node, item, balances, disturbed, infused, findings), _is_rate
+            )
 
         return Item(with_expressions(item.statement, change), item.text)
 
     return replace(merged, items=tuple(put(item) for item in merged.items))
+
+
+def _others(items: Iterable[Item]) -> tuple[set[str], set[str]]:
+    """The states with random disturbances, and those with infusions."""
+    disturbed, infused = set(), set()
+    for statement in (item.statement for item in items):
+        if isinstance(statement, ast.DiffusionStatement):
+            disturbed.add(target_name(statement.target).text)
+        elif isinstance(statement, ast.DoseStatement) and statement.duration is not None:
+            infused.add(target_name(statement.target).text)
+    return disturbed, infused
 
 
 def _is_rate(node: ast.Expression) -> bool:
@@ -64,6 +73,7 @@ def _value(
     item: Item,
     balances: Mapping[str, ast.Expression],
     disturbed: Collection[str],
+    infused: Collection[str],
     findings: Findings,
 ) -> ast.Expression:
     if not isinstance(node, ast.RateOf):
@@ -78,6 +88,10 @@ def _value(
     elif name.text in disturbed:
         message = f"`{name.text}` has a `diffusion`, and so no rate of change that could be measured"
         findings.error("GB344", message, node.span, help="measure the state, or leave out its diffusion")
+    elif name.text in infused:
+        message = f"`{name.text}` has infusions (`dose … over`), which its measured rate of change would contain"
+        help = "measure the state, or declare an `input`, the rate of infusion, and add it to the balance"
+        findings.error("GB430", message, node.span, help=help)
     elif not any(_is_rate(part) for part in walk(balances[name.text])):
         return ast.Group(node.span, balances[name.text])
     return ast.Number(node.span, "0")

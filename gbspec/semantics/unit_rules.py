@@ -138,8 +138,8 @@ class _Rules:
                 self._unknown(statement)
             case ast.ObserveStatement(target=target, value=value, unit=unit):
                 self._noise(statement, self._channel(target_name(target), value, unit))
-            case ast.DoseStatement(fraction=fraction, lag=lag):
-                self._dose(fraction, lag)
+            case ast.DoseStatement(duration=duration, fraction=fraction, lag=lag):
+                self._dose(duration, fraction, lag)
             case ast.DiffusionStatement(target=target, value=value):
                 self._diffusion(target_name(target), value)
             case ast.ConserveStatement(value=value, rate=rate):
@@ -244,7 +244,11 @@ class _Rules:
             if self._usable(value):
                 self._units.carries(value, wanted, f"the spread of `{name.text}`", name.span)
 
-    def _dose(self, fraction: ast.Expression | None, lag: ast.Expression | None) -> None:
+    def _dose(
+        self, duration: ast.Expression | None, fraction: ast.Expression | None, lag: ast.Expression | None
+    ) -> None:
+        if duration is not None and self._usable(duration):
+            self._units.carries(duration, self._time(), "the duration of an infusion", duration.span)
         if fraction is not None and self._usable(fraction):
             self._units.agrees(fraction, ONE, "the fraction of a dose", fraction.span)
         if lag is not None and self._usable(lag):

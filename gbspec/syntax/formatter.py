@@ -30,6 +30,7 @@ _ORDER = (
         "per_trajectory",
         "rate",
         "noise",
+        "over",
         "times",
         "lag",
         "column",

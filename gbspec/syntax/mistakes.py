@@ -45,6 +45,7 @@ _KEYWORDS = frozenset(
             "per",
             "trajectory",
             "rate",
+            "over",
             "times",
             "lag",
         ),

@@ -52,6 +52,12 @@ DOSING = Rule(
     "constants, learnable constants and conditions",
     "GB313",
 )
+DURATION = Rule(
+    "the duration of an infusion",
+    frozenset({Kind.CONST, Kind.FUNCTION, Kind.LET, Kind.CONDITION}),
+    "numbers, constants and conditions",
+    "GB427",
+)
 SPREAD = Rule(
     "how far values lie apart", frozenset({Kind.CONST, Kind.LEARN, Kind.FUNCTION}), "a number or a constant", "GB422"
 )

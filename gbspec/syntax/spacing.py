@@ -18,7 +18,7 @@ _TOKEN = re.compile(
 )
 _TIGHT = frozenset({"*", "/", "^"})
 _WORDS = frozenset({"and", "or", "not"})
-_VALUE_WORDS = frozenset({"rate", "times", "lag", "from"})  # clause keywords that precede an expression
+_VALUE_WORDS = frozenset({"rate", "over", "times", "lag", "from"})  # clause keywords that precede an expression
 
 
 @dataclass

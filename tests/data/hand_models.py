@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from gbspec.ir.model import Channel, Condition, Dose, Input, Model, Noise, Range, State, Time, symbol
+import sympy
+
+from gbspec.ir.model import Channel, Condition, Dose, Expr, Initial, Input, Model, Noise, Range, State, Time, symbol
 
 
 def reactor(**changes: object) -> Model:
@@ -47,3 +49,23 @@ def growth() -> Model:
     """A state x, measured with lognormal noise."""
     channel = Channel("x", value=symbol("x"), state=0, noise=Noise("lognormal", 0.1))
     return Model("growth", states=(State("x"),), channels=(channel,))
+
+
+def drip(
+    duration: Expr | None = sympy.S.Zero,
+    initial: Initial = Initial("expression", sympy.S.Zero),  # noqa: B008 - immutable
+    conditions: tuple[Condition, ...] = (),
+    lag: Expr = sympy.S.Zero,
+) -> Model:
+    """A state x, measured, with doses that last `duration` where a table does not say it; None: never."""
+    name = "" if duration is None else "infusion_x"
+    return Model(
+        "drip",
+        time=Time("t", start=0.0),
+        states=(State("x", initial=initial),),
+        conditions=conditions,
+        inputs=(Input(name, default=0.0, column=name, infuses="x"),) if name else (),
+        balances=(-symbol("x") + (symbol(name) if name else 0),),
+        channels=(Channel("x", value=symbol("x"), state=0),),
+        doses=(Dose("x", lag=lag, duration=duration, infusion=name),),
+    )

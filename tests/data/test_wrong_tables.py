@@ -10,8 +10,8 @@ import pytest
 from gbspec.data.table import read
 from gbspec.diagnostics import Cell, Diagnostic, Findings, Severity, UserError
 from gbspec.diagnostics.catalogue import entries
-from gbspec.ir.model import Condition, Model
-from tests.data.hand_models import decay, growth, patient, reactor, tank
+from gbspec.ir.model import Condition, Initial, Model, symbol
+from tests.data.hand_models import decay, drip, growth, patient, reactor, tank
 from tests.data.reader import Reader
 
 HEAD = "trajectory,t,x1,x2,Da\n"
@@ -181,17 +181,24 @@ def test_without_a_default_a_condition_is_required(reading: Reader) -> None:
     assert found is not None and findings == []
 
 
+DOSED = {
+    "drip": drip(),
+    "pulse": drip(duration=None),
+    "free": drip(initial=Initial("learned")),
+    "rated": drip(duration=symbol("speed"), conditions=(Condition("speed"),)),
+}
 TABLES = [
     code
     for code, entry in entries().items()
-    if entry.topic == "data" and code <= "GB728" and not entry.wrong.startswith(("gbspec ", "iconv "))
+    if (entry.topic == "data" and code <= "GB728" and not entry.wrong.startswith(("gbspec ", "iconv ")))
+    or (entry.topic == "dosing" and "---" in entry.wrong)
 ]
 
 
 @pytest.mark.parametrize("code", TABLES)
 def test_the_catalogues_examples(reading: Reader, code: str) -> None:
     entry = entries()[code]
-    models = {"decay": decay(), "tank": tank(), "growth": growth()}
+    models = {"decay": decay(), "tank": tank(), "growth": growth(), **DOSED}
 
     def codes(example: str) -> set[str]:
         head, _, table = example.rpartition("---\n")

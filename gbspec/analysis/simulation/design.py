@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbspec.arrays import Array, Mask
-from gbspec.data import Box, DoseEvents, Signal, SimulateOptions, Trajectory, clipped, regimen, similar
+from gbspec.data import Box, DoseEvents, Signal, SimulateOptions, Trajectory, clipped, lasting, regimen, similar
 from gbspec.diagnostics import Findings
 from gbspec.ir import Model, Range
 
@@ -155,6 +155,7 @@ def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random:
     x0, condition = draw(box.states, random), draw(box.conditions, random)
     doses = tuple(drawn_doses(options.dose.get(dose.state), start, end, random) for dose in model.doses)
     first = min([float(times[0]), *(events.times[0] for events in doses if len(events.times))])
+    doses, inputs = lasting(model, condition, doses, inputs, options.dose, (start, end))
     # An initial value that the model gives holds at time `start`, so that the table must begin there.
     fixed = model.time.start is not None or any(state.initial.kind == "expression" for state in model.states)
     begins = start if fixed else first
@@ -188,13 +189,14 @@ def plan_like(
         drawn_doses(options.dose[dose.state], item.start, item.end, random) if dose.state in options.dose else events
         for dose, events in zip(model.doses, item.doses, strict=True)
     )
+    doses, inputs = lasting(model, condition, doses, item.inputs, options.dose, (item.start, item.end))
     return Plan(
         label=item.label,
         start=item.start,
         begins=item.start,
         x0=draw(box.states, random),
         condition=condition,
-        inputs=item.inputs,
+        inputs=inputs,
         doses=doses,
         times=item.times[used],
         mask=mask[used],

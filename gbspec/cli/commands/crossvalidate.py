@@ -10,7 +10,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.runs import files
 from gbspec.studies import SUMMARY, CrossOptions
@@ -31,6 +31,7 @@ def run(
     division: CrossOptions,
     options: TrainOptions,
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Fit a model several times, each time without a part of the data, and report the errors of predicting that part.
 
@@ -49,7 +50,7 @@ def run(
     options.check(findings)
     findings.raise_if_failed()
     specified = models.specified(frontend.load_model(model, findings), settings(set_values))
-    measured = tables.read_data(data, specified, findings)
+    measured = tables.read_data(data, specified, findings, form=form)
     output.findings(findings)
     with ExitStack() as stack:
 

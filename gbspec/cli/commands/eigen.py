@@ -8,7 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, points, settings
+from gbspec.cli.settings import Form, Settings, points, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def run(
         ),
     ] = False,
     set_values: Settings = None,
+    form: Form = "auto",
     member: Annotated[
         int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
     ] = None,
@@ -60,7 +61,9 @@ def run(
         output.document(compared.to_json())
         output.result(str(compared))
         return
-    data = None if along is None else tables.read_data(along, subject.model, findings, require_channels=False)
+    data = (
+        None if along is None else tables.read_data(along, subject.model, findings, require_channels=False, form=form)
+    )
     output.findings(findings)
     found = analysing.eigen(subject, at=given, along=data, steady=steady or not (given or along))
     output.document(found.to_json())

@@ -8,7 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.report import KINDS, names
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def run(
         list[str] | None, typer.Option("--show", help="A trajectory to show; may be repeated.", metavar="LABEL")
     ] = None,
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Draw a figure of a run: its fit, functions, constants, residuals and others, or a summary."""
     from gbspec.diagnostics import Findings
@@ -49,7 +50,7 @@ def run(
     measured = (
         tables.training_data(made, findings, required=False)
         if data is None
-        else tables.read_data(data, made.model, findings)
+        else tables.read_data(data, made.model, findings, form=form)
     )
     output.findings(findings)
     save(reporting.figure(kind, made, measured, show or ()), to)

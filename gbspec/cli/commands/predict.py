@@ -8,7 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 
@@ -38,6 +38,7 @@ def run(
         ),
     ] = None,
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Predict trajectories from their first rows: mean, 90 % interval, and how each row was used."""
     from gbspec.diagnostics import Findings
@@ -48,7 +49,7 @@ def run(
     path = target(to)
     findings = Findings()
     opened = models.open_run(directory, settings(set_values), findings)
-    table = tables.read_data(data, opened.model, findings, require_channels=False)
+    table = tables.read_data(data, opened.model, findings, require_channels=False, form=form)
     output.findings(findings)
     with output.console().status("predicting"):
         found = analysing.predict(opened, table, window=rows, path=path)

@@ -9,7 +9,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import Diagnostic, UserError
 
 
@@ -34,6 +34,7 @@ def run(
     ends: Annotated[tuple[float, float] | None, typer.Option("--range", help="Its range.", metavar="LO HI")] = None,
     cycles: Annotated[bool, typer.Option("--cycles", help="Follow the limit cycles too.")] = False,
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Write one self-contained page: model, fit, learned functions and constants, errors, how to reproduce the run."""
     from gbspec.diagnostics import Findings
@@ -46,7 +47,11 @@ def run(
     findings = Findings()
     opened = models.open_run(directory, settings(set_values), findings)
     path = writable(to if to is not None else Path(directory) / "report.html")
-    table = tables.training_data(opened, findings) if data is None else tables.read_data(data, opened.model, findings)
+    table = (
+        tables.training_data(opened, findings)
+        if data is None
+        else tables.read_data(data, opened.model, findings, form=form)
+    )
     output.findings(findings)
     diagram = None if over is None or ends is None else (over, *ends)
     with output.console().status("writing the report"):

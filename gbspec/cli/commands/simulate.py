@@ -8,7 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.data import SimulateOptions
 
 
@@ -27,6 +27,7 @@ def run(
         str | None, typer.Option("--like", help="Take times, inputs and doses from this table.", metavar="TABLE")
     ] = None,
     set_values: Settings = None,
+    form: Form = "auto",
     member: Annotated[
         int | None, typer.Option("--member", help="A member of the run; default: the best.", metavar="K")
     ] = None,
@@ -40,7 +41,7 @@ def run(
     findings = Findings()
     target(to)
     subject = models.subject(source, settings(set_values), findings, member)
-    table = None if like is None else tables.read_data(like, subject.model, findings, require_channels=False)
+    table = None if like is None else tables.read_data(like, subject.model, findings, require_channels=False, form=form)
     output.findings(findings)
     with output.bar("simulating") as advance:
         data = tables.simulate(subject, options, table, advance)

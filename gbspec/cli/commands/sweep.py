@@ -11,7 +11,7 @@ from gbspec.cli.commands.train import target
 from gbspec.cli.frame import command
 from gbspec.cli.interruption import continued
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import Findings
 from gbspec.report import number, table
 from gbspec.training import TrainOptions, points
@@ -40,6 +40,7 @@ def run(
     ],
     options: TrainOptions,
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Train a model with every combination of some options, one run directory each, and compare the results.
 
@@ -55,7 +56,7 @@ def run(
     chosen = points(vary, options, findings)
     findings.raise_if_failed()
     specified = models.specified(frontend.load_model(model, findings), settings(set_values))
-    measured = tables.read_data(data, specified, findings)
+    measured = tables.read_data(data, specified, findings, form=form)
     output.findings(findings)
     with continued(directory), shown(output) as progress:
         rows = fitting.sweep(specified, measured, chosen, directory, options, progress)

@@ -10,7 +10,7 @@ import typer
 from gbspec.cli.frame import command
 from gbspec.cli.interruption import continued
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.report import run_summary
 from gbspec.training import TrainOptions
@@ -29,6 +29,7 @@ def run(
     to: Annotated[str, typer.Option("--output", "-o", help="The run directory to create.", metavar="RUN")],
     options: TrainOptions,
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Learn the unknown functions and constants of a model from a table, into a run directory."""
     from gbspec import frontend
@@ -42,7 +43,7 @@ def run(
     output.say(f"reading {model}")
     specified = models.specified(frontend.load_model(model, findings), settings(set_values))
     output.say(f"reading {data}")
-    measured = tables.read_data(data, specified, findings)
+    measured = tables.read_data(data, specified, findings, form=form)
     output.findings(findings)
     with continued(directory), shown(output) as progress:
         made = fitting.train(specified, measured, directory, options, progress)

@@ -8,7 +8,7 @@ import typer
 
 from gbspec.cli.frame import command
 from gbspec.cli.output import Output
-from gbspec.cli.settings import Settings, settings
+from gbspec.cli.settings import Form, Settings, settings
 from gbspec.diagnostics import ComputationError, Diagnostic, UserError
 
 
@@ -19,6 +19,7 @@ def run(
     data: Annotated[str | None, typer.Argument(help="A table; default: the training data.", metavar="[DATA]")] = None,
     member: Annotated[str, typer.Option("--member", help="A member, or the mean of all.", metavar="K|mean")] = "mean",
     set_values: Settings = None,
+    form: Form = "auto",
 ) -> None:
     """Report the errors of a run: on data, at half the step, with an adaptive solver, and against the truth."""
     from gbspec.diagnostics import Findings
@@ -27,7 +28,11 @@ def run(
     findings = Findings()
     made = models.open_run(directory, settings(set_values), findings)
     chosen = which(member)
-    measured = tables.training_data(made, findings) if data is None else tables.read_data(data, made.model, findings)
+    measured = (
+        tables.training_data(made, findings)
+        if data is None
+        else tables.read_data(data, made.model, findings, form=form)
+    )
     output.findings(findings)
     if data is None and measured is not None:
         output.say(f"on the training data, {measured.path or 'which the run keeps'}")

@@ -15,16 +15,17 @@ from gbspec.syntax.transformer import Children, ClauseRules
 
 @dataclass(frozen=True)
 class DoseStatement(About):
-    """`dose S times F lag tlag`."""
+    """`dose S over D times F lag tlag`."""
 
     entry = Entry(
         word="dose",
         meaning="amounts from the data are added to this state at given times (column `dose_NAME`)",
-        example='dose S times F lag tlag "oral"',
+        example='dose S over D times F lag tlag "oral"',
         title="doses",
         symbol="Event",
         about=frozenset({Kind.STATE}),
     )
+    duration: Expression | None = None
     fraction: Expression | None = None
     lag: Expression | None = None
     description: Text | None = None
@@ -33,10 +34,19 @@ class DoseStatement(About):
     def read(cls, reader: ClauseRules, children: Children) -> Self:
         """Builds the node from `dose target` and its clauses."""
         found = reader.gather(children, "a dose")
-        return cls(reader.over(children), children[1], found.get("times"), found.get("lag"), found.get("text"))
+        return cls(
+            reader.over(children),
+            children[1],
+            found.get("over"),
+            found.get("times"),
+            found.get("lag"),
+            found.get("text"),
+        )
 
     def places(self) -> Iterator[Place]:
-        """The fraction that arrives and the lag."""
+        """The duration of infusions, the fraction that arrives, and the lag."""
+        if self.duration is not None:
+            yield Place(self.duration, rules.DURATION)
         for part in (self.fraction, self.lag):
             if part is not None:
                 yield Place(part, rules.DOSING)

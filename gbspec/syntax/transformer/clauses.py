@@ -44,6 +44,9 @@ class ClauseRules(ExpressionRules):
     def rate_clause(self, children: Children) -> Clause:
         return self._number("rate", children)
 
+    def over_clause(self, children: Children) -> Clause:
+        return self._number("over", children)
+
     def times_clause(self, children: Children) -> Clause:
         return self._number("times", children)
 

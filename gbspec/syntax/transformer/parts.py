@@ -45,6 +45,7 @@ CLAUSE_WORDS = {
     "per_trajectory": "`per trajectory`",
     "learned": "`learn`",
     "rate": "`rate`",
+    "over": "`over`",
     "times": "`times`",
     "lag": "`lag`",
     "postulates": "postulate (`= …`)",

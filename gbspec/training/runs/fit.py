@@ -224,7 +224,8 @@ def _data_record(trajectories: Trajectories, run: Path) -> DataRecord:
         relative: str | None = os.path.relpath(absolute, run.resolve())
     except ValueError:  # on another drive
         relative = None
-    return DataRecord(trajectories.path, trajectories.sha256, *counts, str(absolute), relative)
+    form = trajectories.meta.get("format")
+    return DataRecord(trajectories.path, trajectories.sha256, *counts, str(absolute), relative, form)
 
 
 def _in_table(trajectories: Trajectories) -> bool:

@@ -28,6 +28,7 @@ from gbspec.training.runs.populations import with_population
 from gbspec.training.runs.position import Position, checkpoint, restored
 from gbspec.training.runs.remarks import Exact, Remarks
 from gbspec.training.runs.signals import uninterrupted
+from gbspec.training.runs.steady import unsteady
 from gbspec.training.runs.summary import MemberResult
 from gbspec.training.runs.verdict import widening
 from gbspec.training.stages import StageName
@@ -326,6 +327,8 @@ class _Runner:
         with aside(path) as temporary:
             instance = type(self.context.module)(weights, sealed(info, weights, self._summary(result)))
             instance.save(temporary)
+        if position.finished:
+            result.left += self._unsteady(instance)
         (self.directory / COVARIANCE).unlink(missing_ok=True)
         factor = widening(result.channels)
         if position.finished and not self.context.model.marginal:
@@ -341,6 +344,12 @@ class _Runner:
             result.own_sd = factor * position.certainty.own
         result.finished, result.notes = position.finished, list(position.notes)
         return result
+
+    def _unsteady(self, instance: GeneratedModule) -> list[str]:
+        """What is to be said of trajectories that do not begin in the steady state that the table asks for."""
+        with torch.no_grad():
+            constants = self.parameters.constants(torch.from_numpy(self.position.best)).numpy()
+        return unsteady(instance, self.context.trajectories.items, constants)
 
     def _summary(self, result: MemberResult) -> Summary:
         """What the weights file says of the fit."""
