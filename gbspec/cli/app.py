@@ -32,6 +32,7 @@ COMMANDS = {
     "predict": "gbspec.cli.commands.predict",
     "eigen": "gbspec.cli.commands.eigen",
     "bifurcate": "gbspec.cli.commands.bifurcate",
+    "evaluate": "gbspec.cli.commands.evaluate",
     "profile": "gbspec.cli.commands.profile",
     "compare": "gbspec.cli.commands.compare",
     "plot": "gbspec.cli.commands.plot",

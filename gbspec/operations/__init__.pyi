@@ -1,10 +1,12 @@
 from . import analysing as analysing
 from . import comparing as comparing
+from . import evaluating as evaluating
 from . import exporting as exporting
 from . import fitting as fitting
 from . import models as models
 from . import reporting as reporting
 from . import tables as tables
+from .evaluating import Evaluation as Evaluation
 from .exporting import Export as Export
 from .exporting import ExportForm as ExportForm
 from .models import Subject as Subject
