@@ -23,6 +23,7 @@ COMMANDS = {
     "fmt": "gbspec.cli.commands.fmt",
     "compile": "gbspec.cli.commands.compile",
     "export": "gbspec.cli.commands.export",
+    "import": "gbspec.cli.commands.import_",
     "explain": "gbspec.cli.commands.explain",
     "lsp": "gbspec.cli.commands.lsp",
     "simulate": "gbspec.cli.commands.simulate",
