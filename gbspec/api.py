@@ -28,7 +28,7 @@ from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.keywords import SimulateKeywords, StudyKeywords, TrainKeywords, options_of
-from gbspec.operations import analysing, exporting, fitting, models
+from gbspec.operations import analysing, evaluating, exporting, fitting, models
 from gbspec.report import progress_of, register
 from gbspec.studies import StudyOptions
 from gbspec.training import TrainOptions
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from gbspec.analysis import Diagram, Eigen, Validation
     from gbspec.data import Trajectories
     from gbspec.exports import Precision
-    from gbspec.operations import Export, ExportForm
+    from gbspec.operations import Evaluation, Export, ExportForm
     from gbspec.studies import CrossValidation
     from gbspec.training import Progress
 
@@ -169,6 +169,13 @@ class Specification(Tabled):
         subject = models.reference(self.model, values)
         return exporting.exported(subject, path, as_, self.path, verify=verify, precision=precision, part=part)
 
+    def evaluate(self, data: Data, *, values: Mapping[str, float] | None = None) -> Evaluation:
+        """Negative log likelihood, chi-squared, residuals and gradient on data at a point.
+
+        Learnables are at `values`, else at their truths, else at their starts; see `gbspec evaluate`.
+        """
+        return evaluating.of_model(self.model, table_of(data, self.model), values)
+
     def eigen(
         self,
         *,
@@ -254,6 +261,11 @@ def train(
 def validate(run: str | Path, data: Data | None = None) -> Validation:
     """Errors of a run, by path; see `FittedRun.validate`."""
     return open_run(run).validate(data)
+
+
+def evaluate(source: str | Path, data: Data, *, values: Mapping[str, float] | None = None) -> Evaluation:
+    """The objective of a model or of a run on data at a point, by path; see `Specification.evaluate`."""
+    return _subject(source).evaluate(data, values=values)
 
 
 def bifurcate(

@@ -12,7 +12,7 @@ from gbspec.diagnostics import Findings
 from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
 from gbspec.keywords import SimulateKeywords, options_of
-from gbspec.operations import analysing, exporting, fitting, models, reporting, tables
+from gbspec.operations import analysing, evaluating, exporting, fitting, models, reporting, tables
 
 if TYPE_CHECKING:
     import polars as pl
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from gbspec.backends import GeneratedModule
     from gbspec.data import Frame, Trajectories
     from gbspec.exports import Precision
-    from gbspec.operations import Export, ExportForm
+    from gbspec.operations import Evaluation, Export, ExportForm
     from gbspec.runs import Run
     from gbspec.training import Profile
 
@@ -112,6 +112,14 @@ class FittedRun(Tabled):
         """
         subject = models.learned(self.run, values, member)
         return exporting.exported(subject, path, as_, str(self.run.path), verify=verify, precision=precision, part=part)
+
+    def evaluate(
+        self, data: Data | None = None, *, values: Mapping[str, float] | None = None, member: int | None = None
+    ) -> Evaluation:
+        """Negative log likelihood, chi-squared, residuals and gradient (default: on the training data, of the best
+        member), at what was learned, with `values` in place of some constants; see `gbspec evaluate`."""
+        table = table_of(data, self.run.model) if data is not None else tables.trained_on(self.run, None, Findings())
+        return evaluating.of_run(self.run, table, values, member)
 
     def eigen(
         self,

@@ -22,6 +22,8 @@ from pathlib import Path
 
 from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
 from gbspec.exports.programs import MOST_CALLS, MOST_OPERATIONS
+from gbspec.imports.safety import DEEPEST, MOST_DECLARED, MOST_ELEMENTS
+from gbspec.imports.safety import MOST_BYTES as MOST_XML
 from gbspec.syntax.limits import (
     LONGEST_WORD,
     MOST_BYTES,
@@ -80,6 +82,37 @@ def parquet(folder: Path) -> list[str]:
     return ["table", str(folder / "m.gb"), str(folder / "t.parquet")]
 
 
+def xml(text: Callable[[], str]) -> Callable[[Path], list[str]]:
+    """Importing an SBML file."""
+
+    def make(folder: Path) -> list[str]:
+        (folder / "m.xml").write_text(text())
+        return ["import", str(folder / "m.xml"), "-o", str(folder / "imported")]
+
+    return make
+
+
+def sbml(body: str) -> str:
+    core = 'xmlns="http://www.sbml.org/sbml/level3/version2/core" level="3" version="2"'
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n<sbml {core}><model id="m">{body}</model></sbml>'
+
+
+def pools(count: int) -> str:
+    """Parameters, each with a rate rule that needs the one before."""
+    each = "".join(f'<parameter id="p{i}" value="1" constant="false"/>' for i in range(count))
+    math = '<math xmlns="http://www.w3.org/1998/Math/MathML">'
+    rules = "".join(
+        f'<rateRule variable="p{i}">{math}<ci>p{max(i - 1, 0)}</ci></math></rateRule>' for i in range(count)
+    )
+    return sbml(f"<listOfParameters>{each}</listOfParameters><listOfRules>{rules}</listOfRules>")
+
+
+def entities(levels: int) -> str:
+    """Entities of entities: ten to the power of their number, if they were written out."""
+    lines = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, levels))
+    return f'<?xml version="1.0"?><!DOCTYPE sbml [<!ENTITY e0 "x">{lines}]><sbml>&e{levels - 1};</sbml>'
+
+
 def lets(count: int) -> str:
     chain = "".join(f"let a{i} = a{i - 1} + 1\n" for i in range(1, count))
     return "model m\nstate x = 1\nlet a0 = 1\n" + chain + f"x' = -x*a{count - 1}\nobserve x\n"
@@ -107,6 +140,11 @@ INPUTS = (
     Input("word", "a model: one name of 10 MB", model(lambda: HEAD + "let " + "a" * 10_000_000 + " = 1\n")),
     Input("number", "a model: one number of 1.5 MB", model(lambda: HEAD + "let a = " + "9" * 1_500_000 + "\n")),
     Input("brackets", "a model: 1,000,000 open brackets", model(lambda: HEAD + "let a = " + "(" * 1_000_000 + "\n")),
+    Input("xml-entities", "an SBML file: entities of entities, 1e12 characters", xml(lambda: entities(12))),
+    Input("xml-large", "an SBML file: 100 MB", xml(lambda: sbml(" " * 100_000_000))),
+    Input("xml-deep", "an SBML file: elements 1,000,000 deep", xml(lambda: "<a>" * 1_000_000)),
+    Input("xml-many", "an SBML file: 1,000,000 elements", xml(lambda: sbml("<a/>" * 1_000_000))),
+    Input("xml-pools", "an SBML file: 40,000 rate rules in a chain", xml(lambda: pools(40_000))),
     Input("quote", "a model: 100,000 lines in open quotes", model(lambda: 'let a = "b\n' * 100_000)),
     Input("twice", "a model: one state declared 50,000 times", model(lambda: HEAD + "state x = 1\n" * 50_000)),
     Input("indented", "a model: 100,000 indented lines", model(lambda: HEAD + "  let a = 1\n" * 100_000)),
@@ -225,7 +263,7 @@ Not offered together with `diffusion`: populations, noises with learned constant
 rates of the disturbed state (GB344); profiles (GB772); stiff solvers and tolerances (GB770; these not for populations
 either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a population its medians.
 
-A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`. After
+A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 
 Each model below is given to `gbspec check`, each table is read for a model of one state as every command
@@ -254,6 +292,10 @@ LIMITS = {
     "rows of a Parquet table": MOST_ROWS,
     "operations of an exported function, written out for each element": MOST_OPERATIONS,
     "calls of networks of an exported function": MOST_CALLS,
+    "bytes of an XML file that is imported": MOST_XML,
+    "elements of an XML file that is imported": MOST_ELEMENTS,
+    "quantities and reactions of an SBML file": MOST_DECLARED,
+    "depth of the elements of an XML file that is imported": DEEPEST,
 }
 
 

@@ -25,6 +25,7 @@ from .prediction.solutions import Start as Start
 from .prediction.solutions import input_values as input_values
 from .prediction.solutions import learned_positions as learned_positions
 from .prediction.solutions import learned_start as learned_start
+from .prediction.solutions import measured_start as measured_start
 from .prediction.solutions import needed as needed
 from .prediction.solutions import predict as predict
 from .prediction.start_comparison import InitialStates as InitialStates

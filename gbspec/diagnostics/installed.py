@@ -10,6 +10,7 @@ from gbspec.diagnostics.diagnostic import Diagnostic, UserError
 EXTRAS = {
     "torch": ("train", "training, or what uses the gradients of a learned model,"),
     "onnx": ("onnx", "`gbspec export --as onnx`"),
+    "libsbml": ("sbml", "`gbspec import` of SBML"),
     "distributed": ("cluster", "`--scheduler`"),
 }
 """Packages that `pip install gbspec` leaves out: the extra that brings each, and what needs it."""

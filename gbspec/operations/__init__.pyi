@@ -1,12 +1,16 @@
 from . import analysing as analysing
 from . import comparing as comparing
+from . import evaluating as evaluating
 from . import exporting as exporting
 from . import fitting as fitting
+from . import importing as importing
 from . import models as models
 from . import reporting as reporting
 from . import tables as tables
+from .evaluating import Evaluation as Evaluation
 from .exporting import Export as Export
 from .exporting import ExportForm as ExportForm
+from .importing import Import as Import
 from .models import Subject as Subject
 from .models import compile_file as compile_file
 from .models import forms as forms

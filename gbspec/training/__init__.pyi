@@ -1,3 +1,6 @@
+from .evaluation.point import Evaluated as Evaluated
+from .evaluation.point import Given as Given
+from .evaluation.point import evaluate as evaluate
 from .options import TrainOptions as TrainOptions
 from .problem.packing import pack as pack
 from .problem.scaling import scaling_of as scaling_of

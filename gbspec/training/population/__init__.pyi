@@ -1,9 +1,12 @@
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
+from .noise import standard_deviation as standard_deviation
 from .objective import Objective as Objective
 from .objective import Point as Point
 from .pooled import Pooled as Pooled
 from .pooled import pooled_parameters as pooled_parameters
+from .predictions import Individuals as Individuals
+from .predictions import Measured as Measured
 from .predictions import Predictions as Predictions
 from .results import PopulationResult as PopulationResult
 from .results import predictive_check as predictive_check

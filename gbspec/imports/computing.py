@@ -1,0 +1,104 @@
+"""Values of constant formulas: those of functions that the language does not have, which are written as numbers.
+
+A formula is computed by its tree; no text is evaluated.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+
+from gbspec.imports.formulas import Formula, number, substituted, walk
+
+ROUNDED: dict[str, Callable[..., float]] = {
+    "floor": math.floor,
+    "ceiling": math.ceil,
+    "factorial": lambda x: math.gamma(x + 1),
+    "quotient": lambda a, b: math.trunc(a / b),
+    "rem": math.fmod,
+}
+"""Functions that the language does not have, and that are computed where their arguments are constant."""
+_FUNCTIONS: dict[str, Callable[..., float]] = {
+    **{name: getattr(math, name) for name in ("exp", "log", "log10", "sqrt", "sin", "cos", "tan", "sinh", "cosh")},
+    **{name: getattr(math, name) for name in ("tanh", "asin", "acos", "atan", "asinh", "acosh", "atanh")},
+    "abs": abs,
+    "min": min,
+    "max": max,
+    **ROUNDED,
+}
+_OPERATORS: dict[str, Callable[..., float]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "^": math.pow,
+    "neg": operator.neg,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "not": operator.not_,
+}
+
+
+class NotConstantError(Exception):
+    """A formula has no constant value."""
+
+
+def value_of(formula: Formula, known: Mapping[str, float]) -> float:
+    """The value of a formula of numbers and known names. Raises `NotConstantError`."""
+    try:
+        found = float(_value(formula, known))
+    except (ArithmeticError, ValueError, OverflowError):
+        raise NotConstantError from None
+    if not math.isfinite(found):
+        raise NotConstantError
+    return found
+
+
+def _value(node: Formula, known: Mapping[str, float]) -> float:
+    match node.head:
+        case "number":
+            return node.value
+        case "name":
+            if node.name not in known:
+                raise NotConstantError
+            return known[node.name]
+        case "pi":
+            return math.pi
+        case "true" | "false":
+            return node.head == "true"
+        case "if":
+            return _value(node.parts[1 if _value(node.parts[0], known) else 2], known)
+        case "and":
+            return all(_value(part, known) for part in node.parts)
+        case "or":
+            return any(_value(part, known) for part in node.parts)
+        case "call":
+            return _FUNCTIONS[node.name](*(_value(part, known) for part in node.parts))
+        case head if head in _OPERATORS:
+            return _OPERATORS[head](*(_value(part, known) for part in node.parts))
+        case _:
+            raise NotConstantError
+
+
+def has_rounding(formula: Formula) -> bool:
+    """Whether a formula has a function that the language does not have."""
+    return any(node.head == "call" and node.name in ROUNDED for node in walk(formula))
+
+
+def computed(formula: Formula, known: Mapping[str, float]) -> Formula:
+    """A formula with numbers in place of functions that the language does not have. Raises `NotConstantError`, with the
+    function's name, if an argument is not constant."""
+
+    def put(node: Formula) -> Formula | None:
+        if node.head != "call" or node.name not in ROUNDED:
+            return None
+        try:
+            return number(value_of(node, known))
+        except NotConstantError:
+            raise NotConstantError(node.name) from None
+
+    return substituted(formula, put)

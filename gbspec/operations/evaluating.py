@@ -1,0 +1,201 @@
+"""The objective of a model or run on data at given constants: likelihood, chi-squared, residuals, gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gbspec import frontend
+from gbspec.arrays import Array
+from gbspec.diagnostics import Diagnostic, Findings, UserError, packages
+from gbspec.frames import Tabled, of_rows
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from gbspec.data import Trajectories
+    from gbspec.ir import Model
+    from gbspec.runs import Run
+    from gbspec.training import Evaluated
+
+ASKED = 1e-6
+"""The relative accuracy of what is reported; a warning says where it was not reached."""
+
+
+@dataclass(frozen=True, repr=False)
+class Evaluation(Tabled):
+    """The negative log likelihood `nllh`, `chi2`, the `gradient` of `nllh` by constant, and every measured value with
+    its prediction; `accuracy` is the relative error of the integration."""
+
+    model: str
+    found: Evaluated
+    warnings: tuple[Diagnostic, ...] = ()
+
+    @property
+    def nllh(self) -> float:
+        """The negative log likelihood."""
+        return self.found.nllh
+
+    @property
+    def chi2(self) -> float:
+        """The sum of squared residuals in standard deviations."""
+        return self.found.chi2
+
+    @property
+    def gradient(self) -> Mapping[str, float]:
+        """The derivatives of `nllh` by the learnable constants, in their units."""
+        return self.found.gradient
+
+    @property
+    def accuracy(self) -> float:
+        """The relative change by a tenth of the last tolerance of the integration."""
+        return self.found.accuracy
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row for each measured value: `trajectory`, `t`, `channel`, `value`, `measured`, `sd`, `residual`."""
+        return of_rows(asdict(one) for one in self.found.simulation)
+
+    def notes(self) -> tuple[str, ...]:
+        """The warnings."""
+        return tuple(one.message for one in self.warnings)
+
+    def to_json(self) -> dict[str, object]:
+        """The content of `evaluate --json`."""
+        return {
+            "model": self.model,
+            "nllh": self.nllh,
+            "chi2": self.chi2,
+            "gradient": dict(self.gradient),
+            "simulation": [asdict(one) for one in self.found.simulation],
+            "accuracy": self.accuracy if np.isfinite(self.accuracy) else None,
+            "solver": self.found.solver,
+        }
+
+    def __str__(self) -> str:
+        count = len(self.found.simulation)
+        lines = [f"{self.model}: negative log likelihood {self.nllh:.9g}, chi2 {self.chi2:.9g}, {count:,} values"]
+        lines += [f"  d nllh/d {name} = {slope:.6g}" for name, slope in self.gradient.items()]
+        return "\n".join(lines)
+
+
+def of_model(model: Model, data: Trajectories, values: Mapping[str, float] | None = None) -> Evaluation:
+    """The objective of a model on data: learnables at their values, else their truths, else their starts."""
+    made = _known(model, values or {})
+    constants = np.tile([k.start for k in made.learnables], (len(data), 1))
+    return _evaluated(made, data, constants, _starts(made, data, None), {}, {})
+
+
+@packages()
+def of_run(
+    run: Run, data: Trajectories, values: Mapping[str, float] | None = None, member: int | None = None
+) -> Evaluation:
+    """The objective of a run on data at what a member has learned, with `values` set."""
+    from gbspec.analysis import learned_positions
+    from gbspec.operations.models import set_values
+
+    chosen = set_values(run, values)
+    number = chosen.best if member is None else member
+    instance = chosen.member(number)
+    positions = learned_positions(instance, data, chosen.fit.data)
+    known = len(chosen.model.constants)
+    constants = np.tile(np.asarray(instance.weights["constants"], dtype=np.float64)[known:], (len(data), 1))
+    for i, learnable in enumerate(chosen.model.learnables):
+        own = instance.weights.get(f"per_trajectory.{learnable.name}")
+        for j, place in enumerate(positions):
+            if own is not None and place is not None:
+                constants[j, i] = own[place]
+    learned = [None if place is None else np.asarray(instance.weights["initial"][place]) for place in positions]
+    noise = {name: sd for name, sd in chosen.fit.noise.items() if sd}
+    return _evaluated(chosen.model, data, constants, _starts(chosen.model, data, learned), instance.weights, noise)
+
+
+@packages()
+def _evaluated(
+    model: Model,
+    data: Trajectories,
+    constants: Array,
+    starts: Array,
+    weights: Mapping[str, Array],
+    noise: Mapping[str, float],
+) -> Evaluation:
+    from gbspec.training import Given, evaluate
+
+    _offered(model)
+    model = _with_declared_noise(model)
+    _with_noise(model, data, noise)
+    found = evaluate(model, data, Given(np.asarray(constants, dtype=np.float64), starts, weights, noise))
+    findings = Findings()
+    if found.accuracy > ASKED:
+        message = f"the likelihood is known to {found.accuracy:.2g} of its size only, by the error of the integration"
+        help = "does the right-hand side jump? An input or a dose is exact where a condition on time is not"
+        findings.warning("GB889", message, None, help=help)
+    return Evaluation(model.name, found, tuple(findings))
+
+
+def _known(model: Model, values: Mapping[str, float]) -> Model:
+    """A model with its unknowns at their truths, in which the learnables are free and start at the asked values."""
+    from gbspec.passes import with_truth, with_values
+
+    changed = frontend.verified(with_values(model, values), "with_values") if values else model
+    truths = {t.name: t.value for t in changed.truth_constants}
+    known = with_truth(changed)
+    free = tuple(replace(k, start=truths.get(k.name, k.start)) for k in changed.learnables)
+    return replace(known, constants=changed.constants, learnables=free)
+
+
+def _offered(model: Model) -> None:
+    """Raises UserError (GB888) for objectives that are not those of whole solutions."""
+    reason = "random disturbances (`diffusion`)" if model.diffusions else ""
+    if model.distributed:
+        reason = "constants that are distributed between trajectories (`~`)"
+    if reason:
+        message = f"`gbspec evaluate` is not offered yet for a model with {reason}"
+        help = "`gbspec train` writes its objective at the optimum into `fit.json`, under `objective`"
+        raise UserError([Diagnostic("GB888", message, None, help=help)])
+
+
+def _with_declared_noise(model: Model) -> Model:
+    """The model without the noises that a marginal likelihood would add to channels that state none."""
+    implied = {k.symbol for k in model.implied}
+    channels = tuple(
+        replace(c, noise=None)
+        if c.noise is not None and c.noise.value is not None and c.noise.value.free_symbols & implied
+        else c
+        for c in model.channels
+    )
+    return replace(model, channels=channels)
+
+
+def _with_noise(model: Model, data: Trajectories, noise: Mapping[str, float]) -> None:
+    """Raises UserError (GB886) if the standard deviation of a measured value is not known."""
+    findings = Findings()
+    for i, channel in enumerate(model.channels):
+        if channel.noise is not None or channel.name in noise:
+            continue
+        bare = sum(int((np.isfinite(item.values[:, i]) & ~(item.sd[:, i] > 0)).sum()) for item in data.items)
+        if bare:
+            message = f"{bare} values of `{channel.name}` have no standard deviation, and so no likelihood"
+            help = f"write `noise normal(…)` after `observe {channel.name}`, or give a column `sd_{channel.column}`"
+            findings.error("GB886", message, channel.span, help=help)
+    findings.raise_if_failed()
+
+
+def _starts(model: Model, data: Trajectories, learned: list[Array | None] | None) -> Array:
+    """The starts [N, n] of trajectories. Raises UserError (GB887) for those that nothing says."""
+    from gbspec.analysis import measured_start, needed
+
+    out, findings = np.zeros((len(data), len(model.states))), Findings()
+    guess = np.array([0.0 if s.start is None else s.start for s in model.states], dtype=np.float64)
+    for j, item in enumerate(data.items):
+        own = None if learned is None else learned[j]
+        out[j] = measured_start(model, item, guess if own is None else own)
+        lacking = [model.states[i] for i in needed(model, item) if own is None and model.states[i].start is None]
+        for state in lacking:
+            message = f"the start of `{state.name}` in trajectory `{item.label}` is not known"
+            help = f"write `initial {state.name} = …`, or a guess: `state {state.name} = …`"
+            findings.error("GB887", message, state.span, help=help)
+    findings.raise_if_failed()
+    return out

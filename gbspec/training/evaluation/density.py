@@ -1,0 +1,87 @@
+"""The density of measured values, given predictions and constants, with its derivatives by both.
+
+With the prediction f and the variance v of a value y, it contributes
+
+    (log(2 pi v) + (y - f)^2/v)/2,
+
+and under lognormal noise the same of log y and log f, and log y for the density of y itself. The variance is that of
+the noise that the model states, or of the value's own column `sd_NAME`; where the noise is learned, both are added. An
+average of n values has the variance v/n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import sympy
+import torch
+from torch import Tensor
+
+from gbspec.arrays import Array
+from gbspec.ir import Model
+from gbspec.training.population import Measured, standard_deviation
+
+LOG_2PI = float(np.log(2 * np.pi))
+
+
+@dataclass(frozen=True)
+class Density:
+    """The measured values [m] of a model; `noise` has the standard deviations of channels that do not state theirs."""
+
+    model: Model
+    measured: Measured
+    noise: Mapping[str, float]
+
+    def unknown(self) -> list[str]:
+        """The channels with values whose standard deviation is not known."""
+        bare = [i for i in range(len(self.model.channels)) if not self._known(i)]
+        lacking = np.isin(self.measured.channel, bare) & (self.measured.sd <= 0)
+        return [self.model.channels[i].name for i in sorted(set(self.measured.channel[lacking].tolist()))]
+
+    def compared(self, mean: Tensor, constants: Tensor) -> tuple[Tensor, Tensor]:
+        """Residuals and standard deviations [m], both of logarithms under lognormal noise, at predictions [m] and the
+        constants [m, K] of their trajectories."""
+        logs = torch.from_numpy(self.measured.logarithm)
+        safe = torch.where(logs, mean, torch.ones_like(mean))
+        f = torch.where(logs, torch.log(safe), mean)
+        return f - torch.from_numpy(self.measured.value), torch.sqrt(self._variance(mean, constants))
+
+    def half(self, mean: Tensor, constants: Tensor) -> Tensor:
+        """The contributions [m] to the negative log likelihood."""
+        residual, sd = self.compared(mean, constants)
+        jacobian = torch.from_numpy(np.where(self.measured.logarithm, self.measured.value, 0.0))
+        return 0.5 * LOG_2PI + torch.log(sd) + 0.5 * (residual / sd) ** 2 + jacobian
+
+    def slopes(self, mean: Array, constants: Array) -> tuple[float, Array, Array]:
+        """The negative log likelihood, its derivatives by the predictions [m] and by the constants [m, K]."""
+        f = torch.from_numpy(mean).requires_grad_()
+        k = torch.from_numpy(constants).requires_grad_()
+        total = self.half(f, k).sum()
+        by_mean, by_constants = torch.autograd.grad(total, (f, k), allow_unused=True)
+        parts = [np.zeros_like(x) if d is None else d.numpy() for d, x in ((by_mean, mean), (by_constants, constants))]
+        return float(total.detach()), parts[0], parts[1]
+
+    def _known(self, channel: int) -> bool:
+        one = self.model.channels[channel]
+        return one.noise is not None or one.name in self.noise
+
+    def _variance(self, mean: Tensor, constants: Tensor) -> Tensor:
+        measured, out = self.measured, torch.zeros_like(mean)
+        own = torch.from_numpy(measured.sd**2)
+        names: dict[sympy.Symbol, int] = {k.symbol: i for i, k in enumerate(self.model.learnables)}
+        for channel, one in enumerate(self.model.channels):
+            rows = torch.from_numpy(np.flatnonzero(measured.channel == channel))
+            if not len(rows):
+                continue
+            learned = one.noise is not None and one.noise.value is not None
+            if one.noise is None:
+                stated = torch.full_like(mean[rows], self.noise.get(one.name, float("nan")))
+            else:
+                table = constants[rows]
+                stated = standard_deviation(self.model, channel, mean[rows], {n: table[:, i] for n, i in names.items()})
+            given = own[rows]
+            found = stated**2 + given if learned else torch.where(given > 0, given, stated**2)
+            out = out.index_add(0, rows, found)
+        return out / torch.from_numpy(measured.weight**2)

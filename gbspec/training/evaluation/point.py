@@ -1,0 +1,191 @@
+"""The negative log likelihood of whole solutions at given constants, chi-squared, and the exact gradient.
+
+Solutions run from the starts of the trajectories to their ends; measurements reset nothing. Steps are adaptive, first
+by a method of order 5, and by a stiff one if that finds no solution. The tolerance falls by a factor of ten until
+the predictions and the likelihood no longer change by more than `ACCURACY`, relative to their sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from gbspec.arrays import Array
+from gbspec.backends import load_module
+from gbspec.data import Trajectories
+from gbspec.diagnostics import ComputationError
+from gbspec.ir import DOPRI5, STIFF, Method, Model
+from gbspec.training.engines import choose
+from gbspec.training.evaluation.density import Density
+from gbspec.training.options import TrainOptions
+from gbspec.training.population import Individuals, Measured
+from gbspec.training.problem import Control, Problem, pack, scaling_of, teacher_forcing
+
+ACCURACY = 1e-7
+"""The change by a tenth of the tolerance at which a result is accepted."""
+TOLERANCES: Mapping[str, tuple[float, ...]] = {
+    DOPRI5.name: (1e-8, 1e-9, 1e-10, 1e-11, 1e-12),
+    STIFF.name: (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10),
+}
+"""The relative tolerances that are tried, method by method."""
+
+
+@dataclass(frozen=True)
+class Given:
+    """Where a model is evaluated: the learnable constants [N, K] and starts [N, n] of the trajectories, the weights and
+    scales of its networks, and standard deviations of channels that do not state their noise."""
+
+    constants: Array
+    starts: Array
+    weights: Mapping[str, Array]
+    noise: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Value:
+    """A measured value with its prediction; `sd` is that of its logarithm under lognormal noise, as is `residual`, the
+    prediction minus the measurement over it."""
+
+    trajectory: str
+    t: float
+    channel: str
+    value: float
+    measured: float
+    sd: float
+    residual: float
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """The objective at a point; `accuracy` is its last relative change by a tenth of the tolerance, `solver` the
+    method of the steps."""
+
+    nllh: float
+    chi2: float
+    gradient: Mapping[str, float]
+    simulation: tuple[Value, ...]
+    accuracy: float
+    solver: str
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Predictions [m] and their derivatives [m, K] by the constants of their own trajectory."""
+
+    mean: Array
+    by_constants: Array
+
+
+def evaluate(model: Model, trajectories: Trajectories, given: Given) -> Evaluated:
+    """The objective at a point. Raises ComputationError if there is no solution from the starts there."""
+    reached: Evaluated | None = None
+    for method in (DOPRI5, STIFF):
+        previous: Evaluated | None = None
+        for problem, trial in _trials(model, trajectories, given, method):
+            if not np.isfinite(trial.mean).all():
+                break
+            found = _judged(model, problem, trial, given, method, previous)
+            if reached is None or found.accuracy <= reached.accuracy:
+                reached = found
+            if found.accuracy <= ACCURACY:
+                return found
+            previous = found
+    if reached is None:
+        raise ComputationError(
+            "there is no solution from the starts at these constants",
+            where=f"the model {model.name}",
+            remedy="other constants by `--set`, or `gbspec simulate`, which says where the solution ends",
+        )
+    return reached
+
+
+def _trials(model: Model, trajectories: Trajectories, given: Given, method: Method) -> Iterator[tuple[Problem, _Trial]]:
+    """Predictions by a method at one tolerance after the other."""
+    module = load_module(model, method)
+    instance = module(dict(given.weights)) if model.networks else module.random(0)
+    packed = pack(trajectories, model, np.inf, method=method)
+    scaling = scaling_of(model, packed, trajectories)
+    problem = Problem(model, instance, packed, teacher_forcing(model, packed, 0.0), scaling)
+    choice = choose(model, module, TrainOptions(), packed.substeps, worthwhile=True)
+    fixed = {k: v for k, v in given.weights.items() if k.endswith(("_center", "_scale"))}
+    scale = np.where(np.abs(given.starts).max(axis=0) > 0, np.abs(given.starts).max(axis=0), 1.0)
+    for tolerance in TOLERANCES[method.name]:
+        controlled = replace(problem, control=Control(tolerance, scale))
+        individuals = Individuals(controlled, model, given.starts, fixed, choice)
+        vector = [np.ravel(given.weights[name]) for name in individuals.parameters.weight_shapes]
+        weights = np.concatenate([np.zeros(0), *vector])
+        theta = individuals.vector(given.constants, weights)
+        moments = individuals.engine.moments(theta, individuals.engine.plan(theta))
+        with np.errstate(all="ignore"):
+            found = individuals.first(given.constants, weights)
+        yield controlled, _Trial(found.mean, found.constants)
+        scale = _sizes(moments.before, moments.initial, scale)
+
+
+def _judged(
+    model: Model, problem: Problem, trial: _Trial, given: Given, method: Method, previous: Evaluated | None
+) -> Evaluated:
+    """The objective from predictions, compared with that of the tolerance before."""
+    density = Density(model, Measured.of(problem), given.noise)
+    measured = density.measured
+    constants = given.constants[measured.owner]
+    nllh, by_mean, by_constants = density.slopes(trial.mean, constants)
+    gradient = (by_mean[:, None] * trial.by_constants + by_constants).sum(axis=0)
+    residual, sd = (x.numpy() for x in density.compared(torch.from_numpy(trial.mean), torch.from_numpy(constants)))
+    values = _values(model, problem, measured, trial.mean, sd, residual / sd)
+    found = Evaluated(
+        nllh,
+        float(np.sum((residual / sd) ** 2)),
+        {k.name: float(g) for k, g in zip(model.learnables, gradient, strict=True)},
+        values,
+        np.inf,
+        method.name,
+    )
+    return replace(found, accuracy=_change(previous, found)) if previous is not None else found
+
+
+def _values(
+    model: Model, problem: Problem, measured: Measured, mean: Array, sd: Array, residual: Array
+) -> tuple[Value, ...]:
+    """The measured values with their predictions, trajectory by trajectory in the order of time."""
+    packed, row = problem.packed, np.nonzero(problem.seen)[0]
+    measurement = np.where(measured.logarithm, np.exp(measured.value), measured.value)
+    order = np.lexsort((measured.channel, packed.row_time[row], measured.owner))
+    return tuple(
+        Value(
+            packed.labels[measured.owner[i]],
+            float(packed.row_time[row[i]]),
+            model.channels[measured.channel[i]].name,
+            float(mean[i]),
+            float(measurement[i]),
+            float(sd[i]),
+            float(residual[i]),
+        )
+        for i in order
+    )
+
+
+def _change(before: Evaluated, after: Evaluated) -> float:
+    """The largest change of the likelihood, a prediction or an entry of the gradient, relative to its size (of
+    predictions: at least a hundredth of the largest one of the channel; of the gradient: of its largest entry)."""
+    parts = [abs(after.nllh - before.nllh) / max(abs(after.nllh), 1.0)]
+    for channel in {one.channel for one in after.simulation}:
+        pairs = [
+            (a.value, b.value) for a, b in zip(after.simulation, before.simulation, strict=True) if a.channel == channel
+        ]
+        old, new = np.array([b for _, b in pairs]), np.array([a for a, _ in pairs])
+        size = np.maximum(np.abs(new), 1e-2 * np.abs(new).max())
+        parts.append(float(np.max(np.abs(new - old) / np.where(size > 0, size, 1.0))))
+    slopes = [(after.gradient[name], before.gradient[name]) for name in after.gradient]
+    largest = max((abs(new) for new, _ in slopes), default=0.0) or 1.0
+    parts += [abs(new - old) / largest for new, old in slopes]
+    return float(np.max(parts))
+
+
+def _sizes(before: Array, initial: Array, otherwise: Array) -> Array:
+    """The largest size of each state [n] along a solution; `otherwise` where it is zero or not finite."""
+    found = np.abs(np.concatenate([before, initial])).max(axis=0)
+    return np.where(np.isfinite(found) & (found > 0), found, otherwise)

@@ -1,0 +1,123 @@
+"""evaluate: the negative log likelihood at a point, against closed forms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import gbspec as package
+
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+Run = Callable[..., Any]
+
+CONVERSION = """\
+model conversion
+learn k1 = 0.8 in [0, 10]
+learn k2 = 0.6 in [0, 10]
+learn s = 0.5 in [0.01, 10]
+state A
+state B
+process there: A -> B rate k1*A
+process back: B -> A rate k2*B
+initial A = 1
+initial B = 0
+observe yA = A noise normal(s)
+observe yB = B noise lognormal(0.3)
+observe total = A + 2*B
+"""
+
+TABLE = "trajectory,t,yA,yB,total,sd_total\na,0,0.7,,,\na,2,,0.4,1.2,0.1\nb,0,,,,\nb,10,0.1,0.5,1.7,0.2\n"
+
+
+def closed(k1: float, k2: float, s: float) -> float:
+    """The negative log likelihood of TABLE."""
+
+    def b(t: float) -> float:
+        return k1 / (k1 + k2) * (1 - math.exp(-(k1 + k2) * t))
+
+    def term(residual: float, sd: float) -> float:
+        return 0.5 * math.log(2 * math.pi * sd**2) + 0.5 * (residual / sd) ** 2
+
+    log_sd = math.sqrt(math.log1p(0.3**2))
+    found = term(1 - 0.7, s) + term(1 - b(10) - 0.1, s) + term(1 + b(2) - 1.2, 0.1) + term(1 + b(10) - 1.7, 0.2)
+    return found + sum(term(math.log(b(t) / y), log_sd) + math.log(y) for t, y in ((2.0, 0.4), (10.0, 0.5)))
+
+
+@pytest.fixture
+def place(here: Path) -> Path:
+    (here / "conversion.gb").write_text(CONVERSION)
+    (here / "data.csv").write_text(TABLE)
+    return here
+
+
+def test_the_likelihood_and_its_gradient_are_those_of_the_closed_form(place: Path, document: Run) -> None:
+    made = document("evaluate", "conversion.gb", "data.csv", "--set", "k1=0.9")
+    assert made["nllh"] == pytest.approx(closed(0.9, 0.6, 0.5), rel=1e-8)
+    h = 1e-5
+    for i, name in enumerate(("k1", "k2", "s")):
+        up, down = ([0.9, 0.6, 0.5] for _ in range(2))
+        up[i], down[i] = up[i] + h, down[i] - h
+        assert made["gradient"][name] == pytest.approx((closed(*up) - closed(*down)) / (2 * h), rel=1e-6)
+    assert made["accuracy"] < 1e-6
+    assert [(one["trajectory"], one["t"], one["channel"]) for one in made["simulation"]][:3] == [
+        ("a", 0.0, "yA"),
+        ("a", 2.0, "yB"),
+        ("a", 2.0, "total"),
+    ]
+    assert made["chi2"] == pytest.approx(sum(one["residual"] ** 2 for one in made["simulation"]))
+    assert made["simulation"][2]["sd"] == 0.1
+
+
+def test_from_python_a_result_is_a_frame(place: Path) -> None:
+    found = package.evaluate("conversion.gb", "data.csv", values={"k1": 0.9})
+    assert found.nllh == pytest.approx(closed(0.9, 0.6, 0.5), rel=1e-8)
+    assert found.to_frame().columns == ["trajectory", "t", "channel", "value", "measured", "sd", "residual"]
+    assert "d nllh/d k1" in str(found)
+
+
+def test_a_stiff_model_is_solved_by_a_stiff_method(here: Path, document: Run) -> None:
+    (here / "stiff.gb").write_text(
+        "model stiff\nlearn k = 1e7 in [1, 1e9]\nstate X\nX' = -k*(X - cos(t))\ninitial X = 0\n"
+        "observe X noise normal(0.1)\n"
+    )
+    (here / "data.csv").write_text("t,X\n0,\n0.5,0.9\n5,0.3\n")
+    made = document("evaluate", "stiff.gb", "data.csv")
+    assert made["solver"] == "ros34pw2"
+    assert [one["value"] for one in made["simulation"]] == pytest.approx([math.cos(0.5), math.cos(5.0)], abs=1e-6)
+
+
+def test_a_run_is_evaluated_with_its_networks_starts_and_noise(
+    here: Path, decay: Path, gbspec: Run, document: Run
+) -> None:
+    assert gbspec("simulate", decay, "-o", "d.csv", "--trajectories", 3, "--span", 2, "--noise", 0.02,
+                  "--keep-start").exit_code == 0  # fmt: skip
+    assert gbspec("train", decay, "d.csv", "-o", "run", "--effort", "low", "--workers", 1).exit_code == 0
+    made = document("evaluate", "run", "d.csv")
+    assert made["gradient"] == {}
+    assert len(made["simulation"]) == 15
+    assert max(abs(one["value"] - one["measured"]) for one in made["simulation"]) < 0.2
+    assert np.isfinite(made["nllh"])
+    found = package.open_run("run").evaluate()
+    assert found.nllh == pytest.approx(made["nllh"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("state X = 1\nX' = -k*X\nobserve X\n", "GB886"),
+        ("state X = 1\nstate Y\nX' = -k*X + Y\nY' = -Y\nobserve X noise normal(1)\n", "GB887"),
+        ("state X = 1\nX' = -k*X\ndiffusion X = 0.1\nobserve X noise normal(1)\n", "GB888"),
+    ],
+)
+def test_what_cannot_be_evaluated_is_said(here: Path, gbspec: Run, text: str, code: str) -> None:
+    (here / "m.gb").write_text("model m\nlearn k = 1 in [0, 5]\n" + text)
+    (here / "d.csv").write_text("t,X\n0,1\n1,0.4\n")
+    result = gbspec("evaluate", "m.gb", "d.csv")
+    assert result.exit_code == 1
+    assert code in result.stderr
