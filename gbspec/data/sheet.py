@@ -331,14 +331,19 @@ def _named(names: list[str], columns: list[pl.Series]) -> dict[str, pl.Series]:
 
 def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet | None:
     """Reads a Parquet file; its first record counts as row 2, as if there were a header."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
-        height, width = _parquet_size(data)
+        file = pq.ParquetFile(io.BytesIO(data))
+        height, width = int(file.metadata.num_rows), int(file.metadata.num_columns)
         if height > MOST_ROWS or width > MOST_COLUMNS:
             most = f"at most {MOST_ROWS:,} and {MOST_COLUMNS:,} are read"
             _too_large(path, None, f"the table has {height:,} rows and {width:,} columns; {most}", findings)
             return None
-        frame = pl.read_parquet(io.BytesIO(data))
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
+        # not by polars, which ends the whole process at some damaged files
+        frame = pl.DataFrame(pl.from_arrow(file.read()))
+    except (pa.ArrowException, pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else "it is damaged"
         findings.error("GB709", f"the file is not a Parquet table that can be read: {reason}", Cell(path))
         return None
@@ -351,15 +356,3 @@ def _parquet(path: str, data: bytes, sha256: str, findings: Findings) -> Sheet |
         return None
     rows = np.arange(2, frame.height + 2, dtype=np.int64)
     return Sheet(path, _named(names, frame.get_columns()), rows, sha256)
-
-
-def _parquet_size(data: bytes) -> tuple[int, int]:
-    """The rows and columns of a Parquet file according to its footer, without reading them."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        meta = pq.read_metadata(io.BytesIO(data))
-    except pa.ArrowException as error:  # not all of them are OSError or ValueError
-        raise ValueError(str(error)) from error
-    return int(meta.num_rows), int(meta.num_columns)

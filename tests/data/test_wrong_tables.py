@@ -107,6 +107,9 @@ def test_files_that_are_not_tables(reading: Reader, tmp_path: Path) -> None:
     # integers of fewer than 8 bits in the footer, found by fuzzing
     narrow = Path(__file__).with_name("narrow_integers.parquet").read_bytes()
     assert places(reading(narrow, name="t.parquet")[1]) == [("GB709", None, None)]
+    # a page of a negative number of values, found by fuzzing, at which polars ends the process
+    negative = Path(__file__).with_name("negative_page.parquet").read_bytes()
+    assert places(reading(negative, name="t.parquet")[1]) == [("GB709", None, None)]
     findings = Findings()
     with pytest.raises(UserError):
         read(tmp_path / "absent.csv", reactor(), findings)

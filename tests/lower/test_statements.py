@@ -144,3 +144,12 @@ def test_a_noise_is_learned_if_it_depends_on_learned_constants_or_the_prediction
     text = f"model m\nstate x\nlearn a = 1 > 0\nconst b = 2\nx' = -a*x\nobserve x noise normal({noise})\n"
     found = model_of(text).channels[0].noise
     assert found is not None and math.isnan(found.scale) == learned and (found.value is not None) == learned
+
+
+def test_learned_noises_with_one_expression_are_equal() -> None:
+    # the scale is not a number, and each NaN differs from every other
+    a, b = symbol("a"), symbol("b")
+    first, again, other = (Noise("normal", float("nan"), value) for value in (a, a, b))
+    assert first == again and hash(first) == hash(again) and first != other
+    assert first != Noise("lognormal", float("nan"), a)
+    assert Noise("normal", 0.1) == Noise("normal", 0.1) != Noise("normal", 0.2) != "normal"
