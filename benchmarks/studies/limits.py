@@ -260,7 +260,7 @@ a fixed point: it begins its trajectory (GB749), all initial values are given (G
 writes of it has the doses before its first row, which a model with `time … from` does not read (GB717).
 
 Not offered together with `diffusion`: populations, noises with learned constants, learned lags of doses, measured
-rates of the disturbed state (GB344); profiles (GB772); stiff solvers and tolerances (GB770; these not for populations
+rates of the disturbed state (GB344); censored values (GB784); profiles (GB772); stiff solvers and tolerances (GB770; these not for populations
 either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a population its medians.
 
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After

@@ -54,6 +54,7 @@ from .table import read as read
 from .table import read_frame as read_frame
 from .table import write as write
 from .trajectories import DoseEvents as DoseEvents
+from .trajectories import Limits as Limits
 from .trajectories import RunIn as RunIn
 from .trajectories import Signal as Signal
 from .trajectories import Trajectories as Trajectories

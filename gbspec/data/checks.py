@@ -25,6 +25,7 @@ def check(table: Records, model: Model, wanted: tuple[Quantity, ...], measured: 
             _positive(table, quantity, cells, findings)
         if quantity.role == "channel":
             _deviations(table, quantity, cells, findings)
+            _one_limit(table, quantity, cells, findings)
         elif quantity.role == "input":
             _one_at_a_time(table, quantity, cells, findings)
     start = starts_of(table, model.time.start)
@@ -82,7 +83,8 @@ def _in_range(table: Records, quantity: Quantity, cells: Series, findings: Findi
     bounds = quantity.range
     if bounds is None:
         return
-    outside = np.flatnonzero((cells.value < bounds.low) | (cells.value > bounds.high))
+    known = np.ones(len(cells.value), dtype=np.bool_) if cells.side is None else cells.side == 0
+    outside = np.flatnonzero(known & ((cells.value < bounds.low) | (cells.value > bounds.high)))
     if not len(outside):
         return
     first = outside[np.argmin(cells.row[outside])]
@@ -128,6 +130,22 @@ def _deviations(table: Records, quantity: Quantity, cells: Series, findings: Fin
             f"the standard deviation of `{quantity.name}` is {cells.sd[i]:g} in row {row}",
             Cell(table.path, row, f"sd_{quantity.column}"),
             help="give a number above zero, or leave the cell empty where it is not known",
+            notes=notes,
+        )
+
+
+def _one_limit(table: Records, quantity: Quantity, cells: Series, findings: Findings) -> None:
+    """Reports limits beside other values of the same channel at the same time."""
+    if cells.side is None:
+        return
+    several = np.bincount(cells.key, minlength=len(table.time)) > 1
+    for i, notes in shown(np.flatnonzero((cells.side != 0) & several[cells.key]), "cells"):
+        row = int(cells.row[i])
+        findings.error(
+            "GB765",
+            f"`{quantity.name}` has a limit in row {row}, and another value at the same time",
+            Cell(table.path, row, quantity.column),
+            help="give replicates of which some are limits times that differ a little",
             notes=notes,
         )
 

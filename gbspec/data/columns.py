@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from gbspec.data.sheet import Sheet
     from gbspec.ir import Model, Range
 
-Role = Literal["channel", "condition", "input", "dose", "sd", "regimen"]
+Role = Literal["channel", "condition", "input", "dose", "sd", "regimen", "limit"]
 
 TRAJECTORY = "trajectory"
 MOST_SURPLUS = 50
@@ -53,6 +53,9 @@ def quantities(model: Model, require_channels: bool = True, regimens: bool = Tru
     for i, channel in enumerate(model.channels):
         column = "sd_" + cell_name(channel.column or channel.name)
         found.append(Quantity("sd", i, channel.name, column, False))
+    for i, channel in enumerate(model.channels):
+        column = "limit_" + cell_name(channel.column or channel.name)
+        found.append(Quantity("limit", i, channel.name, column, False))
     for i, condition in enumerate(model.conditions):
         column = cell_name(condition.column or condition.name)
         found.append(Quantity("condition", i, condition.name, column, condition.default is None, condition.range))
@@ -129,6 +132,8 @@ def describe(quantity: Quantity) -> str:
             return f"the channel `{quantity.name}`"
         case "sd":
             return f"the standard deviation of `{quantity.name}`"
+        case "limit":
+            return f"whether values of `{quantity.name}` are limits"
         case "dose":
             return f"the doses to `{quantity.name}`"
         case "regimen":

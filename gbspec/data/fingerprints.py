@@ -27,6 +27,8 @@ def fingerprint(trajectory: Trajectory) -> str:
         trajectory.sd[measured],
         trajectory.condition,
     ]
+    if trajectory.limits is not None:
+        parts += [trajectory.limits.value[measured], trajectory.limits.side[measured].astype(np.float64)]
     for signal in trajectory.inputs:
         parts += [signal.times, signal.values]
     for events in trajectory.doses:

@@ -9,7 +9,7 @@ import numpy as np
 
 from gbspec.arrays import Array
 from gbspec.data.fingerprints import fingerprint
-from gbspec.data.trajectories import DoseEvents, RunIn, Signal, Trajectories, Trajectory
+from gbspec.data.trajectories import DoseEvents, Limits, RunIn, Signal, Trajectories, Trajectory
 
 OF_ROWS = ("times", "values", "counts", "sd")
 
@@ -26,6 +26,8 @@ def to_arrays(trajectories: Trajectories) -> tuple[dict[str, Array], dict[str, o
     for i, item in enumerate(trajectories.items):
         arrays |= {f"{i}.{name}": getattr(item, name) for name in (*OF_ROWS, "condition")}
         before = () if item.run_in is None else (item.run_in.interval, float(item.run_in.doses))
+        if item.limits is not None:
+            arrays |= {f"{i}.limits": item.limits.value, f"{i}.side": item.limits.side.astype(np.float64)}
         arrays[f"{i}.start"] = np.array([item.start, *before])
         for j, signal in enumerate(item.inputs):
             arrays |= {f"{i}.input.{j}.times": signal.times, f"{i}.input.{j}.values": signal.values}
@@ -43,6 +45,7 @@ def from_arrays(
             label=label,
             start=float(arrays[f"{i}.start"][0]),
             run_in=_run_in(arrays[f"{i}.start"]),
+            limits=_limits(arrays, i),
             condition=arrays[f"{i}.condition"],
             inputs=tuple(
                 Signal(arrays[f"{i}.input.{j}.times"], arrays[f"{i}.input.{j}.values"]) for j in range(inputs)
@@ -56,6 +59,12 @@ def from_arrays(
     )
     found = Trajectories(items, tuple(channels))
     return Trajectories(items, found.channels, sha256=content_digest(found))
+
+
+def _limits(arrays: Mapping[str, Array], index: int) -> Limits | None:
+    """The censored entries of a trajectory, if it has any."""
+    side = arrays.get(f"{index}.side")
+    return None if side is None else Limits(arrays[f"{index}.limits"], side.astype(np.int8))
 
 
 def _run_in(start: Array) -> RunIn | None:

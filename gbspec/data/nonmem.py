@@ -7,7 +7,7 @@ is in `docs/data.md`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from gbspec.arrays import Array, Mask
 from gbspec.data.cells import labels, numbers
 from gbspec.data.columns import Quantity, quantities
 from gbspec.data.formats import Format
+from gbspec.data.limits import Sides, measured
 from gbspec.data.names import similar
 from gbspec.data.records import Index, Records, Series
 from gbspec.data.sheet import Sheet, shown
@@ -23,7 +24,7 @@ from gbspec.ir import Model
 
 NEEDED = ("ID", "TIME", "DV")
 """The columns by which the form is recognised."""
-EVENTS = ("AMT", "RATE", "II", "ADDL", "SS", "EVID", "MDV", "CMT", "DVID")
+EVENTS = ("AMT", "RATE", "II", "ADDL", "SS", "EVID", "MDV", "CMT", "DVID", "CENS")
 """The other columns that mean something by themselves."""
 BY_MODEL, MODELLED = -2.0, -1.0
 """Rates that say how a dose lasts: as long as the model says; at a rate that is a parameter."""
@@ -52,6 +53,7 @@ class _Table:
     subject: Index
     row: Index
     kept: Index
+    side: Sides
     values: dict[str, Array] = field(default_factory=dict)
 
     def column(self, name: str, default: float = np.nan) -> Array:
@@ -95,7 +97,9 @@ def nonmem_records(
         row = int(sheet.rows[i])
         if not findings.failed:
             findings.error("GB714", f"row {row} has no time", Cell(sheet.path, row, names["TIME"]), notes=notes)
-    table = _Table(sheet, names, findings, subjects, subject[kept], sheet.rows[kept], kept, {"TIME": time[kept]})
+    value, side = measured(sheet, names["DV"], findings)
+    columns = {"TIME": time[kept], "DV": value[kept]}
+    table = _Table(sheet, names, findings, subjects, subject[kept], sheet.rows[kept], kept, side[kept], columns)
     return _records(table, model, wanted, form)
 
 
@@ -115,8 +119,8 @@ def _records(table: _Table, model: Model, wanted: tuple[Quantity, ...], form: Fo
     first = order[new]
     series: dict[Quantity, Series] = {}
     doses = _doses(table, dosed, key_of, order, model, wanted, form)
-    measured = _measurements(table, event, key_of, order, model, wanted, form)
-    given = {name: column for column in table.sheet.columns if (name := column) not in table.names.values()}
+    results = _measurements(table, event, key_of, order, model, wanted, form)
+    given = {name for name in table.sheet.columns if name not in table.names.values()}
     for quantity in wanted:
         if quantity.role in ("condition", "input") and quantity.column in given:
             values = numbers(table.sheet, quantity.column, table.findings)[table.kept]
@@ -128,7 +132,7 @@ def _records(table: _Table, model: Model, wanted: tuple[Quantity, ...], form: Fo
                 Cell(table.sheet.path, table.sheet.header, quantity.column),
                 help=f"its columns are {', '.join(f'`{name}`' for name in table.sheet.names)}",
             )
-    series |= doses | measured
+    series |= doses | results
     _after_doses(table, event, dosed, key_of, model)
     return Records(table.sheet.path, pieces.labels, pieces.group[first], time[first], table.row[first], series,
                    table.names["TIME"], pieces.starts)  # fmt: skip
@@ -244,7 +248,7 @@ def _dosed_states(model: Model) -> Iterator[tuple[int, int]]:
 def _measurements(
     table: _Table, event: Array, key: Index, order: Index, model: Model, wanted: tuple[Quantity, ...], form: Format
 ) -> dict[Quantity, Series]:
-    """The measured values of each channel."""
+    """The measured values of each channel; CENS is 1 where they lie below DV, and -1 where above."""
     value = table.column("DV")
     seen = (event == 0) & (table.column("MDV", 0.0) == 0) & ~np.isnan(value)
     states = {channel.state + 1: i for i, channel in enumerate(model.channels) if channel.state is not None}
@@ -254,11 +258,18 @@ def _measurements(
         place = np.zeros(len(value), dtype=np.int64)
     else:
         place = _numbered(table, seen, states, form.channels(model), "channel")
-    return {
-        q: _series(value, seen & (place == q.index), key, order, table.row)
-        for q in wanted
-        if q.role == "channel" and (seen & (place == q.index)).any()
-    }
+    limit = table.column("CENS", 0.0)
+    table.told("GB760", "CENS", ~np.isin(limit, (-1.0, 0.0, 1.0)), "CENS {} is not offered",
+               "CENS is 1 (below DV), -1 (above it) or 0")  # fmt: skip
+    side = np.where(limit != 0, -limit, table.side).astype(np.int8)
+    found = {}
+    for quantity in wanted:
+        here = seen & (place == quantity.index)
+        if quantity.role == "channel" and here.any():
+            cells = _series(value, here, key, order, table.row)
+            sides = side[order[here[order]]]
+            found[quantity] = replace(cells, side=sides if sides.any() else None)
+    return found
 
 
 def _numbered(

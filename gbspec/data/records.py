@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array, Mask
 from gbspec.data.cells import coded, labels, numbers
 from gbspec.data.columns import TRAJECTORY, Layout, Quantity, describe
+from gbspec.data.limits import Sides, measured, sides
 from gbspec.data.names import cell_name, similar
 from gbspec.data.sheet import SHOWN, Sheet, shown
 from gbspec.diagnostics import Cell, Findings
@@ -20,12 +21,16 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Series:
-    """The filled cells of one quantity: `key` indexes the keys, `row` is the table's, `sd` NaN where not given [n]."""
+    """The filled cells of one quantity: `key` indexes the keys, `row` is the table's, `sd` NaN where not given [n].
+
+    `side` [n]: -1 and 1 where the value is a limit that the measured value lies below or above; None: nowhere.
+    """
 
     key: Index
     value: Array
     row: Index
     sd: Array
+    side: Sides | None = None
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,17 @@ def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
     order = keep[np.argsort(group[keep], kind="stable")]
     group, time, row = group[order], time[order], sheet.rows[order]
     _increasing(sheet.path, layout.time, names, group, time, row, findings, _unnamed(sheet, layout))
-    cells = {quantity: numbers(sheet, quantity.column, findings)[order] for quantity in layout.columns}
+    cells: dict[Quantity, Array] = {}
+    side: dict[int, Sides] = {}
+    for quantity in layout.columns:
+        if quantity.role == "limit":
+            side[quantity.index] = side.get(quantity.index, 0) + sides(sheet, quantity.column, findings)[order]
+        elif quantity.role == "channel":
+            values, limits = measured(sheet, quantity.column, findings)
+            cells[quantity] = values[order]
+            side[quantity.index] = limits[order] + side.get(quantity.index, 0)
+        else:
+            cells[quantity] = numbers(sheet, quantity.column, findings)[order]
     sds = {quantity.index: values for quantity, values in cells.items() if quantity.role == "sd"}
     series: dict[Quantity, Series] = {}
     for quantity, values in cells.items():
@@ -120,7 +135,13 @@ def _wide(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
             continue
         key = np.flatnonzero(~np.isnan(values)).astype(np.int64)
         sd = sds.get(quantity.index) if quantity.role == "channel" else None
-        series[quantity] = Series(key, values[key], row[key], np.full(len(key), np.nan) if sd is None else sd[key])
+        series[quantity] = Series(
+            key,
+            values[key],
+            row[key],
+            np.full(len(key), np.nan) if sd is None else sd[key],
+            side[quantity.index][key] if quantity.role == "channel" and side[quantity.index].any() else None,
+        )
     return Records(sheet.path, names, group, time, row, series, layout.time)
 
 
@@ -177,7 +198,7 @@ def _unnamed(sheet: Sheet, layout: Layout) -> str:
 
 def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Array, findings: Findings) -> Records:
     """Records of the long layout: one row per measurement of `name`, in any order; equal times are replicates."""
-    value = numbers(sheet, "value", findings)
+    value, side = measured(sheet, "value", findings)
     sd = numbers(sheet, "sd", findings) if "sd" in sheet.columns else np.full(len(value), np.nan)
     kinds, kind = coded(_names(sheet))
     good = ~np.isnan(time)
@@ -187,7 +208,7 @@ def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
     key_of = np.full(len(time), -1, dtype=np.int64)
     key_of[order] = np.cumsum(new) - 1
     first = order[new]
-    by_name = {quantity.column: quantity for quantity in layout.columns if quantity.role != "sd"}
+    by_name = {quantity.column: quantity for quantity in layout.columns if quantity.role not in ("sd", "limit")}
     series: dict[Quantity, Series] = {}
     for index, name in enumerate(kinds):
         here = np.flatnonzero((kind == index) & good & ~np.isnan(value))
@@ -196,12 +217,22 @@ def _long(sheet: Sheet, layout: Layout, names: list[str], group: Index, time: Ar
             _unknown_name(sheet, name, int(sheet.rows[np.flatnonzero(kind == index)[0]]), by_name, findings)
             continue
         here = here[np.argsort(key_of[here], kind="stable")]
-        series[quantity] = Series(key_of[here], value[here], sheet.rows[here], sd[here])
+        given = side[here] if side[here].any() else None
+        _no_limits(sheet, quantity, here[side[here] != 0], findings)
+        series[quantity] = Series(key_of[here], value[here], sheet.rows[here], sd[here], given)
     unread = [name for name in kinds if name not in by_name]
     for quantity in layout.columns:
         if quantity.required and quantity.column not in kinds:
             _no_rows(sheet, quantity, similar(quantity.column, unread), findings)
     return Records(sheet.path, names, group[first], time[first], sheet.rows[first], series, layout.time)
+
+
+def _no_limits(sheet: Sheet, quantity: Quantity, here: Index, findings: Findings) -> None:
+    """Reports limits of what is no channel."""
+    for i, notes in shown(here if quantity.role != "channel" else here[:0], "cells"):
+        row = int(sheet.rows[i])
+        message = f"row {row} gives a limit for {describe(quantity)}"
+        findings.error("GB712", message, Cell(sheet.path, row, "value"), help="only channels have limits", notes=notes)
 
 
 def _names(sheet: Sheet) -> pl.Series:
@@ -241,5 +272,6 @@ def kept(table: Records, keep: Mask) -> Records:
     series = {}
     for quantity, cells in table.series.items():
         use = keep[cells.key]
-        series[quantity] = Series(position[cells.key[use]], cells.value[use], cells.row[use], cells.sd[use])
+        series[quantity] = Series(position[cells.key[use]], cells.value[use], cells.row[use], cells.sd[use],
+                                  None if cells.side is None else cells.side[use])  # fmt: skip
     return replace(table, group=table.group[keep], time=table.time[keep], row=table.row[keep], series=series)

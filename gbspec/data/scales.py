@@ -35,7 +35,7 @@ class Scales:
 
     `deviation` [C] is the standard deviation of each channel's data; `level` the common noise level, by which standard
     deviations of single entries are divided; `noise` the standard deviation of the noise in units of the residuals, or
-    None if a channel does not state its noise.
+    None if a channel does not state its noise. `levels` [C] is that of each channel, 0 where it is not known.
     """
 
     log: Mask
@@ -43,6 +43,7 @@ class Scales:
     deviation: Array
     level: float
     noise: float | None
+    levels: Array | None = None
 
     @property
     def value_weights(self) -> Array:
@@ -92,9 +93,11 @@ def scales_of(model: Model, trajectories: Trajectories, estimated: Estimated | N
         for i in free:
             alike = [j for j in free if units[j] == units[i]]
             channel[i] = float(np.sqrt(np.mean(deviation[alike] ** 2)))
+    levels = np.where(known, level, 0.0)
     if estimated is not None:
         channel = np.where(believed, channel, channel / np.sqrt(estimated.share))
-    return Scales(log, channel, deviation, level, level if believed.all() and level > 0 else None)
+        levels = np.where(believed, levels, levels * np.sqrt(estimated.share))
+    return Scales(log, channel, deviation, level, level if believed.all() and level > 0 else None, levels)
 
 
 def unstated(model: Model, trajectories: Trajectories) -> Mask:

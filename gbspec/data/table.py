@@ -23,7 +23,7 @@ from gbspec.data.nonmem import is_nonmem, nonmem_records
 from gbspec.data.records import Records, records
 from gbspec.data.regimens import Given, regimens, with_infusions
 from gbspec.data.sheet import Sheet, read_sheet
-from gbspec.data.trajectories import Signal, Trajectories, Trajectory
+from gbspec.data.trajectories import Limits, Signal, Trajectories, Trajectory
 from gbspec.data.writing import write
 from gbspec.diagnostics import Findings, UserError
 from gbspec.ir import Model
@@ -91,7 +91,7 @@ def _cut(
     table: Records, model: Model, measured_only: bool, conditions: Array, given: Sequence[Given]
 ) -> tuple[Trajectory, ...]:
     """The trajectories of valid records, in the order of their first rows."""
-    values, counts, sd = _measurements(table, len(model.channels))
+    values, counts, sd, limits = _measurements(table, len(model.channels))
     starts = starts_of(table, model.time.start)
     edges = np.searchsorted(table.group, np.arange(len(table.labels) + 1))
     inputs = [_pieces(table, i) for i in range(len(model.inputs))]
@@ -124,19 +124,22 @@ def _cut(
                 ),
                 doses=given[g].doses,
                 run_in=run_in,
+                limits=limits.rows(rows) if limits.side[rows].any() else None,
             )
         )
     return tuple(items)
 
 
-def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array]:
-    """Values, numbers of measurements and standard deviations at each key, [keys, channels]; replicates averaged.
+def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array, Limits]:
+    """Values, numbers of measurements and standard deviations at each key, [keys, channels]; replicates averaged; and
+    limits, which have no value.
 
     The standard deviation of an average of n is sqrt(sum of squares)/n; it is given if all of them have one.
     """
     size = len(table.time)
     values, counts = np.full((size, channels), np.nan), np.zeros((size, channels))
     sd = np.full((size, channels), np.nan)
+    limits = Limits(np.full((size, channels), np.nan), np.zeros((size, channels), dtype=np.int8))
     for quantity, cells in table.series.items():
         if quantity.role != "channel":
             continue
@@ -150,7 +153,12 @@ def _measurements(table: Records, channels: int) -> tuple[Array, Array, Array]:
             variance = np.bincount(cells.key, weights=cells.sd**2, minlength=size)
             values[several, c] = mean[several] / counts[several, c]
             sd[several, c] = np.sqrt(variance[several]) / counts[several, c]
-    return values, counts, sd
+        if cells.side is not None:
+            censored = cells.side != 0
+            limits.side[cells.key, c] = cells.side
+            limits.value[cells.key[censored], c] = cells.value[censored]
+            values[cells.key[censored], c] = np.nan
+    return values, counts, sd, limits
 
 
 def _conditions(table: Records, model: Model) -> Array:

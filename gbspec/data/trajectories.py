@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gbspec.arrays import Array
 from gbspec.data.columns import TRAJECTORY, Form
@@ -33,6 +34,19 @@ class DoseEvents:
 
 
 @dataclass(frozen=True)
+class Limits:
+    """Censored entries [R, C]: the `value` of each limit (NaN: none), and the `side` of it on which the measured value
+    lies: -1 below, 1 above, 0 without a limit."""
+
+    value: Array
+    side: NDArray[np.int8]
+
+    def rows(self, chosen: slice | NDArray[np.int64]) -> Limits:
+        """Those of some of the rows."""
+        return Limits(self.value[chosen], self.side[chosen])
+
+
+@dataclass(frozen=True)
 class RunIn:
     """The regimen before a trajectory's first row, so long that the solution is periodic then: a number of doses, at
     equal intervals."""
@@ -55,7 +69,8 @@ class Trajectory:
     `counts` [R, C] is the number of measurements that an entry averages (0 where none); `sd` [R, C] is the standard
     deviation of the entry if the data have one, else NaN. `condition` [n_conditions]; `inputs` and `doses` follow the
     model's order. `end` is the last of `times`. `run_in`: with what the time from `start` to `begins` is filled, so
-    that a steady state is reached; None without one.
+    that a steady state is reached; None without one. `limits` are its censored entries, which have no value and count
+    as one measurement; None without any.
     """
 
     label: str
@@ -68,6 +83,13 @@ class Trajectory:
     inputs: tuple[Signal, ...] = ()
     doses: tuple[DoseEvents, ...] = ()
     run_in: RunIn | None = None
+    limits: Limits | None = None
+
+    @property
+    def censored(self) -> Limits:
+        """Its censored entries, of which there may be none."""
+        none = np.full(self.values.shape, np.nan), np.zeros(self.values.shape, dtype=np.int8)
+        return Limits(*none) if self.limits is None else self.limits
 
     @property
     def begins(self) -> float:
@@ -136,7 +158,7 @@ def frame_of(trajectories: Trajectories, form: Form) -> pl.DataFrame:
     labels = [item.label for item, block in zip(trajectories.items, blocks, strict=True) for _ in range(len(block))]
     columns = {TRAJECTORY: pl.Series(labels, dtype=pl.String)}
     for name, values in zip(names, stacked.T, strict=True):
-        if name.startswith("sd_") and np.isnan(values).all():
+        if name.startswith(("sd_", "limit_")) and np.isnan(values).all():
             continue
         columns[name] = pl.Series(values, dtype=pl.Float64).fill_nan(None)
     return pl.DataFrame(columns)
@@ -155,9 +177,14 @@ def _block(item: Trajectory, form: Form) -> Array:
         cells = np.full(len(times), np.nan)
         match quantity.role:
             case "channel":
-                cells[at] = item.values[:, quantity.index]
+                limits = item.censored
+                known = limits.side[:, quantity.index] == 0
+                cells[at] = np.where(known, item.values[:, quantity.index], limits.value[:, quantity.index])
             case "sd":
                 cells[at] = item.sd[:, quantity.index]
+            case "limit":
+                side = item.censored.side[:, quantity.index]
+                cells[at] = np.where(side == 0, np.nan, side)
             case "condition":
                 cells[:] = item.condition[quantity.index]
             case "input":

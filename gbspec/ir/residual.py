@@ -16,18 +16,16 @@ units of r) is the negative log likelihood up to terms that do not depend on p.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gbspec.ir.censoring import Arithmetic, Censored, Value
+
 if TYPE_CHECKING:
     from gbspec.ir.model import Model
 
-Value: TypeAlias = Any
-"""An array, or a tensor: the same text serves numpy and torch, which share no type."""
-Arithmetic: TypeAlias = Any
-"""The module `numpy`, or `torch`."""
 LOG_FLOOR = 1e-3
 """Below this fraction of the measured value, the logarithm of a prediction is continued by its tangent."""
 LEAST_SIZE = 1e-300
@@ -40,24 +38,36 @@ def logarithmic(model: Model) -> NDArray[np.bool_]:
 
 
 def residuals(
-    predicted: Value, measured: Value, factor: Value, logarithmic: NDArray[np.bool_], xp: Arithmetic = np
+    predicted: Value,
+    measured: Value,
+    factor: Value,
+    logarithmic: NDArray[np.bool_],
+    xp: Arithmetic = np,
+    censored: Censored | None = None,
 ) -> Value:
     """Residuals [..., C] of `predicted` and `measured` [..., C] (any number where nothing was
     measured; NaN there gives NaN where the factor is positive).
 
     `factor` [..., C] is w / s, 0 where nothing was measured: the residual is then 0 for any prediction.
-    `logarithmic` [C]: which channels have log-normal noise. `xp` is numpy for arrays or torch for tensors.
+    `logarithmic` [C]: which channels have log-normal noise. `xp` is numpy for arrays or torch for tensors. `censored`:
+    which of the measured values are limits (`gbspec.ir.censoring`).
     """
     difference = predicted - measured
     if logarithmic.any():
         ratio = predicted / xp.clip(xp.abs(measured), LEAST_SIZE, None)
         safe = xp.clip(ratio, LOG_FLOOR, None)
         difference = xp.where(_like(predicted, logarithmic, xp), xp.log(safe) + (ratio - safe) / LOG_FLOOR, difference)
-    return xp.where(factor > 0, difference * factor, xp.zeros_like(difference))
+    plain = xp.where(factor > 0, difference * factor, xp.zeros_like(difference))
+    return plain if censored is None else censored.residuals(plain, xp)
 
 
 def slopes(
-    predicted: Value, measured: Value, factor: Value, logarithmic: NDArray[np.bool_], xp: Arithmetic = np
+    predicted: Value,
+    measured: Value,
+    factor: Value,
+    logarithmic: NDArray[np.bool_],
+    xp: Arithmetic = np,
+    censored: Censored | None = None,
 ) -> Value:
     """Derivatives of the residuals with respect to the predictions [..., C]; arguments as in `residuals`."""
     out = factor + xp.zeros_like(predicted)
@@ -65,7 +75,9 @@ def slopes(
         size = xp.clip(xp.abs(measured), LEAST_SIZE, None)
         slope = factor / (size * xp.clip(predicted / size, LOG_FLOOR, None))
         out = xp.where(_like(predicted, logarithmic, xp), slope, out)
-    return out
+    if censored is None:
+        return out
+    return out * censored.slopes(residuals(predicted, measured, factor, logarithmic, xp))
 
 
 def _like(predicted: Value, mask: NDArray[np.bool_], xp: Arithmetic) -> Value:

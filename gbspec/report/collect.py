@@ -102,7 +102,7 @@ def at_times(item: Trajectory, times: Array) -> Trajectory:
     """The trajectory with other rows: its conditions, inputs and doses at `times` [T], nothing measured."""
     shape = (len(times), item.values.shape[1])
     nothing = np.full(shape, np.nan)
-    return replace(item, times=times, values=nothing, counts=np.zeros(shape), sd=nothing)
+    return replace(item, times=times, values=nothing, counts=np.zeros(shape), sd=nothing, limits=None)
 
 
 def dense_times(item: Trajectory) -> Array:
@@ -138,7 +138,7 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
         reference = None if true is None else true[1][:, j]
         unit = _channel_unit(model, channel)
         shown.append(ChannelFit(channel.name, item.times[measured], item.values[measured, j], grid, channels[:, :, j],
-                                reference, unit))  # fmt: skip
+                                reference, unit, _limits(item, j, -1), _limits(item, j, 1)))  # fmt: skip
     for i, state in enumerate(model.states):
         if hidden and all(channel.state != i for channel in model.channels):
             reference, nothing = None if true is None else true[0][:, i], np.zeros(0)
@@ -148,6 +148,12 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
     origin = "given by the model" if known else fitted.start(0, index).origin
     return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), origin, _given(model, item),
                          _own_text(fitted.run, item.label))  # fmt: skip
+
+
+def _limits(item: Trajectory, channel: int, side: int) -> Array | None:
+    """Times and limits [2, L] of a channel's censored values on a side of their limits; None without any."""
+    rows = item.censored.side[:, channel] == side
+    return np.stack([item.times[rows], item.censored.value[rows, channel]]) if rows.any() else None
 
 
 def _channel_unit(model: Model, channel: Channel) -> str:

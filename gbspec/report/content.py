@@ -13,7 +13,8 @@ class ChannelFit:
     """One channel of one trajectory.
 
     Measurements `measured` [R] at `times` [R]; curves on a dense grid `grid` [G]: `members` [M, G], one per member of
-    the ensemble (their mean is drawn, their range shaded), and the `truth` [G] if there is one.
+    the ensemble (their mean is drawn, their range shaded), and the `truth` [G] if there is one. Censored values are
+    `below` and `above` limits: times and limits [2, L], None without any.
     """
 
     name: str
@@ -23,6 +24,8 @@ class ChannelFit:
     members: Array
     truth: Array | None = None
     unit: str = ""
+    below: Array | None = None
+    above: Array | None = None
 
 
 @dataclass(frozen=True)

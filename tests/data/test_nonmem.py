@@ -13,7 +13,7 @@ from gbspec.data.fingerprints import fingerprint
 from gbspec.data.table import read, read_frame
 from gbspec.data.trajectories import RunIn
 from gbspec.diagnostics import Findings, UserError
-from gbspec.ir.model import Channel, Model, State, symbol
+from gbspec.ir.model import Channel, Condition, Model, State, symbol
 from tests.data.hand_models import drip
 from tests.training.conftest import model_of
 
@@ -168,6 +168,22 @@ def test_wrong_events_get_their_code(code: str, columns: dict[str, Cells]) -> No
 def test_a_measurement_behind_a_dose_of_the_same_time_is_pointed_out() -> None:
     columns: dict[str, Cells] = {"ID": [1, 1, 1], "TIME": [0, 0, 5], "DV": [None, 2.0, 1.0], "AMT": [8, 0, 0]}
     assert [d.code for d in made(drip(None), **columns)[1]] == ["GB762"]
+
+
+def test_censored_values_by_cens_and_by_sign() -> None:
+    data, _ = made(drip(None), ID=[1, 1, 1, 1], TIME=[0, 2, 3, 5], AMT=[8, 0, 0, 0], CENS=[0, 1, -1, 0],
+                   DV=["", "2", "1", "<0.5"])  # fmt: skip
+    limits = data.items[0].censored
+    assert limits.side.ravel().tolist() == [-1, 1, -1] and limits.value.ravel().tolist() == [2, 1, 0.5]
+
+
+def test_conditions_and_inputs_have_their_columns() -> None:
+    model = drip(None, conditions=(Condition("w"),))
+    data, _ = made(model, ID=[1, 1], TIME=[0, 2], AMT=[8, 0], DV=[None, 2.0], w=[70.0, None])
+    assert data.items[0].condition.tolist() == [70] and data.items[0].values.tolist() == [[2]]
+    with pytest.raises(UserError) as caught:
+        made(model, ID=[1, 1], TIME=[0, 2], AMT=[8, 0], DV=[None, 2.0])
+    assert "GB710" in {d.code for d in caught.value.diagnostics}
 
 
 def test_subjects_of_a_population_are_not_reset() -> None:

@@ -155,11 +155,25 @@ def test_a_misspelt_column_gets_a_suggestion(reading: Reader) -> None:
 
 @pytest.mark.parametrize(
     ("cell", "hint"),
-    [('"2,5"', "2.5"), ("<0.1", "limit"), ("5 mg", "`5`"), ("10:30", "time of day"), ('"1,234,567"', "thousands")],
+    [('"2,5"', "2.5"), ("5 mg", "`5`"), ("10:30", "time of day"), ('"1,234,567"', "thousands")],
 )
 def test_a_cell_that_is_not_a_number_gets_a_hint(reading: Reader, cell: str, hint: str) -> None:
     _, findings = reading(HEAD + FIRST + f"1,1,{cell},1,0.3\n")
     assert [d.code for d in findings] == ["GB712"] and hint in findings[0].help
+
+
+def test_limits_of_what_is_no_channel(reading: Reader) -> None:
+    _, findings = reading(HEAD + FIRST + "1,1,0.5,1,<0.3\n")
+    assert [d.code for d in findings] == ["GB712"] and "limit" in findings[0].help
+    _, findings = reading("t,name,value\n0,x1,1\n1,x2,1\n0,Da,<0.3\n")
+    assert [(d.code, d.place) for d in findings] == [("GB712", Cell(findings[0].place.path, 4, "value"))]  # type: ignore[union-attr]
+
+
+def test_limits_beside_other_values(reading: Reader) -> None:
+    _, findings = reading("t,name,value\n0,x1,1\n0,x1,<2\n1,x2,1\n0,Da,0.3\n")
+    assert [(d.code, d.place.row) for d in findings] == [("GB765", 3)]  # type: ignore[union-attr]
+    _, findings = reading("t,x1,x2,Da,limit_x1\n0,.5,1,.3,2\n1,.5,1,.3,<\n")
+    assert [(d.code, d.place.row) for d in findings] == [("GB764", 2)]  # type: ignore[union-attr]
 
 
 def test_many_mistakes_of_one_kind_are_counted_not_listed(reading: Reader) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,9 +11,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 
 from gbspec.backends import load_module
-from gbspec.data import Trajectories, shipped_model
+from gbspec.data import Limits, Trajectories, shipped_model
 from gbspec.diagnostics import Findings, UserError
 from gbspec.frontend import load_model
 from gbspec.ir import METHODS, Model
@@ -153,6 +155,51 @@ def test_the_gradient_is_that_of_the_likelihood(tmp_path: Path, text: str, nodes
     numeric = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
     exactly = found.parameters.sum(axis=0) @ along + found.weights @ across
     assert exactly == pytest.approx(numeric, rel=1e-6, abs=1e-6)
+
+
+def limited(data: Trajectories, below: float, above: float) -> Trajectories:
+    """The data with values that are known only to lie below or above a limit."""
+    items = []
+    for item in data.items:
+        side = np.where(item.values < below, -1, np.where(item.values > above, 1, 0)).astype(np.int8)
+        value = np.where(side < 0, below, np.where(side > 0, above, np.nan))
+        items.append(replace(item, values=np.where(side == 0, item.values, np.nan), limits=Limits(value, side)))
+    return replace(data, items=tuple(items))
+
+
+def test_censored_values_contribute_their_probability(tmp_path: Path) -> None:
+    """By quadrature with many nodes it is the integral over the level of each subject (M3)."""
+    model, data, values = levels(tmp_path)
+    made, u, weights = marginal_of(model, limited(data, 4.0, 7.0), 21)
+    at = np.linspace(-8, 8, 4001)
+    level = 5 + at[:, None]  # m = 5, s = 1, e = 0.5
+    total = 0.0
+    for row in values:
+        known = row[(row >= 4) & (row <= 7)]
+        logs = norm.logpdf(known, level, 0.5).sum(axis=1)
+        logs += (row < 4).sum() * norm.logcdf(4, level[:, 0], 0.5) + (row > 7).sum() * norm.logsf(7, level[:, 0], 0.5)
+        total += -2 * np.log(np.trapezoid(np.exp(logs) * norm.pdf(at), at))
+    assert ((values < 4) | (values > 7)).any()
+    assert made.value(u, weights, np.zeros((8, 1))).total == pytest.approx(total, rel=1e-6)
+
+
+@pytest.mark.parametrize("nodes", [1, 3])
+def test_the_gradient_with_censored_values_is_exact(tmp_path: Path, nodes: int) -> None:
+    model, data = decays(tmp_path)
+    made, u, weights = marginal_of(model, limited(data, 0.4, 1.4), nodes)
+    along, start, h = np.random.default_rng(3).standard_normal(len(u)), np.zeros((len(data), made.layout.effects)), 1e-4
+    found = made.slopes(u, weights, made.value(u, weights, start).z)
+    values = [made.value(u + s * h * along, weights, start).total for s in (-2, -1, 1, 2)]
+    numeric = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
+    assert found.parameters.sum(axis=0) @ along == pytest.approx(numeric, rel=1e-6, abs=1e-6)
+
+
+def test_a_fit_with_censored_values_and_a_learned_noise(tmp_path: Path) -> None:
+    model, data, _ = levels(tmp_path)
+    run = train(
+        model, limited(data, 4.0, 7.0), TrainOptions(backend="torch", max_step=1.0, effort="low"), tmp_path / "r"
+    )
+    assert run.fit.constants["e"].value == pytest.approx(0.4, rel=0.4)
 
 
 def test_the_sweeps_and_the_torch_graph_agree(tmp_path: Path) -> None:

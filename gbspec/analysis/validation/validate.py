@@ -11,6 +11,7 @@ import numpy as np
 from gbspec.analysis.prediction import Prediction, extrapolated, mean_prediction, predictions
 from gbspec.analysis.systems import extrapolation_of
 from gbspec.analysis.validation.data_sampling import sampling_like, starting
+from gbspec.analysis.validation.limits import LimitsKept, limits_kept
 from gbspec.analysis.validation.metrics import ChannelErrors, channel_errors
 from gbspec.analysis.validation.step_check import StepCheck, step_check
 from gbspec.analysis.validation.truth_errors import TruthErrors, has_reference, truth_errors, without_truth
@@ -96,6 +97,7 @@ class Validation(Tabled):
     predictions: tuple[Prediction, ...] = field(default=(), repr=False)
     worst: WorstRow | None = None
     ahead: Mapping[str, Mapping[str, ChannelErrors]] = field(default_factory=dict)
+    limits: Mapping[str, LimitsKept] = field(default_factory=dict)
 
     def to_frame(self) -> pl.DataFrame:
         """One row for each channel: `channel`, `n`, `rmse`, `nrmse`, `mae`, `r2`; errors in the channel's unit."""
@@ -136,6 +138,8 @@ class Validation(Tabled):
             document["truth"] = self.truth.to_json()
         if self.worst is not None:
             document["worst"] = encode(self.worst)
+        if self.limits:
+            document["limits"] = {name: one.to_json() for name, one in self.limits.items()}
         if self.ahead:
             document["ahead"] = {
                 steps: {name: one.to_json() for name, one in found.items()} for steps, found in self.ahead.items()
@@ -148,6 +152,7 @@ class Validation(Tabled):
             lines.append(f"{'channel':<16}{'n':>7}{'rmse':>12}{'nrmse':>12}{'mae':>12}{'r2':>10}")
             for name, one in self.channels.items():
                 lines.append(f"{name:<16}{one.n:>7}{one.rmse:>12.4g}{one.nrmse:>12.4g}{one.mae:>12.4g}{one.r2:>10.5g}")
+        lines += [f"{name}: {one}" for name, one in self.limits.items()]
         if self.ahead:
             lines.append(f"{'rows ahead':<12}{'channel':<16}{'n':>7}{'rmse':>12}{'r2':>10}")
         for steps, found in self.ahead.items():
@@ -206,10 +211,12 @@ def validate(
         warnings += far_outside(run.model, np.concatenate(solved)) if solved else []
     if check.warning:
         warnings.append(check.warning)
+    kept = {} if trajectories is None else limits_kept(run.model, trajectories, predicted)
     compared = None
     if truth and has_reference(run.model):
         compared = _against_truth(run.model, evaluators, trajectories, sampling, metrics, warnings)
-    return Validation(member, channels, errors, check, compared, tuple(warnings), predicted, worst)
+    return Validation(member, channels, errors, check, compared, tuple(warnings), predicted, worst,
+                      limits=kept)  # fmt: skip
 
 
 def _stacked(trajectories: Trajectories) -> Array:

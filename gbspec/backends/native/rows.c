@@ -10,8 +10,30 @@ static int find_rows(Work *w, int64_t s) {
     return any;
 }
 
-/* A residual and its slope in the prediction: the definition of gbspec/ir/residual.py; a test compares the two. */
-static double residual(const Data *d, size_t row, int channel, double predicted, double *slope) {
+/* The logarithm of the normal distribution function; beyond 20 by the asymptotic series of Mills' ratio. */
+static double log_probability(double z) {
+    if (z > 0) return log1p(-0.5 * erfc(z * 0.70710678118654752440));
+    if (z > -20) return log(0.5 * erfc(-z * 0.70710678118654752440));
+    const double s = 1 / (z * z);
+    return -0.5 * z * z - log(-z) - 0.91893853320467274178 + log1p(-s * (1 - 3 * s * (1 - 5 * s * (1 - 7 * s))));
+}
+
+/* The residual of a limit and its slope from those of a known value: the definition of gbspec/ir/censoring.py. */
+static double censored(double plain, int side, double level, double *slope) {
+    const double violation = -side * plain;
+    if (!(level > 0)) {
+        if (!(violation > 0)) *slope = 0;
+        return violation > 0 ? plain : violation <= 0 ? 0 : violation;
+    }
+    const double z = violation / level, logs = log_probability(-z), square = -2 * logs;
+    const double root = sqrt(square > 1e-300 ? square : 1e-300);
+    const double power = -0.5 * z * z - 0.91893853320467274178 - logs;
+    *slope *= square > 1e-300 ? exp(power < 700 ? power : 700) / root : 0;
+    return -side * level * root;
+}
+
+/* The residual of a known value: the definition of gbspec/ir/residual.py; a test compares the two. */
+static double plain_residual(const Data *d, size_t row, int channel, double predicted, double *slope) {
     const double factor = d->factor[row * CHANNELS + channel], measured = d->measured[row * CHANNELS + channel];
     *slope = 0;
     if (!(factor > 0)) return 0;
@@ -23,6 +45,13 @@ static double residual(const Data *d, size_t row, int channel, double predicted,
     const double safe = ratio < LOG_FLOOR ? LOG_FLOOR : ratio;
     *slope = factor / (size * safe);
     return (log(safe) + (ratio - safe) / LOG_FLOOR) * factor;
+}
+
+/* A residual and its slope in the prediction. */
+static double residual(const Data *d, size_t row, int channel, double predicted, double *slope) {
+    const double plain = plain_residual(d, row, channel, predicted, slope);
+    const int side = d->side ? d->side[row * CHANNELS + channel] : 0;
+    return side ? censored(plain, side, d->level[channel], slope) : plain;
 }
 
 static void arrive(Work *w, int64_t s, real *x, double *residuals, double *states) {

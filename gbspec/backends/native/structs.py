@@ -83,6 +83,8 @@ STRUCTS: Mapping[str, tuple[Field, ...]] = {
         _places("arrival_cuts", "arrivals", "whether it moves the start of its sub-step", optional=True),
         _reals("slope", "trajectories, depth, INPUTS", "of inputs in time, if sub-steps are cut", optional=True),
         _places("logarithmic", "CHANNELS"),
+        _places("side", "rows, CHANNELS", "of a limit that values lie on: -1, 1; 0: no limit", optional=True),
+        _reals("level", "CHANNELS", "standard deviation of noise in units of residuals, 0: not known", optional=True),
         _reals("lu", "trajectories, depth, STATES, STATES", "factored matrices, for methods with any", optional=True),
         _places("pivots", "trajectories, depth, STATES", "their exchanges of rows, from 1", optional=True),
     ),

@@ -81,6 +81,10 @@ def panel(channel: ChannelFit, axis: Axis, *, legend: bool = False, height: floa
     marks: list[Mark] = [*ensemble(channel.grid, channel.members, "model")]
     if channel.truth is not None:
         marks.append(truth(channel.grid, channel.truth))
+    if channel.below is not None:
+        marks.append(Points(channel.below[0], channel.below[1], "below", MUTED, 4.2, "down"))
+    if channel.above is not None:
+        marks.append(Points(channel.above[0], channel.above[1], "above", MUTED, 4.2, "up"))
     if len(channel.times):
         points = measured(channel.times, channel.measured)
         # The page draws marks in their order, files by their layers

@@ -12,7 +12,9 @@ with the expected Hessian of g/2
     H = I + sum((1/v + (v'/v)^2/2) f_z f_z^T)
 
 where v' = dv/df: the Hessian of first order conditional estimation with interaction (Lindstrom and Bates 1990; Wang
-2007).
+2007). A value of which only a limit L is known contributes its probability instead (the method M3 of Beal 2001): with
+s = -1 below and 1 above it and w = s (f - L)/sqrt(v), minus twice log Phi(w) to g, and to the weight of f_z f_z^T
+m (m + w) (dw/df)^2 with m = phi(w)/Phi(w), the second derivative by w.
 """
 
 from __future__ import annotations
@@ -65,8 +67,10 @@ class Likelihood:
         self.channels = [
             torch.from_numpy(np.flatnonzero(measured.channel == c)) for c in range(len(layout.model.channels))
         ]
+        self.side = torch.from_numpy(measured.side)
+        self.limited = bool(measured.side.any())
         # The density of a value whose logarithm is normal has the factor 1/value.
-        jacobian = np.where(measured.logarithm, 2 * measured.value, 0.0)
+        jacobian = np.where(measured.logarithm & (measured.side == 0), 2 * measured.value, 0.0)
         self.constant = self.sums(torch.from_numpy(jacobian))
 
     def sums(self, values: Tensor) -> Tensor:
@@ -107,18 +111,34 @@ class Likelihood:
     def joint(self, of: Compared, z: Tensor) -> Tensor:
         """g [N]."""
         terms = LOG_2PI + torch.log(of.variance) + of.residual**2 / of.variance
+        if self.limited:
+            place, _ = self._limit(of)
+            terms = torch.where(self.side == 0, terms, -2 * torch.special.log_ndtr(place))
         return self.sums(terms) + (z**2).sum(1) + self.constant
 
     def half_gradient(self, of: Compared, z: Tensor) -> Tensor:
         """The gradient of g/2 by z [N, q]."""
         by_mean = of.residual / of.variance + 0.5 * of.slope * (1 / of.variance - of.residual**2 / of.variance**2)
+        if self.limited:
+            place, by = self._limit(of)
+            by_mean = torch.where(self.side == 0, by_mean, -_mills(place) * by)
         return z + self.sums(by_mean[:, None] * of.by_z)
 
     def expected_hessian(self, of: Compared) -> Tensor:
         """H [N, q, q]."""
         weight = 1 / of.variance + 0.5 * (of.slope / of.variance) ** 2
+        if self.limited:
+            place, by = self._limit(of)
+            ratio = _mills(place)
+            weight = torch.where(self.side == 0, weight, ratio * torch.clamp(ratio + place, min=0.0) * by**2)
         products = weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :]
         return torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype) + self.sums(products)
+
+    def _limit(self, of: Compared) -> tuple[Tensor, Tensor]:
+        """w [m] of limits, in whose place known values have 0, and dw/df."""
+        side, root = self.side, torch.sqrt(of.variance)
+        place = torch.where(side == 0, torch.zeros_like(root), side * of.residual / root)
+        return place, torch.where(side == 0, torch.zeros_like(root), side / root - 0.5 * place * of.slope / of.variance)
 
     # ---------------------------------------------------------------- inner problems
     def at(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
@@ -171,6 +191,11 @@ class Likelihood:
             for name, value in vars(first).items()
         }
         return Compared(**parts)
+
+
+def _mills(place: Tensor) -> Tensor:
+    """phi(w)/Phi(w)."""
+    return torch.exp(-0.5 * place**2 - 0.5 * LOG_2PI - torch.special.log_ndtr(place))
 
 
 def _step(gradient: Tensor, hessian: Tensor, missing: Tensor, damping: Tensor) -> tuple[Tensor, Tensor]:

@@ -176,7 +176,8 @@ class Marginal:
         logs = likelihood.logs.numpy()
         mean[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
         omega = (factor[0] @ factor[0].T).numpy() if len(factor) else np.zeros((layout.effects,) * 2)
-        return _information(self.predictions.measured.owner, mean, of, omega, spread, noise)
+        known = np.flatnonzero(self.predictions.measured.side == 0)  # limits say little: without them it is a bound
+        return _information(self.predictions.measured.owner, mean, of, omega, spread, noise, known)
 
     def _mean_slopes(self, u: Array, z: Tensor, by_constants: Array) -> Array:
         """Derivatives [m, P] of predictions by u at fixed z; spreads and correlations move only the variance."""
@@ -227,13 +228,15 @@ class Marginal:
         return out
 
 
-def _information(owner: Integers, mean: Array, of: Compared, omega: Array, spread: Array, noise: Array) -> Array:
-    """The sum over trajectories. `mean` [m, W + P], `noise` [m, P] and `spread` [P, q, q] are derivatives of means,
-    variances and the covariance `omega` of deviations, by which `of` has the sensitivities."""
+def _information(
+    owner: Integers, mean: Array, of: Compared, omega: Array, spread: Array, noise: Array, known: Integers
+) -> Array:
+    """The sum over trajectories of the values `known` [k]. `mean` [m, W + P], `noise` [m, P] and `spread` [P, q, q] are
+    derivatives of means, variances and the covariance `omega` of deviations, by which `of` has the sensitivities."""
     total, weights = np.zeros((mean.shape[1],) * 2), mean.shape[1] - noise.shape[1]
     by_deviation, variance = of.by_z.numpy(), of.variance.numpy()
     places = np.flatnonzero(np.abs(noise).any(axis=0) | np.abs(spread).reshape(len(spread), -1).any(axis=1))
-    order = np.argsort(owner, kind="stable")
+    order = known[np.argsort(owner[known], kind="stable")]
     for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
         if not len(rows):
             continue

@@ -118,7 +118,7 @@ class Pooled:
         names = {k.name for k in self.layout.each}
         for i, channel in enumerate(model.channels):
             value = channel.noise.value if channel.noise is not None else None
-            rows = problem.seen[:, i]
+            rows = problem.valued[:, i]
             if value is None or not value.is_Symbol or value.name not in names or not rows.any():
                 continue
             size = float(np.sqrt(np.mean(residuals[rows, i] ** 2))) * float(problem.scaling.channel[i])

@@ -29,7 +29,8 @@ from gbspec.training.problem import STRETCH, Integers, Parameters, Problem, Scal
 @dataclass(frozen=True)
 class Measured:
     """The m measured values: trajectory `owner` and `channel` of each, the `value` (its logarithm under lognormal
-    noise), the root `weight` of how many measurements it averages, and its own standard deviation `sd` (0: none)."""
+    noise), the root `weight` of how many measurements it averages, and its own standard deviation `sd` (0: none).
+    `side`: -1 and 1 where the value is a limit that the measured one lies below or above, else 0."""
 
     owner: Integers
     channel: Integers
@@ -38,18 +39,20 @@ class Measured:
     sd: Array
     logarithm: Mask
     trajectories: int
+    side: Array
 
     @classmethod
     def of(cls, problem: Problem) -> Measured:
         """The measured values of a problem, row by row; a table with lognormal noise has positive ones alone."""
         packed, model = problem.packed, problem.model
         row, channel = np.nonzero(problem.seen)
-        value, logs = packed.values[row, channel].copy(), logarithmic(model)[channel]
+        value, logs = problem.measured[row, channel].copy(), logarithmic(model)[channel]
         sd = packed.sd[row, channel]
         sd = np.where(np.isfinite(sd), sd, 0.0) / np.where(logs, value, 1.0)
         value[logs] = np.log(value[logs])
         weight = packed.weights[row, channel]
-        return cls(packed.row_trajectory[row], channel, value, weight, sd, logs, packed.trajectories)
+        side = packed.limits.side[row, channel].astype(np.float64)
+        return cls(packed.row_trajectory[row], channel, value, weight, sd, logs, packed.trajectories, side)
 
 
 @dataclass(frozen=True)

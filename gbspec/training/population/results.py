@@ -136,7 +136,8 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
     owner, residual = predictions.measured.owner, -of.residual.numpy()
     by_z, variance = of.by_z.numpy(), of.variance.numpy()
     weighted = np.full(len(owner), np.nan)
-    order = np.argsort(owner, kind="stable")
+    known = np.flatnonzero(predictions.measured.side == 0)  # a limit has no residual
+    order = known[np.argsort(owner[known], kind="stable")]
     for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
         if not len(rows):
             continue
@@ -150,7 +151,7 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
         "individual": np.where(logs, np.exp(of.mean.numpy()), of.mean.numpy()),
         "population": population,
         "cwres": weighted,
-        "iwres": residual / np.sqrt(variance),
+        "iwres": np.where(predictions.measured.side == 0, residual / np.sqrt(variance), np.nan),
     }
 
 
@@ -165,7 +166,9 @@ def predictive_check(objective: Objective, point: Point, times: Array, seed: int
     value = np.where(measured.logarithm, np.exp(measured.value), measured.value)
     rows = []
     for channel in np.unique(measured.channel):
-        here = np.flatnonzero(measured.channel == channel)
+        here = np.flatnonzero((measured.channel == channel) & (measured.side == 0))
+        if not len(here):
+            continue
         for some in _bins(times[here]):
             pick = here[some]
             own = np.quantile(value[pick], LEVELS)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import sympy
 
+from gbspec.data import Limits
 from gbspec.ir import Channel, Dose, Expr, Initial, Model, State, derivative, symbol
 from gbspec.training.problem import Packed
 
@@ -141,4 +142,5 @@ def repacked(packed: Packed, times: int, doses: tuple[int, ...], model: Model) -
         known=known,
     )
     values, weights, sd = (np.tile(part, (1, times)) for part in (packed.values, packed.weights, packed.sd))
-    return replace(packed, doses=table, values=values, weights=weights, sd=sd)
+    limits = Limits(np.tile(packed.limits.value, (1, times)), np.tile(packed.limits.side, (1, times)))
+    return replace(packed, doses=table, values=values, weights=weights, sd=sd, limits=limits)

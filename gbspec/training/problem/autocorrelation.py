@@ -14,7 +14,7 @@ from gbspec.training.problem.problem import Problem
 
 def in_time(problem: Problem, channel: int) -> Integers:
     """The rows with a measurement of a channel, in the order of time, trajectory by trajectory."""
-    packed, rows = problem.packed, np.flatnonzero(problem.seen[:, channel])
+    packed, rows = problem.packed, np.flatnonzero(problem.valued[:, channel])
     return np.asarray(rows[np.lexsort((packed.row_index[rows], packed.row_trajectory[rows]))], dtype=np.int64)
 
 

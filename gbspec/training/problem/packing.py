@@ -15,9 +15,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.data import Trajectories, Trajectory, evaluate
+from gbspec.data import Limits, Trajectories, Trajectory, evaluate
 from gbspec.data import weights as weights_of
 from gbspec.ir import RK4, Method, Model
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
@@ -33,7 +34,8 @@ class Packed:
     Rows are ordered by their place within their trajectory, then by trajectory: `row_trajectory`, `row_index` (0 is a
     trajectory's first row), `row_step` (sub-steps taken on arrival) [R], `row_time` [R], `values` [R, C] (NaN: not
     measured), `weights` [R, C] (square root of the count; 0: not measured), `sd` [R, C] (NaN: none given),
-    `row_inputs` [R, n_inputs]. A dose is added to the state after a measurement at the same time.
+    `row_inputs` [R, n_inputs], `limits` of censored entries, which have no value and the weight 1. A dose is added to
+    the state after a measurement at the same time.
     """
 
     t: Array
@@ -51,6 +53,7 @@ class Packed:
     weights: Array
     sd: Array
     row_inputs: Array
+    limits: Limits
     doses: DoseTable
     labels: tuple[str, ...]
     max_step: float
@@ -119,6 +122,7 @@ class Packed:
             weights=self.weights[rows],
             sd=self.sd[rows],
             row_inputs=self.row_inputs[rows],
+            limits=self.limits.rows(rows),
             doses=self.doses.take(index),
             labels=tuple(self.labels[i] for i in index),
         )
@@ -178,7 +182,7 @@ def pack(
     place = np.concatenate([none, *(np.arange(len(plan.row_step)) for plan in plans)])
     order = np.lexsort((owner, place))
 
-    def rows(arrays: list[Array], width: int | None = None) -> Array:
+    def rows(arrays: Sequence[NDArray[np.generic]], width: int | None = None) -> Array:
         empty = np.zeros(0) if width is None else np.zeros((0, width))
         return np.asarray(np.concatenate([*arrays, empty]), dtype=np.float64)[order]
 
@@ -199,6 +203,10 @@ def pack(
         weights=rows([plan.weights for plan in plans], channels),
         sd=rows([plan.sd for plan in plans], channels),
         row_inputs=rows([plan.row_inputs for plan in plans], n_inputs),
+        limits=Limits(
+            rows([plan.limits.value for plan in plans], channels),
+            rows([plan.limits.side for plan in plans], channels).astype(np.int8),
+        ),
         doses=dose_table(trajectories, model),
         labels=tuple(item.label for item in trajectories.items),
         max_step=max_step,
@@ -218,6 +226,7 @@ class _Plan:
     weights: Array
     sd: Array
     row_inputs: Array
+    limits: Limits
 
 
 def _plan(
@@ -238,9 +247,10 @@ def _plan(
     row_step = arrival[np.searchsorted(edges, keys)]
     kept = item.times >= item.start
     values, sd = item.values[kept], item.sd[kept]
-    weights = weights_of(values, item.counts[kept])
+    limits = item.censored.rows(np.flatnonzero(kept))
+    weights = np.where(limits.side != 0, 1.0, weights_of(values, item.counts[kept]))
     inputs, at_rows = _step_inputs(item, model, t, h, nodes), _row_inputs(item, model, keys)
-    return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows)
+    return _Plan(t, h, inputs, row_step, keys, values, weights, sd, at_rows, limits)
 
 
 def _split(interval: float, max_step: float, rng: np.random.Generator | None) -> Array:

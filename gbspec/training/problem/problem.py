@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from gbspec.arrays import Array, Mask
 from gbspec.backends import GeneratedModule
 from gbspec.diagnostics import Defect
-from gbspec.ir import METHODS, Model
+from gbspec.ir import METHODS, Censored, Model
 from gbspec.training.problem.forcing import Forcing, teacher_forcing
 from gbspec.training.problem.mesh import Control
 from gbspec.training.problem.packing import Packed
@@ -42,13 +42,26 @@ class Problem:
 
     @cached_property
     def seen(self) -> Mask:
-        """The mask of measured values [R, C]."""
+        """The mask of measured values [R, C], limits included."""
         return np.asarray(self.packed.weights > 0, dtype=np.bool_)
 
     @cached_property
+    def valued(self) -> Mask:
+        """The mask of measured values [R, C] that are known, and not limits."""
+        return np.asarray(self.seen & (self.packed.limits.side == 0), dtype=np.bool_)
+
+    @cached_property
+    def censored(self) -> Censored | None:
+        """The measured values that are limits; None if there are none."""
+        side = np.where(self.seen, self.packed.limits.side, 0).astype(np.int8)
+        levels = self.scaling.levels
+        return Censored(side, np.zeros(side.shape[1]) if levels is None else levels) if side.any() else None
+
+    @cached_property
     def measured(self) -> Array:
-        """The measured values [R, C]; 1 where there is none."""
-        return np.where(self.seen, self.packed.values, 1.0)
+        """The measured values and limits [R, C]; 1 where there is none."""
+        found = np.where(self.packed.limits.side == 0, self.packed.values, self.packed.limits.value)
+        return np.where(self.seen, found, 1.0)
 
     @cached_property
     def factor(self) -> Array:

@@ -15,12 +15,14 @@ from gbspec.training.problem.problem import Problem
 def residuals_of(problem: Problem, predicted: Array) -> Array:
     """Residuals [R, C] of predicted channels [R, C]; 0 where nothing was measured."""
     with np.errstate(over="ignore", invalid="ignore"):  # predictions of a solution that is not finite
-        return np.asarray(residuals(predicted, problem.measured, problem.factor, problem.scaling.log))
+        given = problem.measured, problem.factor, problem.scaling.log
+        return np.asarray(residuals(predicted, *given, censored=problem.censored))
 
 
 def residual_slopes(problem: Problem, predicted: Array) -> Array:
     """Derivatives of the residuals by the predictions [R, C]; 0 where nothing was measured."""
-    return np.asarray(slopes(predicted, problem.measured, problem.factor, problem.scaling.log))
+    given = problem.measured, problem.factor, problem.scaling.log
+    return np.asarray(slopes(predicted, *given, censored=problem.censored))
 
 
 def measured_only(problem: Problem, table: Array) -> Array:

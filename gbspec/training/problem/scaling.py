@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from gbspec.arrays import Array, Mask
 from gbspec.data import Estimated, Trajectories, scales_of
 from gbspec.ir import Model
@@ -17,7 +19,7 @@ class Scaling:
     `share` [C] is the share of each channel's values that count (None: all do): the scale is larger for it, so that
     residuals divided by its square root have the standard deviation of the noise.
     `noise` is the standard deviation of the noise in units of the residuals; None if a channel does not state its
-    noise.
+    noise. `levels` [C]: the same of each channel, 0 where it is not known (None: nowhere).
     """
 
     log: Mask
@@ -25,10 +27,12 @@ class Scaling:
     channel: Array
     noise: float | None = None
     share: Array | None = None
+    levels: Array | None = None
 
 
 def scaling_of(model: Model, packed: Packed, trajectories: Trajectories, estimated: Estimated | None = None) -> Scaling:
     """The scales for all trajectories of a fit, at the rows of a packing of these or of others."""
     scales = scales_of(model, trajectories, estimated)
     share = None if estimated is None or (estimated.share == 1).all() else estimated.share
-    return Scaling(scales.log, scales.of_rows(packed.sd, packed.values), scales.channel, scales.noise, share)
+    values = np.where(packed.limits.side == 0, packed.values, packed.limits.value)
+    return Scaling(scales.log, scales.of_rows(packed.sd, values), scales.channel, scales.noise, share, scales.levels)

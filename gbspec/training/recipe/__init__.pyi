@@ -1,6 +1,7 @@
 from .context import Context as Context
 from .context import build_context as build_context
 from .disturbed import check_disturbed as check_disturbed
+from .disturbed import check_limits as check_limits
 from .disturbed import filter_of as filter_of
 from .disturbed import held_out_filter as held_out_filter
 from .disturbed import whole_vector as whole_vector

@@ -13,9 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gbspec.arrays import Array
-from gbspec.data import Trajectories, Trajectory
+from gbspec.data import Limits, Trajectories, Trajectory
 from gbspec.training.engines import predicted, residual_vector
 from gbspec.training.optimise import Outcome, State
 from gbspec.training.problem import Parameters, Problem, mean_loss, teacher_forcing
@@ -71,7 +72,13 @@ def _begun_earlier(item: Trajectory) -> Trajectory:
         values=below(item.values, np.nan),
         counts=below(item.counts, 0.0),
         sd=below(item.sd, np.nan),
+        limits=None if item.limits is None else Limits(below(item.limits.value, np.nan), _unlimited(item.limits.side)),
     )
+
+
+def _unlimited(side: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Sides with a first row that has no limit."""
+    return np.concatenate([np.zeros((1, side.shape[1]), dtype=np.int8), side])
 
 
 class Breeding:

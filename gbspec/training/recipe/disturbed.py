@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.data import Trajectories, unstated
 from gbspec.diagnostics import Diagnostic, UserError
 from gbspec.ir import METHODS, Model, RosenbrockW
 from gbspec.training.engines import Filtered, FilterEngine
@@ -42,6 +43,28 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
         found.append(Diagnostic("GB770", message, None, help="leave it out"))
     if found:
         raise UserError(found)
+
+
+def check_limits(model: Model, data: Trajectories) -> list[str]:
+    """A remark for channels with limits whose noise is not known. Raises UserError (GB784) for limits of a model with
+    disturbances."""
+    limited = np.zeros(len(model.channels), dtype=bool)
+    for item in data.items:
+        limited |= (item.censored.side != 0).any(axis=0)
+    if model.diffusions and limited.any():
+        name = model.channels[int(np.argmax(limited))].name
+        message = f"`{name}` has censored values, which are not offered together with `diffusion`"
+        help = "leave these cells empty, or leave out the diffusions"
+        raise UserError([Diagnostic("GB784", message, None, help=help)])
+    unknown = limited & unstated(model, data) & np.array([c.noise is None for c in model.channels], dtype=bool)
+    names = ", ".join(f"`{model.channels[int(i)].name}`" for i in np.flatnonzero(unknown))
+    if not names:
+        return []
+    return [
+        f"the noise of {names} is not stated, so that censored values are bounds of predictions until it is estimated: "
+        "state it (`noise normal(0.05)`), or learn it (`learn s = 0.1 > 0`, `noise normal(s)`), and they contribute "
+        "their probability"
+    ]
 
 
 def disturbed_stage(context: Context, parameters: Parameters, total: int) -> Planned:
@@ -90,7 +113,7 @@ def held_out_likelihood(context: Context, parameters: Parameters, theta: Array) 
     engine, found = held_out_filter(context, parameters, theta)
     if not found.finite:
         return float("inf")
-    counted = engine.problem.seen
+    counted = engine.problem.valued
     if len(context.held) == 1 and context.held.items[0].label == context.trajectories.items[0].label:
         later = engine.problem.packed.row_time > context.trajectories.items[0].end
         counted = counted & later[:, None]

@@ -81,7 +81,8 @@ def _part(item: Trajectory, low: int, high: int) -> Trajectory:
         replace(d, times=d.times[d.times >= start], amounts=d.amounts[d.times >= start]) if low else d
         for d in item.doses
     )
-    return replace(item, start=start, doses=doses, **rows)
+    limits = None if item.limits is None else item.limits.rows(slice(low, high))
+    return replace(item, start=start, doses=doses, limits=limits, **rows)
 
 
 def divisible(model: Model) -> bool:

@@ -47,7 +47,7 @@ def summarise(
     engine = filter_of(context, parameters)
     vector = whole_vector(context, engine, theta)
     found, model = engine.filtered(vector), context.model
-    problem, seen = engine.problem, engine.problem.seen
+    problem, seen = engine.problem, engine.problem.valued
     log = engine.noise.log
     errors = np.where(seen, found.error, np.nan)
     natural = np.where(log, problem.packed.values * (np.exp(-errors) - 1), -errors)
@@ -114,7 +114,7 @@ def _channels(
             None,
             "",
             _r2(*held, i) if held is not None else None,
-            int(problem.seen[:, i].sum()),
+            int(problem.valued[:, i].sum()),
             finite(float(scales.value_weights[i])),
             finite(float(context.estimated.noise[i])) if learned and context.estimated is not None else None,
             1.0 if learned else None,
@@ -125,7 +125,7 @@ def _channels(
 
 def _r2(engine: FilterEngine, found: Filtered, channel: int) -> float | None:
     """1 minus the mean squared error of predictions from row to row over the variance of the data."""
-    seen = engine.problem.seen[:, channel]
+    seen = engine.problem.valued[:, channel]
     variance = variance_of([engine.noise.value[seen, channel]])
     if not variance > 0:
         return None
@@ -135,7 +135,7 @@ def _r2(engine: FilterEngine, found: Filtered, channel: int) -> float | None:
 
 def _likelihood(engine: FilterEngine, found: Filtered, vector: Array) -> LikelihoodRecord:
     """The likelihood, its criteria, the learned noises with intervals, and tests of the innovations."""
-    count, values = int(engine.layout.free.sum()), int(engine.problem.seen.sum())
+    count, values = int(engine.layout.free.sum()), int(engine.problem.valued.sum())
     minus2 = finite(2 * found.value)
     model, noise = engine.problem.model, {}
     deviations = engine.deviations(vector, found) if found.finite else np.full(len(vector), np.nan)

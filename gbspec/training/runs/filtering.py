@@ -85,7 +85,7 @@ class FilteredRun:
         at, every = filter.At.of(self.engine.layout, theta), np.arange(len(z), dtype=np.int64)
         reading = self.engine.readings(at, log_sd, every, z)
         own = self.engine.noise.variances(log_sd)
-        seen = self.engine.problem.seen
+        seen = self.engine.problem.valued
         # Cells without a measurement have no variance of their own: the usual one of the channel stands for it.
         usual = np.array([np.median(own[seen[:, i], i]) if seen[:, i].any() else 0.0 for i in range(own.shape[1])])
         spread = np.einsum("rci,rij,rcj->rc", reading.c, p, reading.c)
@@ -118,7 +118,7 @@ def filter_run(run: Run, trajectories: Trajectories, member: int, window: int | 
         known = noise.get(channels[channel].name)
         log_sd[place] = log_sd[place] if known is None else np.log(max(known.value, 1e-300))
     vector = np.concatenate([parameters.vector(instance.weights, constants), log_sd])
-    seen = engine.problem.seen
+    seen = engine.problem.valued
     if window is not None:
         early = _measured_place(engine) < int(window)
         seen = seen & early.reshape(-1, 1)
@@ -133,7 +133,7 @@ def _marks(instance: GeneratedModule) -> Sequence[object]:
 
 def _measured_place(engine: FilterEngine) -> Integers:
     """The number of rows with a measurement before each key row [R]."""
-    packed, seen = engine.problem.packed, engine.problem.seen.sum(axis=1) > 0
+    packed, seen = engine.problem.packed, engine.problem.valued.sum(axis=1) > 0
     out = np.zeros(packed.rows, dtype=np.int64)
     for i in range(packed.trajectories):
         rows = np.flatnonzero(packed.row_trajectory == i)

@@ -33,7 +33,7 @@ from gbspec.runs import (
 from gbspec.training.engines import choose, device_of
 from gbspec.training.options import TrainOptions
 from gbspec.training.progress import Progress, Silent
-from gbspec.training.recipe import build_context, check_disturbed, chosen_solver, plan, solver_of
+from gbspec.training.recipe import build_context, check_disturbed, check_limits, chosen_solver, plan, solver_of
 from gbspec.training.runs.backend import agreed, faster_backend
 from gbspec.training.runs.constants import (
     EXACT,
@@ -109,6 +109,7 @@ class Fitting:
         findings = Findings()
         options.check(findings)
         check_disturbed(model, options)
+        self._remarks = check_limits(model, trajectories)
         _check_data(trajectories, findings)
         findings.raise_if_failed()
         module = load_module(model, METHODS[solver_of(options)])
@@ -174,7 +175,8 @@ class Fitting:
         """Writes `fit.json` and `history.csv`, if a member could be fitted."""
         if self.results:
             self.record = completed(self.record, self.model, self.results, self.options)
-            self.record = replace(self.record, warnings=(*inseparable(self.model), *self.record.warnings))
+            known = (*inseparable(self.model), *self._remarks)
+            self.record = replace(self.record, warnings=(*known, *self.record.warnings))
             ended = len(self.results) + len(self.failures) == self.options.members
             finished = ended and all(result.finished for result in self.results.values())
             self.record = _write_results(self.path, self.model, replace(self.record, finished=finished), self.results)

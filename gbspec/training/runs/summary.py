@@ -82,8 +82,8 @@ def summarise(
     problem, solution = engine.problem, predicted(engine, theta)
     with torch.no_grad():
         constants = parameters.constants(torch.from_numpy(theta))
-    difference, seen = solution.mean - problem.packed.values, problem.seen
-    blown = seen & ~np.isfinite(solution.mean)
+    difference, seen = solution.mean - problem.packed.values, problem.valued
+    blown = problem.seen & ~np.isfinite(solution.mean)
     failed = sorted({problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]})
     rmse, noise = {}, {}
     noise_of = _Noise.of(context, parameters, theta, freedom, [stage.name for stage in stages])
@@ -154,7 +154,7 @@ def _channels(
 
 def _r2(problem: Problem, mean: Array, channel: int) -> float | None:
     """1 minus the mean squared error of a channel's predictions over the variance of its data (or of logarithms)."""
-    seen = problem.seen[:, channel]
+    seen = problem.valued[:, channel]
     values, predictions = problem.packed.values[seen, channel], mean[seen, channel]
     if problem.scaling.log[channel]:
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -193,7 +193,7 @@ class _Noise:
         if not whole or not count:
             return cls(residuals, None, float("inf"))
         used = freedom if np.isfinite(freedom) else float(parameters.free[parameters.n_weights :].sum())
-        threshold = 4 * _robust_deviation(residuals[context.packed().weights > 0])
+        threshold = 4 * _robust_deviation(residuals[engine.problem.valued])
         return cls(residuals, max(1 - used / count, 0.1, 1 / count), threshold)
 
     def deviation(self, seen: NDArray[np.bool_], channel: int) -> float:

@@ -42,7 +42,7 @@ def steps_ahead(engine: FilterEngine, vector: Array, found: Filtered, steps: int
 
 def from_starts(engine: FilterEngine, vector: Array) -> Array:
     """The prediction of each value [R, C] from the start of its trajectory, without any measurement."""
-    found = engine.filtered(vector, seen=np.zeros_like(engine.problem.seen))
+    found = engine.filtered(vector, seen=np.zeros_like(engine.problem.valued))
     return np.where(engine.noise.log, np.exp(np.where(engine.noise.log, found.mean, 0.0)), found.mean)
 
 

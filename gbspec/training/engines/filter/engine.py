@@ -146,7 +146,7 @@ class FilterEngine:
         data, k = tuple(map(torch.from_numpy, tables)), at.k[torch.from_numpy(owner)]
         variance = noise.variances(log_sd)[rows]
         y, c = (part.numpy() for part in self.local.observed(torch.from_numpy(z), k, at.w, data))
-        plain = Reading(z, y, c, noise.value[rows], variance, self.problem.seen[rows])
+        plain = Reading(z, y, c, noise.value[rows], variance, self.problem.valued[rows])
         if not derivatives:
             return plain
         found = evaluate(self.local.observation, torch.from_numpy(z), k, at.w, data, True)
@@ -225,7 +225,7 @@ class FilterEngine:
 
     def standardised(self, found: Filtered, channel: int) -> list[Array]:
         """A channel's errors in standard deviations, in the order of time, for each trajectory."""
-        packed, seen = self.problem.packed, self.problem.seen[:, channel]
+        packed, seen = self.problem.packed, self.problem.valued[:, channel]
         out = []
         for i in range(packed.trajectories):
             rows = np.flatnonzero(seen & (packed.row_trajectory == i))
@@ -275,7 +275,7 @@ class _Search:
         self.engine, self.at, self.log_sd = engine, at, log_sd
         self.legs, problem = engine.legs, engine.problem
         n, count = len(problem.model.states), len(engine.legs.owner)
-        self.seen = problem.seen if seen is None else seen
+        self.seen = problem.valued if seen is None else seen
         self.start = engine.start(at)
         self.first = engine.coordinates.of(_first_states(engine))
         self.found = Filtered.empty(count, n, problem.packed.rows, len(problem.model.channels), engine.noise.log)

@@ -66,7 +66,7 @@ class Noise:
 def noise_of(problem: Problem) -> Noise:
     """The measurements of a problem; a channel without a stated noise that has no column of standard deviations for
     all its values gets a learned one."""
-    model, packed, seen = problem.model, problem.packed, problem.seen
+    model, packed, seen = problem.model, problem.packed, problem.valued
     log = logarithmic(model)
     value = np.where(seen, packed.values, 1.0)
     counts = np.where(seen, np.maximum(packed.weights, 1e-300) ** 2, 1.0)

@@ -34,6 +34,8 @@ class Tables:
             "value": problem.forcing.value,
             "weight": problem.forcing.weight,
             "logarithmic": problem.scaling.log.astype(np.int32),
+            "side": None if problem.censored is None else problem.censored.side.astype(np.int32),
+            "level": None if problem.censored is None else problem.censored.level.astype(np.float64),
             **_arrivals(problem.model, path),
             "lu": None if path.factors is None else path.factors.lu.swapaxes(0, 1),
             "pivots": None if path.factors is None else path.factors.pivots.swapaxes(0, 1),
