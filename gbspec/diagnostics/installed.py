@@ -11,6 +11,7 @@ EXTRAS = {
     "torch": ("train", "training, or what uses the gradients of a learned model,"),
     "onnx": ("onnx", "`gbspec export --as onnx`"),
     "libsbml": ("sbml", "`gbspec import` of SBML"),
+    "yaml": ("sbml", "`gbspec import` of PEtab"),
     "distributed": ("cluster", "`--scheduler`"),
 }
 """Packages that `pip install gbspec` leaves out: the extra that brings each, and what needs it."""

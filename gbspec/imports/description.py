@@ -58,12 +58,12 @@ class Conversion:
 
 @dataclass(frozen=True)
 class Channel:
-    """What is observed: an expression, in a column, with clauses for its noise."""
+    """What is observed: an expression, in a column, with its noise: `normal` or `lognormal`, and the argument."""
 
     id: str
     value: Formula
     column: str
-    noise: str = ""
+    noise: tuple[str, Formula] | None = None
 
 
 @dataclass

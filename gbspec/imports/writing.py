@@ -156,7 +156,7 @@ class _Writer:
     def _channel(self, one: Channel) -> str:
         column = one.column + "_" * bool(_COLUMNS.match(one.column))
         self.columns[one.id] = column
-        noise = f" noise {one.noise}" if one.noise else ""
+        noise = f" noise {one.noise[0]}({self._text(one.noise[1])})" if one.noise else ""
         plain = one.value.head == "name" and one.value.name in {
             q.id for q in (*self.made.states, *self.made.intermediates)
         }
@@ -207,6 +207,7 @@ def used_names(made: Description) -> set[str]:
 def _formulas(made: Description) -> Iterable[Formula]:
     for part in (made.constants, made.states, made.intermediates, made.functions, made.channels):
         yield from (one.value for one in part if one.value is not None)
+    yield from (channel.noise[1] for channel in made.channels if channel.noise is not None)
     for conversion in made.conversions:
         yield conversion.rate
         yield from (factor for factor, _ in (*conversion.consumed, *conversion.produced))

@@ -43,9 +43,9 @@ class Import:
 
 def importers() -> Mapping[str, Callable[[Path], Imported]]:
     """The readers by the ending of a file's name."""
-    from gbspec.imports import import_sbml
+    from gbspec.imports import import_petab, import_sbml
 
-    return {".xml": import_sbml, ".sbml": import_sbml}
+    return {".xml": import_sbml, ".sbml": import_sbml, ".yaml": import_petab, ".yml": import_petab}
 
 
 @packages()
@@ -59,7 +59,7 @@ def import_file(path: str | Path, directory: str | Path) -> Import:
     known = importers()
     if source.suffix.lower() not in known:
         message = f"`{source}` is of no format that is imported"
-        help = "SBML files end in `.xml` or `.sbml`"
+        help = "SBML files end in `.xml` or `.sbml`, PEtab problems in `.yaml`"
         raise UserError([Diagnostic("GB896", message, Cell(str(source)), help=help)])
     made = known[source.suffix.lower()](source)
     folder = Path(directory)

@@ -41,7 +41,8 @@ def test_every_import_is_a_declared_dependency() -> None:
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 imported.add(node.module.split(".")[0])
     foreign = {name.replace("_", "-") for name in imported - set(sys.stdlib_module_names) - {"gbspec"}}
-    foreign = {"python-libsbml" if name == "libsbml" else name for name in foreign}  # its module has another name
+    renamed = {"libsbml": "python-libsbml", "yaml": "pyyaml"}  # modules named otherwise than their packages
+    foreign = {renamed.get(name, name) for name in foreign}
     extras = (requirement for group in PROJECT["optional-dependencies"].values() for requirement in group)
     declared = names(PROJECT["dependencies"]) | names(list(extras))
     assert foreign <= declared, foreign - declared

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from gbspec.imports.description import Channel, Conversion, Description, Function, Imported, Quantity, Report
@@ -43,13 +44,32 @@ def import_sbml(path: Path) -> Imported:
     return Imported(made, tuple(report.left_out))
 
 
-def described_model(model: Element, report: Report, path: Path) -> Description:
+@dataclass(frozen=True)
+class Change:
+    """What another format says of an SBML model: constants in place of some symbols, or besides them; formulas in place
+    of some constants; other starts; and what is observed (None: everything that can change)."""
+
+    constants: Mapping[str, Quantity] = field(default_factory=dict)
+    assigned: Mapping[str, Formula] = field(default_factory=dict)
+    starts: Mapping[str, Formula] = field(default_factory=dict)
+    channels: tuple[Channel, ...] | None = None
+
+
+def described_model(model: Element, report: Report, path: Path, change: Change | None = None) -> Description:
     """The description of libsbml's model; what cannot be expressed is refused in the report."""
+    change = change or Change()
     book = read_book(model, report)
+    book.starts = {k: v for k, v in book.starts.items() if k not in change.constants and k not in change.assigned}
+    book.starts.update(change.starts)
+    book.assigned.update(change.assigned)
     functions = _functions(model, report)
     inline = to_inline(functions)
     book.change(lambda formula: inlined(formula, inline))
     symbols = read_symbols(book)
+    for added, quantity in change.constants.items():
+        known = symbols.constants.get(added)
+        symbols.constants[added] = quantity if known is None else replace(quantity, unit=known.unit)
+        symbols.starts[added] = quantity.value
     name = model.getId() or path.stem
     out = Description(model_name(name), title=model.getName() or name, source=path.name)
     out.time_unit = time_unit(model)
@@ -59,7 +79,7 @@ def described_model(model: Element, report: Report, path: Path) -> Description:
     for state, rate in book.rates.items():
         out.balances[state] = rate
     _quantities(symbols, out)
-    out.channels = _channels(symbols)
+    out.channels = _channels(symbols) if change.channels is None else list(change.channels)
     _with_clock(out, report, model.getLine())
     without_rounding(out, report, symbols.place)
     _check(symbols, out)
@@ -190,7 +210,7 @@ def _quantities(symbols: Symbols, out: Description) -> None:
     needed |= set().union(*(names(value) for value in values.values() if value is not None))
     for name, one in symbols.constants.items():
         value = values[name]
-        if value is not None:
+        if value is not None or one.condition:
             out.constants.append(replace(one, value=value))
         elif name in needed:
             symbols.book.report.refuse(*symbols.lines[name], "it has no value")
@@ -238,6 +258,7 @@ def _check(symbols: Symbols, out: Description) -> None:
     """Refuses names that nothing declares, formulas that are too large, and a model without channels."""
     known = {*symbols.constants, *symbols.states, *symbols.intermediates, *symbols.book.reactions}
     known |= {f.id for f in out.functions} | {q.id for q in out.states}
+    known |= {one.id for one in out.channels}
     known |= {argument for f in out.functions for argument in f.arguments}
     for name in sorted(used_names(out) - known):
         symbols.book.report.refuse(f"symbol {name}", 0, "nothing declares it")

@@ -75,7 +75,7 @@ def _in_order(
     constants: list[Quantity], known: dict[str, float], put: Callable[[str, Formula], Formula]
 ) -> list[Quantity]:
     """The constants, each computed as soon as those that it needs are known."""
-    left = {one.id: one for one in constants}
+    left = {one.id: one for one in constants if one.value is not None and one.learn is None}
     progress = True
     while progress:
         progress = False

@@ -1,0 +1,89 @@
+"""How many cases of the PEtab test suite have the likelihood that the suite expects.
+
+    python -m benchmarks.studies.petab SUITE -o docs/studies/petab.md
+
+SUITE is a folder with a folder for each case (`_NNNN.yaml`, its tables, `_NNNN_solution.yaml`), as the suite's own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+import gbspec
+from gbspec.diagnostics import ComputationError, UserError
+
+
+@dataclass(frozen=True)
+class Outcome:
+    case: str
+    end: str
+    said: tuple[str, ...] = ()
+    error: float = 0.0
+
+
+def judged(folder: Path) -> Outcome:
+    """The end of one case: the largest of the errors of chi2, log likelihood and simulations, in their tolerances."""
+    from gbspec.operations import importing
+
+    name = folder.name
+    with tempfile.TemporaryDirectory() as place:
+        try:
+            made = importing.import_file(folder / f"_{name}.yaml", place)
+            found = gbspec.evaluate(made.model, str(made.data))
+        except UserError as error:
+            return Outcome(name, "refused", tuple(dict.fromkeys(one.message for one in error.diagnostics)))
+        except ComputationError as error:
+            return Outcome(name, "failed", (str(error),))
+    solution = yaml.safe_load((folder / f"_{name}_solution.yaml").read_text())
+    errors = [
+        abs(found.chi2 - solution["chi2"]) / solution["tol_chi2"],
+        abs(-found.nllh - solution["llh"]) / solution["tol_llh"],
+    ]
+    values = sorted(one.value for one in found.found.simulation)
+    with (folder / solution["simulation_files"][0]).open() as file:
+        expected = sorted(float(row["simulation"]) for row in csv.DictReader(file, delimiter="\t"))
+    errors += [abs(a - b) / solution["tol_simulations"] for a, b in zip(values, expected, strict=True)]
+    worst = max(errors)
+    return Outcome(name, "passed" if worst <= 1 else "wrong", (), worst)
+
+
+def page(outcomes: list[Outcome]) -> str:
+    lines = [
+        "# The PEtab test suite",
+        "",
+        f"{len(outcomes)} cases of [PEtab 1](https://github.com/PEtab-dev/petab_test_suite) were",
+        "imported (`gbspec import`) and evaluated at their nominal parameters (`gbspec evaluate`). The error is the",
+        "largest one of chi2, log likelihood and simulations, in units of the suite's tolerance:",
+        "",
+        "    python -m benchmarks.studies.petab SUITE -o docs/studies/petab.md",
+        "",
+        "| case | outcome | error |",
+        "|---|---|---:|",
+        *(
+            f"| {one.case} | {one.end}{': ' * bool(one.said)}{'; '.join(one.said)} | {one.error:.2g} |"
+            for one in outcomes
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("suite", type=Path)
+    parser.add_argument("-o", dest="out", type=Path)
+    given = parser.parse_args()
+    outcomes = [judged(folder) for folder in sorted(given.suite.iterdir()) if folder.is_dir()]
+    if given.out is not None:
+        given.out.write_text(page(outcomes), encoding="utf-8")
+    for one in outcomes:
+        print(one.case, one.end, f"{one.error:.3g}", *one.said)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+from .importing import import_petab as import_petab

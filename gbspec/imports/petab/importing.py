@@ -1,0 +1,318 @@
+"""The description of a PEtab problem.
+
+Parameters become constants, learned or fixed. What the conditions change becomes a `condition` where its values are
+numbers, else an intermediate that chooses by the number of the experiment. Each combination of an observable with its
+parameters is a channel; each condition is a trajectory, and replicates are further ones, so that each value counts.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import libsbml
+
+from gbspec.imports.computing import NotConstantError, value_of
+from gbspec.imports.description import Channel, Description, Imported, Quantity, Report
+from gbspec.imports.formulas import (
+    Formula,
+    as_number,
+    call,
+    chosen,
+    compared,
+    named,
+    names,
+    number,
+    replaced,
+    spelled_number,
+)
+from gbspec.imports.petab.problem import FILE, LINE, Row, Tables, read_problem
+from gbspec.imports.sbml import Change, NotOfferedError, described_model, formula_of, read_model
+from gbspec.imports.writing import model_name, written
+
+DATA = "data.csv"
+
+
+def import_petab(path: Path) -> Imported:
+    """The description of a PEtab 1 problem, and its table.
+
+    Raises `UserError`: GB894 if a file is not read, GB895 with everything that cannot be expressed."""
+    tables = read_problem(path)
+    report = Report(str(path))
+    model = read_model(tables.model, report).getModel()
+    problem = _Problem(tables, model, report)
+    change = problem.change()
+    made = described_model(model, report, tables.model, change)
+    _check_noise(made, report)
+    made.name = model_name(path.stem)
+    made.source = path.name
+    report.raise_if_refused()
+    columns = written(made).columns
+    return Imported(made, tuple(report.left_out), {DATA: problem.table(columns)})
+
+
+def _check_noise(made: Description, report: Report) -> None:
+    """Refuses noises of something else than constants and the prediction."""
+    constants = {one.id for one in made.constants if not one.condition}
+    for channel in made.channels:
+        others = set() if channel.noise is None else names(channel.noise[1]) - constants - {channel.id}
+        for name in sorted(others):
+            report.refuse(f"observable {channel.id}", 0, f"a noise that depends on `{name}` is not offered yet")
+
+
+@dataclass
+class _Problem:
+    tables: Tables
+    model: libsbml.Model
+    report: Report
+    constants: dict[str, Quantity] = field(default_factory=dict)
+    assigned: dict[str, Formula] = field(default_factory=dict)
+    starts: dict[str, Formula] = field(default_factory=dict)
+    channels: dict[tuple[str, str, str], Channel] = field(default_factory=dict)
+    values: dict[str, dict[str, str]] = field(default_factory=dict)
+    """The numbers of each condition's columns by name."""
+    experiment: str = "experiment"
+    """The name of the number of the condition."""
+
+    def __post_init__(self) -> None:
+        while self.model.getElementBySId(self.experiment) is not None:
+            self.experiment += "_"
+
+    def change(self) -> Change:
+        """What the problem says of its model."""
+        for row in self.tables.parameters:
+            self._parameter(row)
+        self._conditions()
+        for row in self.tables.measurements:
+            self._measured(row)
+        return Change(self.constants, self.assigned, self.starts, tuple(self.channels.values()))
+
+    # ---------------------------------------------------------------------------------------------------- parameters
+    def _parameter(self, row: Row) -> None:
+        name, value = row.get("parameterId", ""), _number(row.get("nominalValue", ""))
+        estimated = row.get("estimate", "1") in ("1", "1.0", "true", "True")
+        low, high = _number(row.get("lowerBound", "")), _number(row.get("upperBound", ""))
+        if value is None:
+            value = (low + high) / 2 if low is not None and high is not None else None
+        if value is None:
+            self._refuse(f"parameter {name}", row, "it has no nominal value")
+            return
+        bounds = ""
+        if estimated and low is not None and high is not None and not low <= value <= high:
+            self._omit(f"parameter {name}", row, "the bounds do not hold the nominal value; they were widened to it")
+        if estimated and low is not None and high is not None and low < high:
+            bounds = f"in [{spelled_number(min(low, value))}, {spelled_number(max(high, value))}]"
+        clauses = " ".join(part for part in (bounds, self._prior(row, estimated)) if part)
+        description = row.get("parameterName", "")
+        self.constants[name] = Quantity(
+            name, number(value), description if description != name else "", learn=clauses if estimated else None
+        )
+        if estimated and row.get("parameterScale", "lin") != "lin":
+            reason = f"the scale {row['parameterScale']}: the scale of a learnable follows from its bounds"
+            self._omit(f"parameter {name}", row, reason)
+        for key in ("initializationPriorType", "initializationPriorParameters"):
+            if row.get(key):
+                self._omit(f"parameter {name}", row, f"`{key}`: a search draws starts from the bounds")
+
+    def _prior(self, row: Row, estimated: bool) -> str:
+        kind = row.get("objectivePriorType", "")
+        if not estimated or not kind or kind in ("uniform", "parameterScaleUniform"):
+            return ""
+        found = [_number(text) for text in row.get("objectivePriorParameters", "").split(";")]
+        scale = row.get("parameterScale", "lin")
+        known = [one for one in found if one is not None]
+        if len(known) == 2 and (kind == "normal" or (kind == "parameterScaleNormal" and scale == "lin")):
+            return f"prior normal({spelled_number(known[0])}, {spelled_number(known[1])})"
+        self._omit(f"parameter {row.get('parameterId', '')}", row, f"the prior `{kind}` on the scale {scale}")
+        return ""
+
+    # ---------------------------------------------------------------------------------------------------- conditions
+    def _conditions(self) -> None:
+        used = {row.get("simulationConditionId", "") for row in self.tables.measurements}
+        rows = [row for row in self.tables.conditions if row.get("conditionId") in used]
+        lacking = used - {row.get("conditionId") for row in rows}
+        for name in sorted(lacking):
+            self.report.refuse(f"condition {name}", 0, "no table has it")
+        places = {row["conditionId"]: i for i, row in enumerate(rows)}
+        self.values = {name: {self.experiment: str(i)} for name, i in places.items()}
+        columns = dict.fromkeys(key for row in rows for key in row)
+        for column in columns:
+            if column not in ("conditionId", "conditionName", LINE, FILE):
+                self._column(column, rows)
+
+    def _column(self, column: str, rows: list[Row]) -> None:
+        """One quantity that conditions change."""
+        species = self.model.getSpecies(column) is not None
+        cells = [row.get(column, "") for row in rows]
+        if species and all(not cell or (_number(cell) is None and cell.lower() == "nan") for cell in cells):
+            return
+        numbers = [_number(cell) for cell in cells]
+        if all(one is not None for one in numbers):
+            name = f"{column}_start" if species else column
+            self.constants[name] = Quantity(name, None, condition=True)
+            for row, cell in zip(rows, cells, strict=True):
+                self.values[row["conditionId"]][name] = cell
+            if species:
+                self.starts[column] = named(name)
+            return
+        options = [self._cell(column, row, cell, species) for row, cell in zip(rows, cells, strict=True)]
+        if any(option is None for option in options):
+            return
+        found = options[-1]
+        for i in range(len(options) - 2, -1, -1):
+            assert found is not None
+            if options[i] != found:
+                found = chosen(compared("==", named(self.experiment), number(i)), options[i] or number(0), found)
+        assert found is not None
+        if self.experiment in names(found):
+            self.constants[self.experiment] = Quantity(self.experiment, None, "number of the condition", condition=True)
+        (self.starts if species else self.assigned)[column] = found
+        if not species:
+            self.constants.pop(column, None)
+
+    def _cell(self, column: str, row: Row, cell: str, species: bool) -> Formula | None:
+        """The value of a cell: a number, a parameter, or, where it is empty, what the model says."""
+        value = _number(cell)
+        if value is not None:
+            return number(value)
+        if cell and cell.lower() != "nan":
+            return named(cell)
+        known = self.constants.get(column)
+        if known is not None and known.learn is None and known.value is not None:
+            return known.value
+        return self._of_model(column, row)
+
+    def _of_model(self, column: str, row: Row) -> Formula | None:
+        """The value that the SBML model gives."""
+        assignment = self.model.getInitialAssignment(column)
+        if assignment is not None:
+            return as_number(formula_of(assignment.getMath()))
+        element = self.model.getElementBySId(column)
+        for asked, got in (("isSetValue", "getValue"), ("isSetInitialConcentration", "getInitialConcentration"),
+                           ("isSetSize", "getSize")):  # fmt: skip
+            if hasattr(element, asked) and getattr(element, asked)():
+                return number(getattr(element, got)())
+        self._refuse(f"condition table, {column}", row, "an empty cell, and the model gives no plain value")
+        return None
+
+    # --------------------------------------------------------------------------------------------------- observables
+    def _measured(self, row: Row) -> None:
+        """A measurement: its channel is declared when it is first met."""
+        name = row.get("observableId", "")
+        if row.get("preequilibrationConditionId"):
+            self._refuse(
+                f"condition {row['preequilibrationConditionId']}", None, "pre-equilibration is not offered yet"
+            )
+        time = _number(row.get("time", ""))
+        if time is None or not math.isfinite(time):
+            self._refuse(f"measurement of {name}", row, "a measurement at the steady state is not offered yet")
+        key = _key(row)
+        if key in self.channels:
+            return
+        observable = next((one for one in self.tables.observables if one.get("observableId") == name), None)
+        if observable is None:
+            self._refuse(f"observable {name}", row, "no table has it")
+            return
+        table = self._placeholders("observableParameter", name, row.get("observableParameters", ""))
+        table |= self._placeholders("noiseParameter", name, row.get("noiseParameters", ""))
+        try:
+            value = replaced(_parsed(observable.get("observableFormula", "")), table)
+            sd = replaced(_parsed(observable.get("noiseFormula", "")), table)
+        except NotOfferedError as problem:
+            self._refuse(f"observable {name}", observable, str(problem))
+            return
+        number_of = sum(one[0] == name for one in self.channels)
+        label = f"{name}_{number_of + 1}" if number_of else name
+        # In the noise of a channel its own name is the prediction.
+        own = {value.name: named(label)} if value.head == "name" else {}
+        noise = self._noise(observable, replaced(sd, own))
+        self.channels[key] = Channel(label, value, label, noise)
+
+    def _noise(self, row: Row, sd: Formula) -> tuple[str, Formula] | None:
+        name = f"observable {row.get('observableId', '')}"
+        if row.get("noiseDistribution", "normal") not in ("", "normal"):
+            self._refuse(name, row, f"the noise `{row['noiseDistribution']}` is not offered yet")
+        scale = {"": None, "lin": None, "log": 1.0, "log10": math.log(10)}.get(
+            row.get("observableTransformation", ""), 0.0
+        )
+        if scale is None:
+            return "normal", _plain(sd)
+        if scale == 0.0:
+            self._refuse(
+                name, row, f"the transformation `{row['observableTransformation']}` has no form in the language"
+            )
+        # The language states the coefficient of variation: sd of the logarithm = sqrt(log(1 + cv^2)).
+        log_sd = sd if scale == 1.0 else sd * number(scale)
+        return "lognormal", _plain(call("sqrt", Formula("-", (call("exp", log_sd ** number(2)), number(1)))))
+
+    def _placeholders(self, kind: str, name: str, text: str) -> dict[str, Formula]:
+        found = {}
+        for i, part in enumerate(one.strip() for one in text.split(";")):
+            if part:
+                value = _number(part)
+                found[f"{kind}{i + 1}_{name}"] = named(part) if value is None else number(value)
+        return found
+
+    # --------------------------------------------------------------------------------------------------- measurements
+    def table(self, columns: dict[str, str]) -> str:
+        """The measurements as a wide table; replicates are trajectories of their own."""
+        cells: dict[tuple[str, int], dict[float, dict[str, str]]] = {}
+        for row in self.tables.measurements:
+            condition, time = row["simulationConditionId"], float(row["time"])
+            column = columns[self.channels[_key(row)].id]
+            replicate = 0
+            while column in cells.get((condition, replicate), {}).get(time, {}):
+                replicate += 1
+            cells.setdefault((condition, replicate), {}).setdefault(time, {})[column] = row["measurement"]
+        conditions = [q.id for q in self.constants.values() if q.condition]
+        measured = [columns[one.id] for one in self.channels.values()]
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(["trajectory", "t", *measured, *conditions])
+        for (condition, replicate), rows in cells.items():
+            label = condition if not replicate else f"{condition}_{replicate + 1}"
+            own = [self.values[condition].get(name, "") for name in conditions]
+            for time in sorted(rows):
+                writer.writerow([label, spelled_number(time), *(rows[time].get(c, "") for c in measured), *own])
+        return out.getvalue()
+
+    def _refuse(self, element: str, row: Row | None, reason: str) -> None:
+        where = "" if row is None else f"{row[FILE]}, "
+        self.report.refuse(f"{where}{element}", 0 if row is None else int(row[LINE]), reason)
+
+    def _omit(self, element: str, row: Row, reason: str) -> None:
+        self.report.omit(f"{row[FILE]}, {element}", int(row[LINE]), reason)
+
+
+def _key(row: Row) -> tuple[str, str, str]:
+    return row.get("observableId", ""), row.get("observableParameters", ""), row.get("noiseParameters", "")
+
+
+def _number(text: str) -> float | None:
+    """The number of a cell; None for a name, an empty cell, and what is not a number."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return None if math.isnan(value) else value
+
+
+def _plain(formula: Formula) -> Formula:
+    """A formula of numbers as a number."""
+    try:
+        return number(value_of(formula, {}))
+    except NotConstantError:
+        return formula
+
+
+def _parsed(text: str) -> Formula:
+    """A formula in infix notation, as PEtab writes it: `log` is the natural logarithm. Raises `NotOfferedError`."""
+    settings = libsbml.L3ParserSettings()
+    settings.setParseLog(libsbml.L3P_PARSE_LOG_AS_LN)
+    node = libsbml.parseL3FormulaWithSettings(text.replace("**", "^"), settings) if len(text) < 100_000 else None
+    if node is None:
+        raise NotOfferedError(f"the formula `{text[:60]}` cannot be read")
+    return as_number(formula_of(node))

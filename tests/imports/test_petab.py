@@ -1,0 +1,134 @@
+"""import of PEtab: small problems with closed forms, and cases of the PEtab test suite."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+import gbspec
+from gbspec.diagnostics import UserError
+from gbspec.operations.importing import import_file
+from tests.imports import models as made
+from tests.imports.suites import suite
+
+pytest.importorskip("libsbml", reason="SBML needs the extra `sbml`")
+pytest.importorskip("yaml", reason="PEtab needs the extra `sbml`")
+pytestmark = pytest.mark.usefixtures("quick_fits")
+
+YAML = """\
+format_version: 1
+parameter_file: parameters.tsv
+problems:
+- condition_files: [conditions.tsv]
+  measurement_files: [measurements.tsv]
+  observable_files: [observables.tsv]
+  sbml_files: [made.xml]
+"""
+TABLES = {
+    "conditions": "conditionId\ty\tk\nlow\t1\tslow\nhigh\t2\tfast\n",
+    "measurements": (
+        "observableId\tsimulationConditionId\ttime\tmeasurement\tobservableParameters\n"
+        "o\tlow\t1\t0.7\t1\no\tlow\t1\t0.5\t1\no\thigh\t2\t0.1\t3\n"
+    ),
+    "observables": "observableId\tobservableFormula\tobservableTransformation\tnoiseFormula\n"
+    "o\tobservableParameter1_o*y\tlog10\tsigma/2\n",
+    "parameters": "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate\n"
+    "slow\tlin\t0\t5\t0.4\t1\nfast\tlin\t0\t5\t1.5\t1\nsigma\tlin\t0.01\t2\t0.6\t0\n",
+}
+RATES = "conditionId\tk\nlow\tslow\nhigh\tfast\n"
+
+
+def problem(folder: Path, **changed: str) -> Path:
+    """The files of a problem: y' = -k y, with starts and rates by condition."""
+    decay = made.sbml(
+        made.parameters("false", y="1", k="1"), made.rules(y=made.apply("minus", made.apply("times", "k", "y")))
+    )
+    made.stored(folder, decay)
+    for name, text in {**TABLES, **changed}.items():
+        (folder / f"{name}.tsv").write_text(text)
+    (folder / "problem.yaml").write_text(changed.get("problem", YAML))
+    return folder / "problem.yaml"
+
+
+def closed(slow: float, fast: float) -> float:
+    """The negative log likelihood of TABLES; y starts at 1 in both: it is a parameter with a rate."""
+    total = 0.0
+    for y, f in ((0.7, math.exp(-slow)), (0.5, math.exp(-slow)), (0.1, 3 * math.exp(-2 * fast))):
+        sd = 0.3
+        total += 0.5 * math.log(2 * math.pi * (sd * y * math.log(10)) ** 2)
+        total += 0.5 * ((math.log10(y) - math.log10(f)) / sd) ** 2
+    return total
+
+
+def test_a_problem_has_the_likelihood_of_its_closed_form(tmp_path: Path) -> None:
+    path = problem(tmp_path, conditions=RATES)
+    found = import_file(path, tmp_path / "out")
+    assert found.data is not None
+    text = Path(found.model).read_text()
+    assert "learn slow = 0.4 in [0, 5]" in text
+    assert "if(experiment == 0, slow, fast)" in text
+    result = gbspec.evaluate(found.model, found.data)
+    assert result.nllh == pytest.approx(closed(0.4, 1.5), rel=1e-8)
+    h = 1e-5
+    assert result.gradient["slow"] == pytest.approx((closed(0.4 + h, 1.5) - closed(0.4 - h, 1.5)) / (2 * h), rel=1e-6)
+    assert len(result.found.simulation) == 3, "replicates count each"
+
+
+def test_numbers_of_conditions_are_columns(tmp_path: Path) -> None:
+    path = problem(tmp_path, conditions="conditionId\tk\nlow\t0.4\nhigh\t1.5\n")
+    found = import_file(path, tmp_path / "out")
+    assert "condition k" in Path(found.model).read_text()
+    assert found.data is not None
+    assert gbspec.evaluate(found.model, found.data).nllh == pytest.approx(closed(0.4, 1.5), rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        (
+            "measurements",
+            "observableId\tsimulationConditionId\ttime\tmeasurement\tpreequilibrationConditionId\no\tlow\t1\t0.7\thigh\n",
+            "pre-equilibration is not offered yet",
+        ),
+        (
+            "measurements",
+            "observableId\tsimulationConditionId\ttime\tmeasurement\no\tlow\tinf\t0.7\n",
+            "steady state is not offered yet",
+        ),
+        (
+            "observables",
+            "observableId\tobservableFormula\tnoiseFormula\tnoiseDistribution\no\ty\t1\tlaplace\n",
+            "`laplace` is not offered yet",
+        ),
+        ("observables", "observableId\tobservableFormula\tnoiseFormula\no\t2*y\t0.1*y\n", "depends on `y`"),
+        ("observables", "observableId\tobservableFormula\tnoiseFormula\no\t__import__('os')\t1\n", "cannot be read"),
+        ("problem", YAML.replace("format_version: 1", "format_version: 2.0.0"), "PEtab 2.0.0 is not offered yet"),
+        ("problem", YAML.replace("made.xml", "../made.xml"), "not in or below its folder"),
+        ("problem", "a: [1", "it is no YAML"),
+    ],
+)
+def test_what_has_no_form_is_refused(tmp_path: Path, name: str, text: str, reason: str) -> None:
+    given = {"conditions": RATES, name: text}
+    with pytest.raises(UserError) as raised:
+        import_file(problem(tmp_path, **given), tmp_path / "out")
+    assert any(reason in one.message for one in raised.value.diagnostics), raised.value
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_noise_may_depend_on_the_prediction(tmp_path: Path) -> None:
+    observables = "observableId\tobservableFormula\tnoiseFormula\no\ty\t0.1 + sigma*y\n"
+    found = import_file(problem(tmp_path, conditions=RATES, observables=observables), tmp_path / "out")
+    assert "noise normal(0.1 + sigma*o)" in Path(found.model).read_text()
+    assert found.data is not None
+    values = gbspec.evaluate(found.model, found.data).found.simulation
+    assert [one.sd for one in values] == pytest.approx([0.1 + 0.6 * one.value for one in values])
+
+
+@pytest.mark.parametrize("case", ["0002", "0006", "0008", "0011", "0015", "0016", "0020"])
+def test_cases_of_the_suite(case: str) -> None:
+    """Conditions, parameters of observables, replicates, starts by condition, learned noise, logarithms."""
+    from benchmarks.studies.petab import judged
+
+    assert judged(suite("petab") / "v1" / case).end == "passed"
