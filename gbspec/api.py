@@ -28,7 +28,7 @@ from gbspec.frames import Tabled, of_rows
 from gbspec.ir import Model
 from gbspec.json_values import JsonObject
 from gbspec.keywords import SimulateKeywords, StudyKeywords, TrainKeywords, options_of
-from gbspec.operations import analysing, evaluating, exporting, fitting, models
+from gbspec.operations import analysing, evaluating, exporting, fitting, importing, models
 from gbspec.report import progress_of, register
 from gbspec.studies import StudyOptions
 from gbspec.training import TrainOptions
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from gbspec.analysis import Diagram, Eigen, Validation
     from gbspec.data import Trajectories
     from gbspec.exports import Precision
-    from gbspec.operations import Evaluation, Export, ExportForm
+    from gbspec.operations import Evaluation, Export, ExportForm, Import
     from gbspec.studies import CrossValidation
     from gbspec.training import Progress
 
@@ -256,6 +256,14 @@ def train(
 ) -> FittedRun:
     """Trains a model file on data, into a run directory; see `Specification.train`."""
     return load(model).train(data, directory, values=values, progress=progress, **options)
+
+
+def import_model(path: str | Path, directory: str | Path) -> Import:
+    """Imports a model of another format (SBML, PEtab) into a folder; see `gbspec import`.
+
+    Raises `UserError` with all reasons if the language cannot express it.
+    """
+    return importing.import_file(path, directory)
 
 
 def validate(run: str | Path, data: Data | None = None) -> Validation:

@@ -7,6 +7,8 @@ declaration is refused altogether, and with it every entity beside the five of X
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
 
@@ -36,16 +38,24 @@ def read_file(path: str | Path, most: int = MOST_BYTES) -> bytes:
         raise refused(path, f"it is larger than {most:,} bytes") from None
 
 
-def read_xml(path: str | Path) -> bytes:
-    """The bytes of an XML file that a library may be given. Raises `UserError` (GB894)."""
+@dataclass(frozen=True)
+class Root:
+    """The outermost element of an XML file: its name without prefix, its namespace, and its attributes."""
+
+    name: str
+    namespace: str
+    attributes: Mapping[str, str]
+
+
+def read_xml(path: str | Path) -> tuple[bytes, Root]:
+    """The bytes of an XML file that a library may be given, and its root. Raises `UserError` (GB894)."""
     data = read_file(path)
     if data.startswith((b"\xff\xfe", b"\xfe\xff", b"\x00", b"<\x00")):
         raise refused(path, "it is not UTF-8")
     said = _ENCODING.match(data.removeprefix(b"\xef\xbb\xbf"))
     if said is not None and said[1].lower() not in _ENCODINGS:
         raise refused(path, f"its encoding `{said[1].decode('ascii')}` is not read; save it as UTF-8")
-    _scan(path, data)
-    return data
+    return data, _scan(path, data)
 
 
 def refused(path: str | Path, reason: str, line: int | None = None) -> UserError:
@@ -57,13 +67,18 @@ class _StopError(Exception):
     """What the scan found, and where."""
 
 
-def _scan(path: str | Path, data: bytes) -> None:
+def _scan(path: str | Path, data: bytes) -> Root:
     parser = expat.ParserCreate()
     depth = count = quantities = 0
+    roots: list[Root] = []
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count, quantities
         depth, count, quantities = depth + 1, count + 1, quantities + (name.rpartition(":")[2] in _DECLARING)
+        if not roots:
+            prefix, _, plain = name.rpartition(":")
+            space = attributes.get(f"xmlns:{prefix}" if prefix else "xmlns", "")
+            roots.append(Root(plain, space, attributes))
         if depth > DEEPEST:
             raise _StopError(f"its elements are more than {DEEPEST} deep")
         if count > MOST_ELEMENTS:
@@ -86,3 +101,4 @@ def _scan(path: str | Path, data: bytes) -> None:
         raise refused(path, str(found), parser.CurrentLineNumber) from None
     except expat.ExpatError as error:
         raise refused(path, f"it is no well-formed XML: {expat.ErrorString(error.code)}", error.lineno) from None
+    return roots[0]

@@ -198,3 +198,20 @@ def test_the_page_of_the_study_counts_outcomes() -> None:
     text = page([Outcome("1", "passed"), Outcome("2", "refused", ("event e: events are not offered yet",))], 1.0)
     assert "| every value within the suite's tolerance | 1 |" in text
     assert "| events are not offered yet | 1 |" in text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ('level="3" version="2"', 'level="3" version="7"', "its root is not that of SBML"),
+        ("level3/version2/core", "level9/core", "its root is not that of SBML"),
+        ('value="1"', 'value="INF"', "not finite"),
+        ("<ci>x</ci>", "<apply><divide/><ci>x</ci></apply>", "number of arguments"),
+    ],
+)
+def test_what_other_readers_end_on_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:
+    """libsbml ends the whole process for some of these."""
+    text = made.sbml(made.parameters("false", x="1"), made.rules(x="<ci>x</ci>")).replace(old, new)
+    with pytest.raises(UserError) as raised:
+        import_file(made.stored(tmp_path, text), tmp_path / "out")
+    assert any(reason in one.message for one in raised.value.diagnostics), raised.value.diagnostics

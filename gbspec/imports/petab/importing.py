@@ -207,8 +207,10 @@ class _Problem:
                 f"condition {row['preequilibrationConditionId']}", None, "pre-equilibration is not offered yet"
             )
         time = _number(row.get("time", ""))
-        if time is None or not math.isfinite(time):
+        if time is None:
             self._refuse(f"measurement of {name}", row, "a measurement at the steady state is not offered yet")
+        if _number(row.get("measurement", "")) is None:
+            self._refuse(f"measurement of {name}", row, "it has no value")
         key = _key(row)
         if key in self.channels:
             return
@@ -261,7 +263,7 @@ class _Problem:
         """The measurements as a wide table; replicates are trajectories of their own."""
         cells: dict[tuple[str, int], dict[float, dict[str, str]]] = {}
         for row in self.tables.measurements:
-            condition, time = row["simulationConditionId"], float(row["time"])
+            condition, time = row.get("simulationConditionId", ""), float(row["time"])
             column = columns[self.channels[_key(row)].id]
             replicate = 0
             while column in cells.get((condition, replicate), {}).get(time, {}):
@@ -292,12 +294,12 @@ def _key(row: Row) -> tuple[str, str, str]:
 
 
 def _number(text: str) -> float | None:
-    """The number of a cell; None for a name, an empty cell, and what is not a number."""
+    """The number of a cell; None for a name, an empty cell, and what is not a finite number."""
     try:
         value = float(text)
     except ValueError:
         return None
-    return None if math.isnan(value) else value
+    return value if math.isfinite(value) else None
 
 
 def _plain(formula: Formula) -> Formula:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -147,7 +148,7 @@ def _locals(book: Book, reaction: str, kinetic: Element) -> dict[str, str]:
         while book.model.getElementBySId(name) is not None or name in book.local:
             name = f"{reaction}_{one.getId()}" if name == one.getId() else f"{name}_"
         table[one.getId()] = name
-        book.local[name] = (number(one.getValue()) if one.isSetValue() else None, one)
+        book.local[name] = (finite(book.report, f"parameter {name}", one, one.getValue()), one)
     return table
 
 
@@ -162,17 +163,25 @@ def _factor(book: Book, reaction: str, reference: Element) -> Formula:
     if reference.getLevel() < 3 and reference.isSetStoichiometryMath():
         return book.math(reference.getStoichiometryMath(), what) or ONE
     value = literal_factor(reference)
-    if value is None:
+    if value is None or not math.isfinite(value.value):
         book.report.refuse(what, reference.getLine(), "its stoichiometry has no value")
         return ONE
     return value
 
 
+def finite(report: Report, what: str, element: Element, value: float) -> Formula | None:
+    """The number of an attribute; None for NaN, by which files say that there is none. Infinite ones are refused."""
+    if math.isinf(value):
+        report.refuse(what, element.getLine(), "a number that is not finite has no form in the language")
+        return ZERO
+    return None if math.isnan(value) else number(value)
+
+
 def literal_factor(reference: Element) -> Formula | None:
     """The stoichiometry that a species reference has of itself."""
     if reference.getLevel() < 3:
-        value = number(reference.getStoichiometry())
         below = reference.getDenominator()
-        return value if below == 1 else value / number(below)
+        value = reference.getStoichiometry() / (below or 1)
+        return number(value) if math.isfinite(value) else None
     value = reference.getStoichiometry()
-    return number(value) if reference.isSetStoichiometry() and value == value else None
+    return number(value) if reference.isSetStoichiometry() and math.isfinite(value) else None

@@ -125,7 +125,10 @@ class _Translation:
         if kind == libsbml.AST_NAME:
             return named(self.local.get(node.getName(), node.getName()))
         parts = [self.of(node.getChild(i)) for i in range(node.getNumChildren())]
-        found = self._arithmetic(kind, parts) or self._logic(kind, parts) or self._function(kind, node, parts)
+        try:
+            found = self._arithmetic(kind, parts) or self._logic(kind, parts) or self._function(kind, node, parts)
+        except (IndexError, ValueError, TypeError):
+            raise NotOfferedError(f"`{node.getName() or kind}` has another number of arguments than it needs") from None
         if found is None:
             raise NotOfferedError(f"`{node.getName() or libsbml.formulaToL3String(node)}` has no form in the language")
         return found

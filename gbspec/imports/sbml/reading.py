@@ -13,11 +13,23 @@ from gbspec.imports.safety import read_xml, refused
 Element: TypeAlias = Any
 """An element of libsbml, which has no types."""
 MOST_SHOWN = 20
+_SBML = "http://www.sbml.org/sbml/level"
+NAMESPACES = {
+    **{("1", version): f"{_SBML}1" for version in "12"},
+    ("2", "1"): f"{_SBML}2",
+    **{("2", version): f"{_SBML}2/version{version}" for version in "2345"},
+    **{("3", version): f"{_SBML}3/version{version}/core" for version in "12"},
+}
+"""The namespace of each level and version."""
 
 
 def read_model(path: Path, report: Report) -> Element:
     """The document, whose model is read; what is not core SBML is reported. Raises `UserError` (GB894)."""
-    data = read_xml(path)
+    data, root = read_xml(path)
+    level, version = root.attributes.get("level", ""), root.attributes.get("version", "")
+    # Another combination makes libsbml end the whole process.
+    if root.name != "sbml" or NAMESPACES.get((level, version)) != root.namespace:
+        raise refused(path, f"its root is not that of SBML, or not of Level {level or '?'} Version {version or '?'}")
     document = libsbml.readSBMLFromString(data.decode("utf-8", errors="replace"))
     errors = [document.getError(i) for i in range(document.getNumErrors())]
     severe = [e for e in errors if e.getSeverity() >= libsbml.LIBSBML_SEV_ERROR]

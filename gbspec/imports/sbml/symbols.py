@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 from gbspec.imports.description import Quantity
 from gbspec.imports.formulas import ZERO, Formula, named, number, substituted
-from gbspec.imports.sbml.book import Book, Reaction, elements, literal_factor
+from gbspec.imports.sbml.book import Book, Reaction, elements, finite, literal_factor
 from gbspec.imports.sbml.reading import Element
-from gbspec.imports.sbml.units import unit_of
+from gbspec.imports.sbml.units import species_unit, unit_of
 
 
 @dataclass
@@ -84,7 +84,8 @@ def _simple(out: Symbols, element: Element, kind: str, value: float | None) -> N
     """A parameter or a compartment, whose symbol is its value."""
     name = element.getId()
     out.lines[name] = (f"{kind} {name}", element.getLine())
-    _declare(out, name, None if value is None else number(value), described(element), unit_of(element))
+    literal = None if value is None else finite(out.book.report, f"{kind} {name}", element, value)
+    _declare(out, name, literal, described(element), unit_of(element))
 
 
 def _reference(out: Symbols, name: str, reference: Element) -> None:
@@ -112,8 +113,10 @@ def _species(out: Symbols, species: Element) -> None:
     literal = _literal(book, species, amount_only)
     description = described(species)
     if name in book.assigned or name in book.rates or amount_only or out.fixed(compartment):
-        _declare(out, name, literal, description, unit_of(species))
-        if out.reacts(name):
+        _declare(out, name, literal, description, species_unit(species, amount_only))
+        if out.reacts(name) and name not in out.constants:
+            book.report.refuse(*out.lines[name], "it has a rule, and reactions change it too")
+        elif out.reacts(name):
             out.states[name] = out.constants.pop(name)
             if not amount_only:
                 out.divisors[name] = compartment
@@ -129,7 +132,9 @@ def _species(out: Symbols, species: Element) -> None:
     out.amounts[name] = amount
     said = f"amount of {description or name}"
     (out.states if out.reacts(name) else out.constants)[amount] = Quantity(amount, whole, said)
-    out.intermediates[name] = Quantity(name, named(amount) / named(compartment), description, unit_of(species))
+    out.intermediates[name] = Quantity(
+        name, named(amount) / named(compartment), description, species_unit(species, amount_only)
+    )
 
 
 def is_amount(book: Book, species: Element) -> bool:
@@ -148,13 +153,13 @@ def _literal(book: Book, species: Element, amount_only: bool) -> Formula | None:
     plain = element is not None and element.isSetSize() and element.getSize() > 0 and element.getConstant()
     size = element.getSize() if plain and name not in book.starts and name not in book.assigned else None
     if species.isSetInitialConcentration():
-        value = number(species.getInitialConcentration())
-        if not amount_only or value == ZERO:
+        value = finite(book.report, f"species {species.getId()}", species, species.getInitialConcentration())
+        if value is None or not amount_only or value == ZERO:
             return value
         return value * compartment if size is None else number(value.value * size)
     if species.isSetInitialAmount():
-        value = number(species.getInitialAmount())
-        if amount_only or value == ZERO:
+        value = finite(book.report, f"species {species.getId()}", species, species.getInitialAmount())
+        if value is None or amount_only or value == ZERO:
             return value
         return Formula("/", (value, compartment)) if size is None else number(value.value / size)
     return None

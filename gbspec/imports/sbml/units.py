@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import libsbml
 
 from gbspec.imports.formulas import spelled_number
@@ -18,19 +20,53 @@ _PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "u", -3: "m", -2: "c", -1: "d", 0:
 _TIMES = {60.0: "min", 3600.0: "h", 86400.0: "day"}
 
 
+_LEVEL_2 = {"substance": "mol", "volume": "L", "area": "m^2", "length": "m", "time": "s"}
+"""The units of Level 2 that a model may define anew."""
+
+
+# libsbml derives units too, but ends the process for some malformed ones.
 def unit_of(element: Element) -> str | None:
-    """The unit of a quantity's symbol; None if the file does not give it, or the language cannot hold it."""
-    return text_of(element.getDerivedUnitDefinition())
+    """The unit of a parameter or a compartment; None if the file does not give it, or the language cannot hold it."""
+    model = element.getModel()
+    if element.getUnits():
+        return _named(model, element.getUnits())
+    if element.getElementName() != "compartment":
+        return None
+    dimensions = element.getSpatialDimensionsAsDouble()
+    kind = {3.0: "volume", 2.0: "area", 1.0: "length"}.get(dimensions)
+    if kind is None:
+        return None
+    if model.getLevel() < 3:
+        return _named(model, kind)
+    asked = {"volume": model.getVolumeUnits, "area": model.getAreaUnits, "length": model.getLengthUnits}
+    return _named(model, asked[kind]())
+
+
+def species_unit(species: Element, amount: bool) -> str | None:
+    """The unit of a species' symbol: of an amount, or of a concentration."""
+    model = species.getModel()
+    name = species.getSubstanceUnits() or ("substance" if model.getLevel() < 3 else model.getSubstanceUnits())
+    substance = _named(model, name)
+    compartment = model.getCompartment(species.getCompartment())
+    if amount or substance is None or compartment is None:
+        return substance
+    size = unit_of(compartment)
+    if size is None:
+        return None
+    return f"{substance}/{size}" if size.isalnum() else f"{substance}/({size})"
 
 
 def time_unit(model: Element) -> str | None:
     """The unit of time."""
-    if model.getLevel() < 3:
-        own = model.getUnitDefinition("time")
-        return "s" if own is None else text_of(own)
-    name = model.getTimeUnits()
+    return _named(model, "time" if model.getLevel() < 3 else model.getTimeUnits())
+
+
+def _named(model: Element, name: str) -> str | None:
+    """The unit of a name: of a definition, of Level 2, or of SBML itself."""
     own = model.getUnitDefinition(name)
-    return text_of(own) if own is not None else _KINDS.get(name)
+    if own is not None:
+        return text_of(own)
+    return _LEVEL_2.get(name) if model.getLevel() < 3 and name in _LEVEL_2 else _KINDS.get(name)
 
 
 def text_of(definition: Element) -> str | None:
@@ -45,6 +81,8 @@ def text_of(definition: Element) -> str | None:
         if found is None:
             return None
         exponent = unit.getExponentAsDouble()
+        if not math.isfinite(exponent):
+            return None
         if found and exponent:
             size = abs(exponent)
             (above if exponent > 0 else below).append(found if size == 1 else f"{found}^{_power(size)}")
@@ -62,9 +100,9 @@ def _factor(unit: Element) -> str | None:
     kind, scale, multiplier = libsbml.UnitKind_toString(unit.getKind()), unit.getScale(), unit.getMultiplier()
     if kind == "kilogram":
         kind, scale = "gram", scale + 3
-    size = multiplier * 10.0**scale
-    if not 0 < size < float("inf"):
+    if abs(scale) > 300 or not 0 < multiplier * 10.0**scale < float("inf"):
         return None
+    size = multiplier * 10.0**scale
     if kind == "dimensionless":
         return "" if size == 1 else spelled_number(size)
     name = _KINDS.get(kind)
