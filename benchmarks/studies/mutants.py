@@ -54,6 +54,14 @@ CHANGED = (ast.BinOp, ast.AugAssign, ast.Compare, ast.BoolOp, ast.UnaryOp, ast.C
            ast.Call)  # fmt: skip
 SPOKEN = ("Diagnostic", "UserError", "ComputationError", "warn", "message")
 """Calls whose arguments are words for the user: their numbers and operators are not mutated."""
+HEAD = """# Mutants
+
+`python -m benchmarks.studies.mutants` puts small defects into the sources, one at a time; the tests must fail. The
+text at the head of the module has the commands, [reliability](../reliability.md) the conditions. Survivors were read:
+where a mutant changes a result, a test was written that kills it, so that the shares are those of the tests after the
+campaign, for the mutants of the campaign.
+
+"""
 Row = dict[str, str]
 
 
@@ -309,7 +317,8 @@ def equivalent() -> dict[str, str]:
 def table(rows: Sequence[Row]) -> str:
     """The summary in Markdown: a line for each room, and the survivors."""
     same = equivalent()
-    lines = ["| package | mutants | killed | equivalent | survived | not run | killed, of those not equivalent |",
+    lines = [*HEAD.splitlines(),
+             "| package | mutants | killed | equivalent | survived | not run | killed, of those not equivalent |",
              "|---|---:|---:|---:|---:|---:|---:|"]  # fmt: skip
     for room in (*ROOMS, "all"):
         own = [row for row in rows if room == "all" or row["file"].startswith(f"gbspec/{room}/")]

@@ -116,7 +116,7 @@ class Prover:
             return self._product(expression.args, strict)
         if isinstance(expression, sympy.Pow) and expression.exp.is_Integer:
             return self._power(expression.base, int(expression.exp), strict)
-        if isinstance(expression, sympy.Pow) and not expression.exp.has(sympy.Symbol):
+        if isinstance(expression, sympy.Pow) and expression.exp.is_real and not expression.exp.has(sympy.Symbol):
             return self._holds(expression.base, strict or expression.exp < 0)
         if isinstance(expression, sympy.Piecewise):
             return all(self._holds(value, strict) for value, _ in expression.args)

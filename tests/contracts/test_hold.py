@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from gbspec.backends.module import load_module
+from gbspec.backends.module import generate, load_module
+from gbspec.diagnostics import Findings
 from gbspec.ir.model import Model
+from gbspec.passes.contracts import with_contracts
+from tests import texts
 from tests.contracts.helpers import bound, model_of, points, weights
 
 PLAIN = [
@@ -175,3 +178,8 @@ def test_a_pole_weakens_the_guarantee_to_the_ranges() -> None:
     ranged = model_of("unknown f(u in [0, 10]) >= 0 = u/(K + u)*nn by mlp(8)").unknowns[0].form
     assert everywhere is not None and everywhere.scope == "everywhere"
     assert ranged is not None and ranged.scope == "ranges" and ranged.within == ("u",)
+
+
+def test_the_value_at_a_zero_is_that_of_a_single_point() -> None:
+    text = "model m\nstate x in [0, 3]\nunknown f(x) increasing in x, zero at x = 1 by mlp(4)\nx' = f\nobserve x\n"
+    assert "(raw_f_there,) = network(1)\n" in generate(with_contracts(texts.model_of(text), Findings()))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sympy
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gbspec.ir.model import symbol
@@ -142,6 +142,7 @@ ROWS = sample(30)
 
 @settings(max_examples=150, deadline=None)
 @given(expressions())
+@example(sympy.Abs(u) ** sympy.acos(-3))
 def test_results_for_random_expressions_are_true(expression: sympy.Expr) -> None:
     """All finite values agree with the enclosure or the proved sign."""
     prover = Prover(BOX)
