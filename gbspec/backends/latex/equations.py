@@ -9,7 +9,7 @@ import unicodedata
 import sympy
 from sympy.printing.latex import LatexPrinter
 
-from gbspec.ir import NN, Expr, Model, Unknown
+from gbspec.ir import NN, Expr, Lookup, Model, Unknown
 
 GREEK = frozenset(
     (
@@ -68,9 +68,15 @@ class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
     def _print_Function(self, expr: sympy.Basic, exp: str | None = None) -> str:
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             return str(super()._print_Function(expr, exp))
+        return self._applied(expr.func.__name__, expr, exp)
+
+    def _print_Lookup(self, expr: Lookup, exp: str | None = None) -> str:
+        return self._applied(expr.table, expr, exp)
+
+    def _applied(self, function: str, expr: sympy.Basic, exp: str | None) -> str:
         arguments = ", ".join(map(self._print, expr.args))
         power = f"^{{{exp}}}" if exp is not None else ""
-        return f"{name(expr.func.__name__)}{power}\\left({arguments}\\right)"
+        return f"{name(function)}{power}\\left({arguments}\\right)"
 
 
 _PRINTER = _Printer({"mul_symbol": r" \, ", "fold_short_frac": False, "ln_notation": True})
