@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from gbspec.semantics.allow import Allowed
-from gbspec.semantics.arrays import DeclaredArray
+from gbspec.semantics.declared_arrays import DeclaredArray
 from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.processes import Term
