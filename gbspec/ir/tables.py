@@ -58,7 +58,7 @@ class Curve:
     @property
     def degree(self) -> int:
         """The largest power of an argument."""
-        return int(self.coefficients.shape[-1]) - 1
+        return 1 if self.interpolation == "linear" else 3
 
     def derived(self, order: tuple[int, ...]) -> Array:
         """The coefficients of a derivative, by the order in each argument."""
@@ -134,12 +134,37 @@ def _pieces(places: Array, values: Array, axis: int, kind: Interpolation) -> Arr
     if kind == "linear":
         slopes = np.diff(moved, axis=0) / np.diff(places).reshape(-1, *[1] * (moved.ndim - 1))
         found = np.stack([moved[:-1], slopes], 1)
+    elif kind == "pchip":
+        found = _hermite(places, moved)
     else:
-        from scipy.interpolate import CubicSpline, PchipInterpolator
+        from scipy.interpolate import CubicSpline  # not at the top: its import takes longer than most models
 
-        spline = PchipInterpolator(places, moved) if kind == "pchip" else CubicSpline(places, moved)
-        found = np.moveaxis(spline.c[::-1], 0, 1)
+        found = np.moveaxis(CubicSpline(places, moved).c[::-1], 0, 1)
     return np.moveaxis(found, [0, 1], [2 * axis, 2 * axis + 1])
+
+
+def _hermite(x: Array, y: Array) -> Array:
+    """The cubic pieces of Fritsch and Butland (1984), SIAM J. Sci. Stat. Comput. 5:300, with slopes at the points that
+    are harmonic means of those beside them, or 0 where these differ in sign; scipy's PchipInterpolator has the same."""
+    h = np.diff(x)
+    m = np.diff(y) / h
+    slopes = np.full(len(x), m[0])
+    if len(x) > 2:
+        one, two = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+        turns = m[:-1] * m[1:] <= 0
+        below, above = np.where(turns, 1.0, m[:-1]), np.where(turns, 1.0, m[1:])
+        slopes[1:-1] = np.where(turns, 0.0, (one + two) / (one / below + two / above))
+        slopes[0], slopes[-1] = _end_slope(h[0], h[1], m[0], m[1]), _end_slope(h[-1], h[-2], m[-1], m[-2])
+    low, high = slopes[:-1], slopes[1:]
+    return np.stack([y[:-1], low, (3 * m - 2 * low - high) / h, (low + high - 2 * m) / h**2], 1)
+
+
+def _end_slope(h: float, next_h: float, m: float, next_m: float) -> float:
+    """The slope at an end: that of the parabola through three points, limited so that the piece stays monotone."""
+    found = ((2 * h + next_h) * m - h * next_m) / (h + next_h)
+    if np.sign(found) != np.sign(m):
+        return 0.0
+    return 3 * m if np.sign(m) != np.sign(next_m) and abs(found) > 3 * abs(m) else found
 
 
 class Lookup(sympy.Function):  # type: ignore[misc]  # sympy is untyped

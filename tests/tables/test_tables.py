@@ -11,9 +11,11 @@ import sympy
 import torch
 from scipy.interpolate import CubicSpline, PchipInterpolator, RegularGridInterpolator
 
+from gbspec.backends.latex.page import document
 from gbspec.backends.module import load_module
 from gbspec.ir import Curve, Interpolation, lookup
 from gbspec.ir.derivatives import derivative
+from gbspec.report.html.mathml import expression
 from tests import quick as quickly
 from tests.backends.same_kernel import compare, compare_jacobians
 from tests.backends.test_agreement import check_agreement, check_derivatives, check_step
@@ -40,6 +42,14 @@ def test_values_are_those_of_scipy(kind: Interpolation) -> None:
     assert curve.value((1,), BEYOND).tolist() == [0.0] * 4
     if kind != "linear":
         assert curve.value((1,), INSIDE[:-1]) == pytest.approx(reference(INSIDE[:-1], 1), abs=1e-12)
+
+
+@pytest.mark.parametrize("values", [(1.0, 3.0), (1.0, 3.0, 2.0), (0.0, 0.0, 1.0, 1.0, 5.0), (5.0, 0.0, 4.9, 5.0, 5.0)])
+def test_pchip_of_few_and_of_flat_points(values: tuple[float, ...]) -> None:
+    places = PLACES[: len(values)]
+    x = np.linspace(places[0], places[-1], 50)
+    wanted = PchipInterpolator(places, values)(x) if len(values) > 2 else np.interp(x, places, values)
+    assert Curve((places,), values, "pchip").value((0,), x) == pytest.approx(wanted, abs=1e-14)
 
 
 def test_a_grid_of_two_arguments() -> None:
@@ -128,6 +138,14 @@ def test_a_lost_value_is_nan_in_torch_and_its_gradient_elsewhere_is_not() -> Non
     assert slope.tolist() == [[2.0], [1.0]]
     alone = load_module(model_of(text.replace("if(x > 1, x, f(x))", "f(x)")))()
     assert np.isnan(float(alone.rhs(0.0, [2.0])[0]))
+
+
+def test_tables_are_typeset_by_their_names() -> None:
+    model = model_of(EVERY_KIND)
+    assert r"\mathrm{linear}_{1}\left(y\right)" in document(model)
+    assert "9, cubic" in document(model)
+    assert "linear" in expression(model.channels[1].value) and "table_" not in expression(model.channels[1].value)
+    assert "spline2(y, x)" in str(model.channels[1].value)
 
 
 def test_arrays_look_up_all_elements_at_once() -> None:

@@ -66,12 +66,11 @@ class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
         return f"{digits.removesuffix('.0')} \\cdot 10^{{{int(exponent)}}}" if exponent else digits.removesuffix(".0")
 
     def _print_Function(self, expr: sympy.Basic, exp: str | None = None) -> str:
+        if isinstance(expr, Lookup):  # sympy does not look for a method named after a base of a function's class
+            return self._applied(expr.table, expr, exp)
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             return str(super()._print_Function(expr, exp))
         return self._applied(expr.func.__name__, expr, exp)
-
-    def _print_Lookup(self, expr: Lookup, exp: str | None = None) -> str:
-        return self._applied(expr.table, expr, exp)
 
     def _applied(self, function: str, expr: sympy.Basic, exp: str | None) -> str:
         arguments = ", ".join(map(self._print, expr.args))

@@ -42,13 +42,12 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
         return self._row(self._leaf("mo", "{"), table)
 
     def _print_Function(self, expr: sympy.Basic) -> Element:
+        if isinstance(expr, Lookup):  # sympy does not look for a method named after a base of a function's class
+            return self._applied(expr.table, expr)
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             printed: Element = super()._print_Function(expr)
             return printed
         return self._applied(expr.func.__name__, expr)
-
-    def _print_Lookup(self, expr: Lookup) -> Element:
-        return self._applied(expr.table, expr)
 
     def _applied(self, function: str, expr: sympy.Basic) -> Element:
         inside: list[Element] = []
