@@ -24,6 +24,7 @@ from gbspec.data.sheet import LONGEST_LINE, MOST_COLUMNS, MOST_ROWS
 from gbspec.exports.programs import MOST_CALLS, MOST_OPERATIONS
 from gbspec.imports.safety import DEEPEST, MOST_DECLARED, MOST_ELEMENTS
 from gbspec.imports.safety import MOST_BYTES as MOST_XML
+from gbspec.semantics.tables import MOST_POINTS
 from gbspec.syntax.limits import (
     LONGEST_WORD,
     MOST_BYTES,
@@ -287,6 +288,7 @@ LIMITS = {
     "names, numbers and operations of a model, written out for each element": MOST_PARTS,
     "elements of an array of states": 2_000,
     "characters of a word": LONGEST_WORD,
+    "points of a known function (`table`)": MOST_POINTS,
     "columns of a table": MOST_COLUMNS,
     "bytes of a line of a CSV or TSV table": LONGEST_LINE,
     "rows of a Parquet table": MOST_ROWS,

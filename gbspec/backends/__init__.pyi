@@ -27,6 +27,8 @@ from .native.kernel_text import activation_parts as activation_parts
 from .native.kernel_text import source as source
 from .native.library import Library as Library
 from .native.library import Struct as Struct
+from .native.lookups import table_function as table_function
+from .native.lookups import table_functions as table_functions
 from .native.printer import CPrinter as CPrinter
 from .printing import RECIPROCAL as RECIPROCAL
 from .printing import UNARY as UNARY

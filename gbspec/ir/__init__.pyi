@@ -62,6 +62,7 @@ from .model import Network as Network
 from .model import Prior as Prior
 from .model import Range as Range
 from .model import State as State
+from .model import Table as Table
 from .model import TruthConstant as TruthConstant
 from .model import TruthFunction as TruthFunction
 from .model import Unknown as Unknown
@@ -72,4 +73,9 @@ from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic
 from .residual import residuals as residuals
 from .residual import slopes as slopes
+from .tables import Curve as Curve
+from .tables import Interpolation as Interpolation
+from .tables import Lookup as Lookup
+from .tables import Outside as Outside
+from .tables import lookup as lookup
 from .verification import verify as verify

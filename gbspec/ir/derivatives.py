@@ -19,6 +19,7 @@ from sympy.logic.boolalg import Boolean
 from gbspec.diagnostics import Defect
 from gbspec.ir.forms import logistic, softplus
 from gbspec.ir.model import Expr
+from gbspec.ir.tables import Lookup
 
 UNARY: Mapping[type[sympy.Basic], Callable[[Expr, Expr], Expr]] = {
     sympy.exp: lambda x, v: v,
@@ -76,12 +77,14 @@ def partials(node: Expr, value: Expr | None = None) -> Partials:
             y, x = node.args
             square = 1 / (x**2 + y**2)
             return [(y, x * square), (x, -y * square)]
+        case Lookup():
+            return [(a, node.slope(i)) for i, a in enumerate(node.args)]
     raise Defect(f"no rule gives the derivative of `{type(node).__name__}`")
 
 
 def has_rule(node: sympy.Basic) -> bool:
     """Whether `partials` has a rule for a node of this kind."""
-    known = sympy.Add | sympy.Mul | sympy.Pow | sympy.Max | sympy.Min | sympy.atan2
+    known = sympy.Add | sympy.Mul | sympy.Pow | sympy.Max | sympy.Min | sympy.atan2 | Lookup
     return isinstance(node, known) or type(node) in UNARY
 
 

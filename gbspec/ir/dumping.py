@@ -9,7 +9,7 @@ from sympy.printing.str import StrPrinter
 
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
-from gbspec.ir.model import NN, Contract, Declared, Dose, Expr, Model, Network, Range, Unknown
+from gbspec.ir.model import NN, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
@@ -131,6 +131,7 @@ def _declarations(model: Model) -> list[str]:
     )
     lines += _section("implied", (f"{_head(k)} = {k.start!r}{_range(k.range)}" for k in model.implied))
     lines += _section("correlated", (", ".join(names) for names in model.correlated))
+    lines += _section("tables", map(_table, model.tables))
     return lines + _section("networks", (_network(network) for network in model.networks))
 
 
@@ -238,6 +239,21 @@ def _network(network: Network) -> str:
     arguments = ", ".join(f"{a.name}{f' : {a.unit}' if a.unit else ''}{_range(a.range)}" for a in network.arguments)
     sizes = "-".join(str(n) for n in network.sizes)
     return f"{', '.join(network.outputs)}({arguments}) by mlp {sizes} {network.activation}"
+
+
+def _table(table: Table) -> str:
+    """The digest stands for the points."""
+    curve = table.curve
+    units = table.units or (None,) * len(table.arguments)
+    given = (
+        f"{name}{f' : {unit}' if unit else ''} in [{places[0]!r}, {places[-1]!r}]"
+        for name, unit, places in zip(table.arguments, units, curve.knots, strict=True)
+    )
+    count = len(curve.values)
+    return (
+        f"{table.name}({', '.join(given)}){_unit(table)}: {count} points, {curve.interpolation}, outside "
+        f"{curve.outside}, {curve.digest}"
+    )
 
 
 def _state(model: Model, index: int) -> str:

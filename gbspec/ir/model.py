@@ -11,44 +11,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import sympy
-from sympy.core.function import AppliedUndef, UndefinedFunction
-from sympy.printing.precedence import PRECEDENCE
-from sympy.printing.printer import Printer
 
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.forms import Form, Layout
+from gbspec.ir.symbols import symbol as symbol
+from gbspec.ir.symbols import unknown_function as unknown_function
+from gbspec.ir.tables import Curve
 
 Expr: TypeAlias = sympy.Expr
-
-
-def symbol(name: str) -> sympy.Symbol:
-    """The symbol of a name, the same in every expression of a Model."""
-    return sympy.Symbol(name, real=True)
-
-
-@cache
-def unknown_function(name: str) -> type[sympy.Function]:
-    """The undefined sympy function for the unknown of that name."""
-    return UndefinedFunction(name, bases=(_Unknown,), real=True)  # type: ignore[no-any-return]
-
-
-class _Unknown(AppliedUndef):  # type: ignore[misc]  # sympy is untyped
-    """An applied unknown. sympy finds a printer's method and a precedence by the name of a class, which is here that of
-    the unknown: one that is called `Integer` must be printed as a function all the same."""
-
-    precedence = PRECEDENCE["Func"]
-
-    def _printed(self, printer: Printer, **options: str) -> object:
-        return printer._print_Function(self, **options)
-
-    _sympystr = _sympyrepr = _latex = _mathml_presentation = _printed
 
 
 LOGARITHMIC_FROM = 100.0
@@ -257,6 +234,15 @@ class Network:
 
 
 @dataclass(frozen=True)
+class Table(Declared):
+    """A known function given by points; `units` are those of its arguments."""
+
+    arguments: tuple[str, ...]
+    curve: Curve
+    units: tuple[str | None, ...] = ()
+
+
+@dataclass(frozen=True)
 class Intermediate(Declared):
     """A named expression: a `let`, or the rate of a process under the process's name."""
 
@@ -351,6 +337,7 @@ class Model:
     """Groups of learnables whose deviations are correlated."""
     networks: tuple[Network, ...] = ()
     unknowns: tuple[Unknown, ...] = ()
+    tables: tuple[Table, ...] = ()
     intermediates: tuple[Intermediate, ...] = ()
     processes: tuple[Process, ...] = ()
     balances: tuple[Expr, ...] = ()

@@ -11,6 +11,7 @@ from sympy.core.function import AppliedUndef
 from gbspec.diagnostics import Defect
 from gbspec.ir.forms import Form, described
 from gbspec.ir.model import NN, Expr, Model, Network, symbol
+from gbspec.ir.tables import Lookup
 
 
 def verify(model: Model) -> None:
@@ -36,7 +37,7 @@ def _names(model: Model) -> None:
     names = [model.time.name, *model.constant_names]
     for group in (model.states, model.conditions, model.inputs, model.intermediates):
         names.extend(item.name for item in group)
-    names.extend(unknown.name for unknown in model.unknowns)
+    names.extend(item.name for item in (*model.unknowns, *model.tables))
     twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
     _require(not twice, f"declared twice: {twice}")
     _require(len(model.balances) == len(model.states), "one balance for each state")
@@ -62,6 +63,7 @@ def _expressions(model: Model) -> None:
     conditions = {item.symbol for item in model.conditions}
     states = {item.symbol for item in model.states}
     known = constants | conditions | states | {item.symbol for item in model.inputs} | {model.time.symbol}
+    tables = {table.name: table.curve for table in model.tables}
     arity = {u.name: len(model.networks[u.network].arguments) for u in model.unknowns}
 
     def check(what: str, expression: Expr, allowed: Iterable[sympy.Symbol], *, applies: bool = True) -> None:
@@ -70,6 +72,8 @@ def _expressions(model: Model) -> None:
         for application in expression.atoms(AppliedUndef):
             name = application.func.__name__
             _require(applies and arity.get(name) == len(application.args), f"{what} applies {name}")
+        looked_up = {(type(a).table, type(a).curve) for a in expression.atoms(Lookup)}
+        _require(looked_up <= tables.items(), f"{what} uses tables that the model does not have")
         _require(not expression.has(sympy.nan, sympy.zoo, sympy.oo, sympy.I), f"{what} is not finite")
 
     for item in model.intermediates:

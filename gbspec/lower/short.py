@@ -36,8 +36,8 @@ class ShortForms:
         if not running:
             return self._at(name, _whole(place))
         (loop,) = running if len(running) == 1 else (None,)
-        if loop is None or not loop.is_integer:
-            raise NotShort
+        if loop is None or not loop.is_integer or self._checked.arrays[name].row:
+            raise NotShort  # a constant for each element stays written out
         step, offset = place.coeff(loop, 1), place.coeff(loop, 0)
         if place != step * loop + offset:
             raise NotShort
@@ -50,6 +50,8 @@ class ShortForms:
     def total(self, call: ast.Call) -> Expr:
         """`sum(c)`."""
         argument = call.arguments[0]
+        if isinstance(argument, ast.Name) and self._checked.arrays[argument.text].row:
+            raise NotShort
         return Total(symbol(argument.text)) if isinstance(argument, ast.Name) else sympy.S.Zero
 
     def _at(self, name: str, index: int) -> Expr:
@@ -64,7 +66,9 @@ class ShortForms:
         """The arrays; `states` are the positions of the states by name."""
         found = []
         for name, array in self._checked.arrays.items():
-            names = tuple(array.element(k) for k in range(array.first, array.last + 1))
+            if array.row:
+                continue
+            names = array.elements
             ends = tuple((k, self._ends(name, k)) for k in sorted(array.ends))
             found.append(StateArray(name, array.first, names, states[names[0]], ends))
         return tuple(found)

@@ -14,9 +14,9 @@ import sympy
 
 from gbspec.diagnostics import Findings
 from gbspec.ir import PREDICTION as PREDICTED
-from gbspec.ir import Expr, Noise, symbol, unknown_function
+from gbspec.ir import Expr, Noise, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.lower import populations
+from gbspec.lower import populations, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
@@ -45,6 +45,7 @@ class _Lowering:
         self._stoichiometry: dict[str, tuple[tuple[str, Expr], ...]] = {}
         self._fixed_lets: dict[sympy.Symbol, Expr] = {}
         self._short = ShortForms(checked, self._build)
+        self._tables = {table.name: table for table in tables.lowered(checked)}
         self._position_of = {s.declarator.name.text: i for i, s in enumerate(checked.all(ast.StateStatement))}
 
     # ----------------------------------------------------------------------------------------------------- expressions
@@ -89,6 +90,8 @@ class _Lowering:
         if name == "sum":
             return self._short.total(call)
         statement = self._table[name].statement
+        if isinstance(statement, ast.TableStatement):
+            return lookup(name, self._tables[name].curve)(*arguments)
         if not isinstance(statement, ast.FunctionStatement):
             return unknown_function(name)(*arguments)
         key = (name, arguments)
@@ -154,6 +157,7 @@ class _Lowering:
             learnables=self._learnables(),
             networks=networks,
             unknowns=functions,
+            tables=tuple(self._tables.values()),
             intermediates=tuple(self._intermediate(name) for name in self._checked.order),
             processes=tuple(self._process(s) for s in self._checked.all(ast.ProcessStatement)),
             balances=self._balances(),
@@ -171,7 +175,7 @@ class _Lowering:
                 for s in self._checked.all(ast.TruthStatement)
                 if self._table[s.target.text].kind is Kind.UNKNOWN
             ),
-            text=self._text(),
+            text=tables.text_of(self._checked),
             allowed=self._checked.allowed,
         )
         model = populations.completed(infused(model, self._checked, self._findings), self._checked)
@@ -189,15 +193,6 @@ class _Lowering:
         model = replace(model, arrays=self._short.arrays(states), families=families)
         refuse_elements(model, self._findings)
         return model
-
-    def _text(self) -> str:
-        """The text of the file if it extends no other; else the merged statements."""
-        items = self._checked.source
-        sources = {item.statement.span.source for item in items}
-        if len(sources) == 1 and not any(s.extends for s in self._checked.all(ast.ModelStatement)):
-            return sources.pop().text
-        # Not formatted: formatting parses the text twice more, which would slow down every check of a model.
-        return "\n".join(item.text.rstrip() for item in items) + "\n"
 
     def _number(self, node: ast.Expression | None) -> float | None:
         return self._checked.numbers.value(node)

@@ -18,7 +18,7 @@ from gbspec.syntax import VALUES, Expected, Kind, ast, expected, inert, statemen
 Sort = Literal["keyword", "name", "function", "unit", "value", "file"]
 
 _WORD_BEFORE = re.compile(r"(?:[^\W\d]\w*)?\Z")
-_PARAMETERS = re.compile(r"\s*(?:function|truth|unknown)\s+[^(]*\(([^)]*)\)")
+_PARAMETERS = re.compile(r"\s*(?:function|table|truth|unknown)\s+[^(]*\(([^)]*)\)")
 _OUTPUTS = re.compile(r"\s*unknown\s+([^(]*)\(")
 _FORMAL = re.compile(r"(?:^|,)\s*([^\W\d]\w*)")
 _EXTENDS = re.compile(r'\bextends\s+"([^"\n]*)\Z')
@@ -148,7 +148,7 @@ def _names(chain: Sequence[Parsed], kinds: Container[Kind | None]) -> Iterator[C
 def _name(text: str, statement: ast.Statement) -> Candidate:
     description = getattr(statement, "description", None)
     said = f": {description.value}" if isinstance(description, ast.Text) else ""
-    function = isinstance(statement, ast.FunctionStatement | ast.UnknownStatement)
+    function = isinstance(statement, ast.FunctionStatement | ast.TableStatement | ast.UnknownStatement)
     return Candidate(text, "function" if function else "name", statement.entry.role.split(",")[0] + said)
 
 

@@ -25,6 +25,7 @@ _NAMES: dict[Kind, tuple[str, tuple[str, ...]]] = {
     Kind.LEARN: ("variable", ("readonly", "learned")),
     Kind.LET: ("variable", ()),
     Kind.FUNCTION: ("function", ()),
+    Kind.TABLE: ("function", ("readonly",)),
     Kind.UNKNOWN: ("function", ("learned",)),
     Kind.PROCESS: ("variable", ()),
     Kind.CHANNEL: ("variable", ()),

@@ -13,7 +13,7 @@ from gbspec.lsp.workspace import Parsed, Workspace
 from gbspec.syntax import ast, inert, statement_before
 
 _CALLED = re.compile(r"([^\W\d]\w*)\s*\Z")
-_DECLARES = re.compile(r"\s*(?:unknown|function)\s[^(]*\Z")
+_DECLARES = re.compile(r"\s*(?:unknown|function|table)\s[^(]*\Z")
 _TEXT = re.compile(r'"[^"\n]*"?')
 _OPENING, _CLOSING = "([", ")]"
 
@@ -79,7 +79,7 @@ def _usage(chain: Sequence[Parsed], name: str, before: str) -> tuple[str, str] |
         case ast.UnknownStatement():
             formals = ", ".join(argument.name.text for argument in declaring.arguments)
             return f"{name}({formals})", declaration(declaring, declaring.entry.role)
-        case ast.FunctionStatement():
+        case ast.FunctionStatement() | ast.TableStatement():
             formals = ", ".join(formal.text for formal in declaring.formals())
             return f"{name}({formals})", declaration(declaring, declaring.entry.role)
         case None:

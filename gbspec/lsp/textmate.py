@@ -129,7 +129,7 @@ def _scope(statement: type[ast.Statement]) -> str:
         return "entity.name.type.gb"
     if statement is ast.AllowStatement:
         return "constant.other.code.gb"
-    if kind in (Kind.FUNCTION, Kind.UNKNOWN):
+    if kind in (Kind.FUNCTION, Kind.TABLE, Kind.UNKNOWN):
         return "entity.name.function.gb"
     if statement is ast.UnitStatement or kind not in (None, Kind.CHANNEL):
         return "variable.other.declaration.gb"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import sympy
 
-from gbspec.ir import Expr, Range, logistic, softplus
+from gbspec.ir import Expr, Lookup, Range, logistic, softplus
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,8 @@ def _number(expression: Expr) -> Interval | None:
 
 def _combined(expression: Expr, parts: list[Interval]) -> Interval | None:
     kind = type(expression)
+    if isinstance(expression, Lookup):
+        return None if expression.curve.outside == "error" or any(expression.order) else _table(expression, parts)
     if kind is sympy.Add:
         total = parts[0]
         for part in parts[1:]:
@@ -141,6 +143,16 @@ def _combined(expression: Expr, parts: list[Interval]) -> Interval | None:
     if kind is sympy.Heaviside:
         return Interval(0.0, 1.0)
     return None
+
+
+def _table(expression: Lookup, parts: list[Interval]) -> Interval:
+    """The values of a table: at the ends where it is monotone, else those of the whole table."""
+    curve, (part, *others) = expression.curve, parts
+    way = curve.direction(0)
+    if others or not way:
+        return Interval(*curve.bounds)
+    ends = [float(curve.value((0,), x)) for x in (part.low, part.high)]
+    return Interval(min(ends), max(ends))
 
 
 def _safe(function: Callable[[float], float]) -> Callable[[float], float]:

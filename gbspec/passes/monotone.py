@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import sympy
 
-from gbspec.ir import Expr
+from gbspec.ir import Expr, Lookup
 from gbspec.passes.intervals import INCREASING, enclosure
 from gbspec.passes.signs import Prover
 
@@ -42,10 +42,21 @@ def _by_rules(prover: Prover, e: Expr, variable: sympy.Symbol, direction: int) -
         return fixed and all(monotone(prover, value, variable, direction) for value, _ in e.args)
     if type(e) in INCREASING:
         return enclosure(e, prover.box) is not None and monotone(prover, e.args[0], variable, direction)
+    if isinstance(e, Lookup):
+        return enclosure(e, prover.box) is not None and _table(prover, e, variable, direction)
     if isinstance(e, sympy.Abs | sympy.cosh):
         side = _side(prover, e.args[0])
         return side != 0 and monotone(prover, e.args[0], variable, side * direction)
     return False
+
+
+def _table(prover: Prover, e: Lookup, variable: sympy.Symbol, direction: int) -> bool:
+    """Each argument that varies must go the way of the table."""
+    ways = [e.curve.direction(i) for i in range(len(e.args))]
+    return all(
+        variable not in a.free_symbols or (way != 0 and monotone(prover, a, variable, way * direction))
+        for a, way in zip(e.args, ways, strict=True)
+    )
 
 
 def _side(prover: Prover, expression: Expr) -> int:

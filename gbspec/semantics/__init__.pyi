@@ -10,6 +10,7 @@ from .expressions import walk as walk
 from .numbers import default_start as default_start
 from .processes import Term as Term
 from .sites import truth_parameters as truth_parameters
+from .tables import written_out as written_out
 from .unknowns import network_activation as network_activation
 from .unknowns import network_widths as network_widths
 from .vocabulary import ACTIVATIONS as ACTIVATIONS

@@ -9,11 +9,11 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Container, Mapping
-from dataclasses import dataclass, field
 from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span, UserError
 from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.declared_arrays import Declared, DeclaredArray, declarations
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
@@ -25,37 +25,9 @@ MOST_ROUNDS = 20
 """How often constants that depend on branches of an `if` that are not taken are tried again."""
 
 
-@dataclass
-class DeclaredArray:
-    """A declared array: its range of indices, and the expressions for elements beyond its ends."""
-
-    statement: ast.StateStatement
-    first: int
-    last: int
-    ends: dict[int, ast.ClosureStatement] = field(default_factory=dict)
-
-    @property
-    def name(self) -> str:
-        """The array's name."""
-        return self.statement.declarator.name.text
-
-    @property
-    def range(self) -> str:
-        """`1 to 512`."""
-        return f"{self.first} to {self.last}"
-
-    def element(self, index: int) -> str:
-        """The name of the state for an element."""
-        return f"{self.name}_{index}" if index >= 0 else f"{self.name}_m{-index}"
-
-
 def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, DeclaredArray]]:
     """The statements with arrays expanded, and the arrays; without arrays the statements are returned unchanged."""
-    indexed = [
-        i.statement
-        for i in merged.items
-        if isinstance(i.statement, ast.StateStatement) and i.statement.declarator.first
-    ]
+    indexed = list(declarations(merged.items))
     if not indexed and not any(_mentions_index(item.statement) for item in merged.items):
         return merged, {}
     return _Expansion(merged, findings).run(indexed)
@@ -103,9 +75,9 @@ class _Expansion:
         self._values = self._constants()
         self._declared = {n.text: n for i in merged.items for n in _variables(i.statement)}
 
-    def run(self, indexed: list[ast.StateStatement]) -> tuple[Merged, dict[str, DeclaredArray]]:
-        for statement in indexed:
-            self._declare(statement)
+    def run(self, indexed: list[Declared]) -> tuple[Merged, dict[str, DeclaredArray]]:
+        for declared in indexed:
+            self._declare(declared)
         for item in self._merged.items:
             if isinstance(item.statement, ast.ClosureStatement):
                 self._close(item.statement)
@@ -134,6 +106,8 @@ class _Expansion:
         """For how many elements a statement is written out."""
         match statement:
             case ast.StateStatement(declarator=ast.Declarator(name=name, first=first)) if first is not None:
+                array = self._arrays.get(name.text)
+            case ast.LearnStatement(name=name):
                 array = self._arrays.get(name.text)
             case ast.About(target=ast.Name(text=text)):
                 array = self._arrays.get(text)
@@ -204,23 +178,20 @@ class _Expansion:
         self._told[node.span] += 1
         return self._told[node.span] <= most
 
-    def _declare(self, statement: ast.StateStatement) -> None:
-        declarator = statement.declarator
-        name = declarator.name
+    def _declare(self, declared: Declared) -> None:
+        name = declared.name
         self._unsure.add(name.text)
-        if declarator.first is None or declarator.last is None:
-            return
-        first, last = (self._whole(e, "an end of an array") for e in (declarator.first, declarator.last))
+        first, last = (self._whole(e, "an end of an array") for e in declared.ends)
         if first is None or last is None:
             return
         if not 0 <= last - first < LARGEST:
             self._findings.error(
                 "GB240",
                 f"`{name.text}` would have {max(last - first + 1, 0)} elements; an array has 1 to {LARGEST}",
-                declarator.span,
+                declared.span,
             )
             return
-        self._arrays[name.text] = DeclaredArray(statement, first, last)
+        self._arrays[name.text] = DeclaredArray(name.text, declared.span, first, last, declared.row)
 
     def _close(self, statement: ast.ClosureStatement) -> None:
         array = self._arrays.get(statement.target.array.text)
@@ -230,12 +201,17 @@ class _Expansion:
         index = self._whole(statement.target.index, "an index")
         if index is None:
             return
+        if array.row:
+            what = f"`{array.name}` is a row of constants to be learned, which have no equations"
+            help_ = "a known value is a `const`; a start and bounds stand in the declaration of the row"
+            self._findings.error("GB254", what, statement.target.span, help=help_)
+            return
         if array.first <= index <= array.last:
             self._findings.error(
                 "GB241",
                 f"`{array.name}[{index}]` is a state: it needs a balance, not an equation",
                 statement.target.span,
-                labels=[Label(array.statement.declarator.span, f"from {array.range}")],
+                labels=[Label(array.span, f"from {array.range}")],
                 help=f"an equation is for an element beyond an end: `{array.name}[{array.first - 1}] = …`; an"
                 " initial value is given by `initial`",
             )
@@ -262,7 +238,7 @@ class _Expansion:
                 return []
             case ast.StateStatement(declarator=declarator) if declarator.first is not None:
                 array = self._arrays.get(declarator.name.text)
-                names = [array.element(i) for i in range(array.first, array.last + 1)] if array is not None else []
+                names = array.elements if array is not None else ()
                 one = self._rewritten(self._item(item, declarator=ast.Declarator(declarator.span, declarator.name)), {})
                 return [
                     self._item(one, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
@@ -276,12 +252,34 @@ class _Expansion:
                 | ast.DiffusionStatement(target=target)
             ):
                 return self._about(item, target)
+            case ast.LearnStatement(name=name, row=row) if row:
+                array = self._arrays.get(name.text)
+                names = array.elements if array is not None else ()
+                one = self._rewritten(self._item(item, row=()), {})
+                return [self._item(one, name=self._at(name, n)) for n in names]
+            case ast.TruthStatement() if statement.index is not None or statement.target.text in self._arrays:
+                return self._truth(item, statement)
             case ast.Remark() | ast.Formula() | ast.UnknownStatement() | ast.LearnStatement() | ast.ConstStatement():
                 return [self._rewritten(item, {})]
             case ast.StateStatement() | ast.ConditionStatement() | ast.InputStatement() | ast.TimeStatement():
                 return [self._rewritten(item, {})]
             case _:
                 assert_never(statement)
+
+    def _truth(self, item: Item, statement: ast.TruthStatement) -> list[Item]:
+        """The truth of an element of a row, or of all with the same value."""
+        name, array = statement.target, self._arrays.get(statement.target.text)
+        if array is None:
+            self._no_array(name)
+            return []
+        names = array.elements
+        if statement.index is not None:
+            index = self._whole(statement.index, "an index")
+            if index is None or not self._exists(array, index, name, f"its elements are {array.range}"):
+                return []
+            names = (array.element(index),)
+        one = self._rewritten(self._item(item, index=None), {})
+        return [self._item(one, target=self._at(name, n)) for n in names]
 
     @staticmethod
     def _at(name: ast.Name, text: str) -> ast.Name:
@@ -318,7 +316,7 @@ class _Expansion:
             f"`{array.name}` is declared twice",
             target.span,
             label="again",
-            labels=[Label(array.statement.declarator.span, "first declared here")],
+            labels=[Label(array.span, "first declared here")],
             help=f"to measure it directly write `observe {target.span.text}`; an expression needs another name",
         )
 
@@ -327,12 +325,15 @@ class _Expansion:
             return True
         if not self._first_at(node, most=2):  # an index that is wrong for many elements is reported at both ends
             return False
+        remedy = f"its elements are {array.range}"
+        if not array.row:
+            remedy = f"define it by an equation: `{array.name}[{index}] = …`"
         self._findings.error(
             "GB242",
             f"`{array.name}` has no element {index}",
             node.span,
-            labels=[Label(array.statement.declarator.span, f"from {array.range}")],
-            help=help_text or f"define it by an equation: `{array.name}[{index}] = …`",
+            labels=[Label(array.span, f"from {array.range}")],
+            help=help_text or remedy,
         )
         return False
 

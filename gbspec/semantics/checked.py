@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from gbspec.semantics.allow import Allowed
-from gbspec.semantics.arrays import DeclaredArray
+from gbspec.semantics.declared_arrays import DeclaredArray
 from gbspec.semantics.merge import Item
 from gbspec.semantics.numbers import Numbers
 from gbspec.semantics.processes import Term
 from gbspec.semantics.table import Table
+from gbspec.semantics.tables import Points
 from gbspec.syntax import ast
 
 S = TypeVar("S", bound=ast.Node)
@@ -37,6 +38,7 @@ class Checked:
     source: tuple[Item, ...] = ()
     """The statements before arrays are expanded."""
     arrays: Mapping[str, DeclaredArray] = field(default_factory=dict)
+    tables: Mapping[str, Points] = field(default_factory=dict)
 
     def all(self, kind: type[S]) -> Iterator[S]:
         """The statements of one kind, in the order of the model."""

@@ -18,6 +18,7 @@ from gbspec.semantics import (
     processes,
     size,
     table,
+    tables,
     truths,
     unknowns,
     usage,
@@ -84,6 +85,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     numbers = Numbers(findings, Evaluator(values, functions_of(names)), places_of)
     numbers.check(items)
     unknowns.check(items, numbers, findings)
+    points = tables.check(items, findings)
     populations.check(items, names, numbers, findings)
     terms = _terms(places_of, names, findings)
     balances.once(items, findings)
@@ -104,7 +106,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     subject = doubts.Subject(items, names, values, order, numbers, places_of)
     doubts.check(subject, findings)
     doubts.coefficients(terms, subject, findings)
-    return Checked(items, names, order, values, numbers, terms, known, accepted)
+    return Checked(items, names, order, values, numbers, terms, known, accepted, tables=points)
 
 
 def _units(

@@ -18,7 +18,9 @@ _OFFSET = frozenset({"degC", "degF", "celsius", "fahrenheit", "degree_Celsius", 
 _SAME = frozenset({"abs", "min", "max"})
 _HALF = Fraction(1, 2)
 
-NEEDS_UNIT = frozenset({Kind.TIME, Kind.STATE, Kind.CONDITION, Kind.INPUT, Kind.CONST, Kind.LEARN, Kind.UNKNOWN})
+NEEDS_UNIT = frozenset(
+    {Kind.TIME, Kind.STATE, Kind.CONDITION, Kind.INPUT, Kind.CONST, Kind.LEARN, Kind.TABLE, Kind.UNKNOWN}
+)
 """The kinds that should declare a unit in a model with units; the units of `let`s and rates follow from them."""
 
 Formals = Mapping[str, Unit]
@@ -95,7 +97,8 @@ class Units:
         declaration = self.table.get(node.text)
         if declaration is not None and isinstance(declaration.statement, ast.UnknownStatement):
             names = [ast.Name(node.span, a.name.text) for a in declaration.statement.arguments]
-            self._apply(declaration.statement, names, [self._name(n, formals) for n in names])
+            unknown = declaration.statement
+            self._apply(unknown.names[0].text, unknown.arguments, names, [self._name(n, formals) for n in names])
         return self.of(node.text)
 
     def same(self, nodes: Sequence[ast.Expression], units: Sequence[Unit], how: str) -> Unit:
@@ -145,7 +148,10 @@ class Units:
             case ast.FunctionStatement() as function:
                 return self._written_out(function, units, node.span)
             case ast.UnknownStatement() as unknown:
-                self._apply(unknown, node.arguments, units)
+                self._apply(unknown.names[0].text, unknown.arguments, node.arguments, units)
+                return self.of(name)
+            case ast.TableStatement(arguments=arguments):
+                self._apply(name, arguments, node.arguments, units)
                 return self.of(name)
             case _:
                 return self._elementary(node, units)
@@ -173,12 +179,14 @@ class Units:
             self._within.pop()
         return self._calls[key]
 
-    def _apply(self, unknown: ast.UnknownStatement, nodes: Sequence[ast.Expression], units: Sequence[Unit]) -> None:
-        formals = self.arguments[unknown.names[0].text]
-        for argument, formal, node, unit in zip(unknown.arguments, formals, nodes, units, strict=True):
+    def _apply(
+        self, name: str, arguments: Sequence[ast.Argument], nodes: Sequence[ast.Expression], units: Sequence[Unit]
+    ) -> None:
+        """Checks the units of the arguments of an unknown or a table."""
+        for argument, formal, node, unit in zip(arguments, self.arguments[name], nodes, units, strict=True):
             if not self.solution.equal(formal, unit, node.span) and self._once(node.span, argument.span):
                 self._mismatch(
-                    f"the argument `{argument.name.text}` of `{unknown.names[0].text}`",
+                    f"the argument `{argument.name.text}` of `{name}`",
                     argument.span,
                     formal,
                     node,

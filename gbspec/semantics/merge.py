@@ -60,7 +60,10 @@ def names_a_unit(items: Iterable[Item]) -> bool:
     return any(
         isinstance(item.statement, ast.UnitStatement)
         or any(isinstance(part, _UNITS) for part in children(item.statement))
-        or (isinstance(item.statement, ast.UnknownStatement) and any(a.unit for a in item.statement.arguments))
+        or (
+            isinstance(item.statement, ast.UnknownStatement | ast.TableStatement)
+            and any(a.unit for a in item.statement.arguments)
+        )
         for item in items
     )
 

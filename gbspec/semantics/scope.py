@@ -20,6 +20,9 @@ _NOT_OFFERED = {
 }
 """Functions that other languages have, and what takes their place here."""
 
+_NO_ARGUMENTS = frozenset({Kind.FUNCTION, Kind.TABLE, Kind.UNKNOWN, Kind.CHANNEL, Kind.CLAIM})
+"""Kinds of names that cannot be an argument of an unknown by name."""
+
 _SUGGESTIONS = 20
 _MOST = 200  # undeclared names that are reported one by one
 _PLACES = 4
@@ -131,7 +134,7 @@ class Resolver:
 
     def _candidates(self, missing: Missing) -> frozenset[str]:
         """The names of which an undeclared one may be a misspelling."""
-        kinds = (Kind.FUNCTION, Kind.UNKNOWN) if missing.called else None
+        kinds = (Kind.FUNCTION, Kind.TABLE, Kind.UNKNOWN) if missing.called else None
         pool = {n for n, d in self.table.items() if kinds is None or d.kind in kinds}
         return frozenset(pool | (set(FUNCTIONS) if missing.called else missing.formals))
 
@@ -155,8 +158,8 @@ class Resolver:
                 self._without_arguments(node, site, "a function", name)
             else:
                 self._not_found(node, site, called=False)
-        elif declaration.kind is Kind.FUNCTION:
-            self._without_arguments(node, site, "a function", _usage(declaration), declaration.span)
+        elif declaration.kind in (Kind.FUNCTION, Kind.TABLE):
+            self._without_arguments(node, site, declaration.kind.value, _usage(declaration), declaration.span)
         elif declaration.kind in (Kind.CHANNEL, Kind.CLAIM):
             self._no_value(node, declaration, site)
         else:
@@ -173,7 +176,7 @@ class Resolver:
             declaration = self.table.get(text)
             if text in site.formals:
                 continue
-            if declaration is None or declaration.kind in (Kind.FUNCTION, Kind.UNKNOWN, Kind.CHANNEL, Kind.CLAIM):
+            if declaration is None or declaration.kind in _NO_ARGUMENTS:
                 undeclared.append(argument.name)
             else:
                 self._use(text, node.span, site, smooth)
@@ -223,7 +226,7 @@ class Resolver:
         match declaration.statement:
             case ast.FunctionStatement(parameters=parameters):
                 expected = len(parameters)
-            case ast.UnknownStatement(arguments=arguments):
+            case ast.UnknownStatement(arguments=arguments) | ast.TableStatement(arguments=arguments):
                 expected = len(arguments)
             case _:
                 self._not_a_function(node, declaration.kind.value, declaration.span, site)
@@ -288,7 +291,7 @@ def _usage(declaration: Declaration) -> str:
     match declaration.statement:
         case ast.FunctionStatement(parameters=parameters):
             names = [p.text for p in parameters]
-        case ast.UnknownStatement(arguments=arguments):
+        case ast.UnknownStatement(arguments=arguments) | ast.TableStatement(arguments=arguments):
             names = [a.name.text for a in arguments]
         case _:
             names = []

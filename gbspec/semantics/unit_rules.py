@@ -93,6 +93,9 @@ class _Rules:
                 ]
                 for name in names[1:]:
                     units.arguments[name.text] = units.arguments[names[0].text]
+            case ast.TableStatement(name=name, arguments=arguments, unit=unit):
+                units.declared[name.text] = units.read(unit, name.text)
+                units.arguments[name.text] = [units.read(a.unit, f"{name.text}({a.name.text})") for a in arguments]
             case ast.EffectStatement(name=name):
                 units.declared[name.text] = ONE
             case ast.FunctionStatement() | ast.ProcessStatement() | ast.ConserveStatement() | ast.Remark():
@@ -158,7 +161,7 @@ class _Rules:
                 self._ranged(name, None, start)
             case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():
                 pass  # checked in `named`
-            case ast.EffectStatement() | ast.CorrelateStatement():
+            case ast.EffectStatement() | ast.CorrelateStatement() | ast.TableStatement():
                 pass
             case ast.TruthStatement() | ast.ClosureStatement() | ast.Remark():
                 pass
@@ -350,6 +353,14 @@ def _first_place(units: Units) -> Span | None:
 
 def _how(name: str, kind: Kind) -> str:
     word = {Kind.TIME: "time", Kind.STATE: "state", Kind.CONDITION: "condition", Kind.INPUT: "input"}.get(kind)
-    word = word or {Kind.CONST: "const", Kind.LEARN: "learn", Kind.UNKNOWN: "unknown"}[kind]
-    arguments = "(…)" if kind is Kind.UNKNOWN else ""
+    word = (
+        word
+        or {
+            Kind.CONST: "const",
+            Kind.LEARN: "learn",
+            Kind.TABLE: "table",
+            Kind.UNKNOWN: "unknown",
+        }[kind]
+    )
+    arguments = "(…)" if kind in (Kind.TABLE, Kind.UNKNOWN) else ""
     return f"declare it: `{word} {name}{arguments} : UNIT` (a pure number has the unit `1`)"

@@ -24,6 +24,8 @@ def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
     for statement in (item.statement for item in items):
         if isinstance(statement, ast.FunctionStatement):
             _parameters(statement.parameters, statement.name, findings)
+        elif isinstance(statement, ast.TableStatement):
+            _parameters([a.name for a in statement.arguments], statement.name, findings)
         elif isinstance(statement, ast.TruthStatement) and statement.parameters is not None:
             _parameters(statement.parameters, statement.target, findings, empty=True)
         elif isinstance(statement, ast.UnknownStatement):

@@ -17,6 +17,7 @@ _USELESS = {
     Kind.LEARN: "nothing could be learned about it",
     Kind.LET: "",
     Kind.FUNCTION: "",
+    Kind.TABLE: "",
     Kind.UNKNOWN: "nothing could be learned about it",
 }
 
@@ -32,7 +33,7 @@ def unused(sites: Iterable[Site], elsewhere: Iterable[str], table: Table, findin
         used.update(
             n
             for n in names
-            if n != site.owner and (site.counts or table[n].kind in (Kind.CONST, Kind.FUNCTION, Kind.LET))
+            if n != site.owner and (site.counts or table[n].kind in (Kind.CONST, Kind.FUNCTION, Kind.TABLE, Kind.LET))
         )
     for declaration in table.values():
         if declaration.kind in _USELESS and declaration.name not in used and declaration.span is not None:

@@ -35,6 +35,8 @@ from gbspec.syntax.nodes import (
     Node,
     Number,
     Option,
+    Point,
+    PointsFile,
     RangeContract,
     RateOf,
     Text,
@@ -69,6 +71,7 @@ from gbspec.syntax.statements import (
     ProcessStatement,
     Remark,
     StateStatement,
+    TableStatement,
     TimeStatement,
     TruthStatement,
     UnitStatement,
@@ -123,12 +126,15 @@ __all__ = [
     "Number",
     "ObserveStatement",
     "Option",
+    "Point",
+    "PointsFile",
     "ProcessStatement",
     "RangeContract",
     "RateOf",
     "Remark",
     "StateStatement",
     "Statement",
+    "TableStatement",
     "Text",
     "TimeStatement",
     "TruthStatement",
@@ -156,6 +162,7 @@ Statement = (
     | CorrelateStatement
     | LetStatement
     | FunctionStatement
+    | TableStatement
     | UnknownStatement
     | ProcessStatement
     | BalanceStatement

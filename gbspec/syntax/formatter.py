@@ -25,6 +25,10 @@ _INDENT = 4
 _ORDER = (
     *("unit", "from", "consumed", "produced", "contracts", "range", "bound", "postulates", "value", "learned"),
     *(
+        "file",
+        "points",
+        "method",
+        "outside",
         "interpolation",
         "prior",
         "per_trajectory",

@@ -16,6 +16,7 @@ class Kind(Enum):
     LEARN = "a learnable constant"
     LET = "a `let`"
     FUNCTION = "a function"
+    TABLE = "a table"
     UNKNOWN = "an unknown function"
     PROCESS = "a process"
     CHANNEL = "a measured channel"

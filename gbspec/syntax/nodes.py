@@ -253,6 +253,20 @@ class Argument(Node):
 
 
 @dataclass(frozen=True)
+class Point(Node):
+    """`(0.5, 3.7)`: a point of a table, its arguments and then the value."""
+
+    numbers: tuple[Number, ...]
+
+
+@dataclass(frozen=True)
+class PointsFile(Node):
+    """`from "ocv.csv"` of a table."""
+
+    path: Text
+
+
+@dataclass(frozen=True)
 class Declarator(Node):
     """A declared name, with the index range if it is an array: `c[1..N]`."""
 

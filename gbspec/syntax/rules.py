@@ -19,7 +19,7 @@ class Rule:
     """Kinds that may occur there directly, but not inside a `let` or a function that is used there."""
 
 
-_FIXED = frozenset({Kind.CONST, Kind.LEARN, Kind.FUNCTION, Kind.LET})
+_FIXED = frozenset({Kind.CONST, Kind.LEARN, Kind.FUNCTION, Kind.TABLE, Kind.LET})
 
 ANY = Rule("an expression", VALUES, "values")
 CONSTANT = Rule("a fixed number", frozenset({Kind.CONST, Kind.FUNCTION}), "numbers and constants", "GB224")

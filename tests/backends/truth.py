@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gbspec.ir.forms import described, logistic, softplus
 from gbspec.ir.methods import RK4, Method, RosenbrockW
 from gbspec.ir.model import NN, Expr, Model, Network
+from gbspec.ir.tables import Lookup
 from tests.strategies import Point
 
 Array = NDArray[np.float64]
@@ -200,6 +201,8 @@ def value_of(node: Any, table: Mapping[Any, Any], unknowns: Mapping[str, Callabl
     arguments = [value_of(argument, table, unknowns) for argument in node.args]
     if isinstance(node, sympy.core.function.AppliedUndef):
         return unknowns[node.func.__name__](*arguments)
+    if isinstance(node, Lookup):  # at 16 digits; tests/tables compare its values with those of scipy
+        return mpmath.mpf(float(node.curve.value(node.order, *map(float, arguments))))
     return FUNCTIONS[type(node)](*arguments)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from gbspec.diagnostics import Source
 from gbspec.ir.dumping import dump
 from gbspec.ir.model import symbol
 from gbspec.passes import with_truth
 from gbspec.report.text import model_summary
+from gbspec.syntax.formatter import format_text
 from tests.texts import codes, model_of
 
 COLUMN = """model column
@@ -98,3 +100,41 @@ def test_the_summary_names_arrays_as_a_whole() -> None:
     assert lines[-1] == "measured c[0..2], w"
     apart = model_summary(model_of(text.replace("initial c[i] = i/2", "initial c[1] = 0")))
     assert "\nc_1    = 0  " in apart
+
+
+ROW = """model row
+const N = 3
+state c[1..N] in [0, 5]
+learn k[1..N] = 1 in [0, 9] prior normal(2, 1) "rate"
+learn d = 0.3
+c[i]' = k[i]*(c[i-1] - c[i]) - d*c[i]/k[2]
+c[0] = 1
+observe c[1]
+observe all = sum(k)*c[2]
+truth k = 0.5
+truth k[N] = 2.5
+truth d = 0.2
+"""
+
+
+def test_a_row_of_constants_is_used_by_index() -> None:
+    model = model_of(ROW.replace("truth k = 0.5\n", "truth k[1] = 0.5\ntruth k[2] = 1.5\n"))
+    assert [k.name for k in model.learnables] == ["k_1", "k_2", "k_3", "d"]
+    assert {(k.start, k.range.high, k.description) for k in model.learnables[:3]} == {(1.0, 9.0, "rate")}
+    c, k = [symbol(f"c_{i}") for i in (1, 2, 3)], [symbol(f"k_{i}") for i in (1, 2, 3)]
+    assert model.balances[0] == k[0] * (1 - c[0]) - symbol("d") * c[0] / k[1]
+    assert model.balances[2] == k[2] * (c[1] - c[2]) - symbol("d") * c[2] / k[1]
+    assert model.channels[1].value == c[1] * (k[0] + k[1] + k[2])
+    assert [(t.name, t.value) for t in model.truth_constants] == [("k_1", 0.5), ("k_2", 1.5), ("k_3", 2.5), ("d", 0.2)]
+    each = model_of(ROW.replace("truth k[N] = 2.5\n", ""))
+    assert [t.value for t in each.truth_constants] == [0.5, 0.5, 0.5, 0.2]
+    assert codes(ROW) == ["GB202"]
+
+
+def test_a_row_without_an_array_of_states() -> None:
+    text = "model m\nstate x\nlearn k[0..1] = 1 > 0\nx' = k[0] - k[1]*x\nobserve x\n"
+    assert not codes(text)
+    assert [k.name for k in model_of(text).learnables] == ["k_0", "k_1"]
+    assert codes(text.replace("k[0] -", "k -")) == ["GB243"]
+    assert codes(text.replace("k[0] -", "k[2] -")) == ["GB242"]
+    assert format_text(Source("m.gb", text.replace("k[0..1]", "k [ 0 .. 1 ]"))) == text

@@ -9,7 +9,7 @@ import unicodedata
 import sympy
 from sympy.printing.latex import LatexPrinter
 
-from gbspec.ir import NN, Expr, Model, Unknown
+from gbspec.ir import NN, Expr, Lookup, Model, Unknown
 
 GREEK = frozenset(
     (
@@ -66,11 +66,16 @@ class _Printer(LatexPrinter):  # type: ignore[misc]  # sympy is untyped
         return f"{digits.removesuffix('.0')} \\cdot 10^{{{int(exponent)}}}" if exponent else digits.removesuffix(".0")
 
     def _print_Function(self, expr: sympy.Basic, exp: str | None = None) -> str:
+        if isinstance(expr, Lookup):  # sympy does not look for a method named after a base of a function's class
+            return self._applied(expr.table, expr, exp)
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             return str(super()._print_Function(expr, exp))
+        return self._applied(expr.func.__name__, expr, exp)
+
+    def _applied(self, function: str, expr: sympy.Basic, exp: str | None) -> str:
         arguments = ", ".join(map(self._print, expr.args))
         power = f"^{{{exp}}}" if exp is not None else ""
-        return f"{name(expr.func.__name__)}{power}\\left({arguments}\\right)"
+        return f"{name(function)}{power}\\left({arguments}\\right)"
 
 
 _PRINTER = _Printer({"mul_symbol": r" \, ", "fold_short_frac": False, "ln_notation": True})

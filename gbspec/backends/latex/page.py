@@ -10,7 +10,7 @@ import sympy
 
 from gbspec.backends.latex import equations
 from gbspec.backends.latex.equations import expression, name
-from gbspec.ir import Contract, Declared, Model, Range, State, Unknown
+from gbspec.ir import Contract, Declared, Model, Range, State, Table, Unknown
 from gbspec.version import __version__
 
 _HEAD = r"""\documentclass[a4paper]{article}
@@ -48,6 +48,7 @@ def document(model: Model) -> str:
             "Conditions", ("range", "default"), ((c, (_range(c.range), _number(c.default))) for c in model.conditions)
         ),
         _table("Inputs", ("between values", "range"), ((u, (u.interpolation, _range(u.range))) for u in model.inputs)),
+        _table("Tables", ("points", "arguments"), ((t, (_points(t), _arguments(t))) for t in model.tables)),
         _table("Constants", ("value",), ((c, (_number(c.value),)) for c in model.constants)),
         _table(
             "Learned constants",
@@ -136,6 +137,18 @@ def _table(heading: str, columns: Sequence[str], rows: Iterable[tuple[Declared, 
             r"\end{longtable}",
         ]
     )
+
+
+def _points(table: Table) -> str:
+    """How many, and what holds between and beyond them."""
+    beyond = "" if table.curve.outside == "hold" else ", none beyond"
+    return f"{len(table.curve.values)}, {table.curve.interpolation}{beyond}"
+
+
+def _arguments(table: Table) -> str:
+    """The names and ends of a table's arguments."""
+    given = zip(table.arguments, table.curve.knots, strict=True)
+    return ", ".join(f"${name(argument)} \\in$ {_range(Range(places[0], places[-1]))}" for argument, places in given)
 
 
 def _number(value: float | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 from collections.abc import Iterable
 
 from gbspec.backends.module.elements import Code, names_of, places_of, table_of
@@ -85,6 +86,33 @@ def attributes(model: Model, method: Method) -> str:
     return "\n".join(
         _attribute(f"{name}: ClassVar[{TYPES[name]}]", v, comments.get(name)) for name, v in values.items()
     )
+
+
+def tables(model: Model) -> str:
+    """The assignment of the pieces of tables, in the module; empty without tables."""
+    if not model.tables:
+        return ""
+    lines = ["TABLES: dict[str, Any] = {"]
+    for table in model.tables:
+        curve = table.curve
+        coefficients = curve.coefficients
+        lines += [f"    {_text(table.name)}: {{", '        "knots": (']
+        lines += [f"            ({_filled(places, 16)})," for places in curve.knots]
+        lines += ["        ),", f'        "powers": {coefficients.shape[-1]},']
+        lines += [f'        "coefficients": ({_filled(coefficients.ravel().tolist(), 12)}),']
+        lines += [f'        "strict": {curve.outside == "error"},', "    },"]
+    return "\n".join(["", "", "# The tables: places of each argument, and the polynomials between them.", *lines, "}"])
+
+
+def _filled(values: Iterable[float], indent: int) -> str:
+    """The entries of a tuple, over several lines if they are many."""
+    texts = [repr(float(value)) for value in values]
+    line = ", ".join(texts)
+    if len(line) <= 60:
+        return f"{line}," if len(texts) == 1 else line
+    lines = textwrap.wrap(f"{line},", WIDTH - indent - 4, break_long_words=False, break_on_hyphens=False)
+    margin = " " * indent
+    return f"\n{margin}" + f"\n{margin}".join(lines) + f"\n{margin[:-4]}"
 
 
 def _network(model: Model, network: Network) -> dict[str, object]:

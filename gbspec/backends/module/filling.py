@@ -21,9 +21,9 @@ PLACE = re.compile(
 
 
 @cache
-def template() -> str:
-    """The files joined, without comments for type checkers and linters."""
-    text = "\n\n\n".join(map(_part, PARTS)) + "\n"
+def template(*more: str) -> str:
+    """The files joined, with those that only some models need, without comments for type checkers and linters."""
+    text = "\n\n\n".join(map(_part, (*PARTS, *more))) + "\n"
     return re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text)
 
 

@@ -12,7 +12,7 @@ from gbspec.backends.module import attributes, equations, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
-from gbspec.ir import NN, RK4, Argument, Channel, Declared, Method, Model, Network, Range, Vector
+from gbspec.ir import NN, RK4, Argument, Channel, Declared, Method, Model, Network, Range, Table, Vector
 from gbspec.version import __version__
 
 INTERFACE = 2
@@ -23,7 +23,8 @@ def generate(model: Model, method: Method = RK4) -> str:
     """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
     training runs."""
     name = class_name(model)
-    return fill(template().replace("-> Template:", f"-> {name}:"), _places(model, name, method))
+    more = ("lookups",) if model.tables else ()
+    return fill(template(*more).replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
 def class_name(model: Model) -> str:
@@ -32,7 +33,7 @@ def class_name(model: Model) -> str:
     return f"{name}_" if keyword.iskeyword(name) or hasattr(builtins, name) or name in _MODULE_NAMES else name
 
 
-_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "ClassVar", "Mapping", "Path", "SimpleNamespace"})
+_MODULE_NAMES = frozenset({"INTERFACE", "Any", "Callable", "ClassVar", "Mapping", "Path", "SimpleNamespace", "TABLES"})
 """Names in the generated module that a class could have."""
 
 
@@ -50,7 +51,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
     return {
         "docstring": docstring(_module_document(model, method)),
         "typing": "from typing import Any, ClassVar",
-        "interface": f"INTERFACE = {INTERFACE}",
+        "interface": f"INTERFACE = {INTERFACE}" + attributes.tables(model),
         "class": f"class {class_name}:",
         "class docstring": docstring(_class_document(model)),
         "attributes": attributes.attributes(model, method),
@@ -83,6 +84,8 @@ def _module_document(model: Model, method: Method) -> str:
             entry = _entry(table[name], name if isinstance(run, str) else run.range)
             entry += " (learned)" if name in learned else ""
             parts.append(f"{heading if not i else '':<12}{entry}")
+    for i, points in enumerate(model.tables):
+        parts.append(f"{'Tables' if not i else '':<12}{_table_entry(points)}")
     for i, network in enumerate(model.networks):
         parts.append(f"{'Unknowns' if not i else '':<12}{_network_entry(network)}")
     parts.append(f"{'Solver':<12}{method.name}: {method.help}")
@@ -101,6 +104,13 @@ def _entry(item: Declared, name: str) -> str:
     if isinstance(span, Range) and span.bounded:
         text += f" in [{span.low!r}, {span.high!r}]"
     return text + (f' "{item.description}"' if item.description else "")
+
+
+def _table_entry(table: Table) -> str:
+    curve = table.curve
+    ends = (f"{name} in [{k[0]!r}, {k[-1]!r}]" for name, k in zip(table.arguments, curve.knots, strict=True))
+    points = f"{len(curve.values)} points, {curve.interpolation}, outside {curve.outside}"
+    return _entry(table, f"{table.name}({', '.join(ends)})") + f": {points}"
 
 
 def _network_entry(network: Network) -> str:

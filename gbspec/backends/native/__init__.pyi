@@ -16,4 +16,6 @@ from .kernel_text import activation_parts as activation_parts
 from .kernel_text import source as source
 from .library import Library as Library
 from .library import Struct as Struct
+from .lookups import table_function as table_function
+from .lookups import table_functions as table_functions
 from .printer import CPrinter as CPrinter

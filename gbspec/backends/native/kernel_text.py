@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Literal, assert_never
 
 from gbspec.backends.native.flat import Leaf, NotCoveredError, flatten, numbers_of
+from gbspec.backends.native.lookups import table_functions
 from gbspec.backends.native.sections import Equations, Site
 from gbspec.backends.native.structs import declarations
 from gbspec.ir import LEAST_SIZE, LOG_FLOOR, RK4, Explicit, Method, Model, Network, RosenbrockW
@@ -79,7 +80,7 @@ def source(model: Model, precision: Precision = "float64", method: Method = RK4)
     # Only least-squares fits need the Jacobian, and they run in double precision.
     after += ["jacobian"] if precision == "float64" else []
     after += ["control"] if precision == "float64" and method.b_error else []
-    parts = [*map(_text, before), *_equations(model, rhs, observe), *map(_text, after)]
+    parts = [*map(_text, before), *table_functions(model.tables), *_equations(model, rhs, observe), *map(_text, after)]
     return Source(
         "\n".join([*head, *parts]), {name: value for name, value in numbers.items() if isinstance(value, int)}
     )

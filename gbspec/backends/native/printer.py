@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sympy
 
+from gbspec.backends.native.lookups import table_function
 from gbspec.backends.printing import MUL, Printer, Text
+from gbspec.ir import Lookup
 
 LARGEST_PRODUCT = 4
 """Integer powers up to this exponent are printed as products."""
@@ -45,6 +47,10 @@ class CPrinter(Printer):
     def constant(self, name: str, value: sympy.Expr) -> str:
         """`R(3.14...)`, `INFINITY`, `NAN`."""
         return {"pi": f"R({float(sympy.pi)!r})", "inf": "INFINITY", "nan": "NAN"}[name]
+
+    def lookup(self, node: Lookup) -> str:
+        """`R(table_12ab34cd(x, 0))`; the last arguments are the order of the derivative."""
+        return f"R({table_function(node.curve)}({', '.join([*map(self.print, node.args), *map(str, node.order)])}))"
 
     def truth(self, value: bool) -> str:
         """`1`, `0`."""

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import sympy
 
-PYTHON_WORDS = frozenset({*keyword.kwlist, "cls", "self", "__debug__"})
+PYTHON_WORDS = frozenset({*keyword.kwlist, "cls", "self", "__debug__", "_lookup"})
 """Names that quantities of the model never have in generated Python."""
 
 

@@ -7,6 +7,7 @@ Nothing is simplified or expanded; the text evaluates to the value of the expres
 from __future__ import annotations
 
 import functools
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar
@@ -17,7 +18,7 @@ from sympy.logic.boolalg import BooleanAtom
 
 from gbspec.backends.printing.nodes import Guard, Operation, Where
 from gbspec.diagnostics import Defect
-from gbspec.ir import Element, Total, logistic, ordered, softplus
+from gbspec.ir import Element, Lookup, Total, logistic, ordered, softplus
 
 OR, ADD, MUL, NEGATIVE, POWER, ATOM = range(6)
 """Precedence of a text, lowest first."""
@@ -105,6 +106,8 @@ class Printer(ABC):
                 return self.call("atan2", *map(self.print, node.args)), ATOM
             case Relational() | sympy.And() | sympy.Or() | sympy.Not() | sympy.ITE() | BooleanAtom():
                 return self._condition(node)
+            case Lookup():
+                return self.lookup(node), ATOM
             case sympy.core.function.AppliedUndef() | Element() | Total():
                 return self.application(node), ATOM
         kind = type(node)
@@ -117,6 +120,10 @@ class Printer(ABC):
     def application(self, node: sympy.Basic) -> str:
         """An application of an unknown, an element or a total; for most targets they are replaced before printing."""
         raise Defect(f"`{node}` was not replaced before printing")
+
+    @abstractmethod
+    def lookup(self, node: Lookup) -> str:
+        """An application of a table, or of its derivative."""
 
     # -------------------------------------------------------------- numbers
     def _number(self, node: sympy.Expr) -> Text:
@@ -265,6 +272,11 @@ class PythonPrinter(Printer):
         """`math.pi`."""
         return f"math.{name}"
 
+    def lookup(self, node: Lookup) -> str:
+        """`_lookup("ocv", soc)`, a function of the module."""
+        order = f", order={node.order!r}" if any(node.order) else ""
+        return f"_lookup({json.dumps(node.table, ensure_ascii=False)}, {', '.join(map(self.print, node.args))}{order})"
+
     def truth(self, value: bool) -> str:
         """`True`."""
         return str(value)
@@ -297,6 +309,10 @@ class TextPrinter(Printer):
         if isinstance(node, Total):
             return f"sum({node.args[0]})"
         return f"{node.func.__name__}({', '.join(map(self.print, node.args))})"
+
+    def lookup(self, node: Lookup) -> str:
+        """`ocv(soc)`; a derivative, which no text of a user has, with marks."""
+        return str(node)
 
     def constant(self, name: str, value: sympy.Expr) -> str:
         """`pi`."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from importlib import resources
 
-from gbspec.backends import Leaf
+from gbspec.backends import Leaf, table_function, table_functions
 from gbspec.exports.c import networks
 from gbspec.exports.c.names import OWN, CNames
 from gbspec.exports.c.printer import ascii_text, distinct, helpers, number, table
@@ -111,7 +111,8 @@ class Library:
         text = "\n".join(body)
         text = self._sized(text)
         opening = [*self._opening(), f'#include "{self.prefix}.h"', "", "#include <math.h>", "#include <stddef.h>", ""]
-        return "\n".join([*opening, *helpers(text), "", text, ""])
+        tables = [table for table in model.tables if f"{table_function(table.curve)}(" in text]
+        return "\n".join([*opening, *helpers(text), *table_functions(tables), "", text, ""])
 
     def _sized(self, text: str) -> str:
         for size in self.sizes:

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 import sympy
 
 from gbspec.backends import CPrinter
+from gbspec.ir import Lookup
 
 ATOM = 5
 WORDS = {
@@ -51,6 +52,10 @@ class PlainC(CPrinter):
         if not text.startswith("f_"):
             return text
         return f"{WORDS.get(function, function)}({', '.join(arguments)})"
+
+    def lookup(self, node: Lookup) -> str:
+        """`table_12ab34cd(x, 0)`."""
+        return super().lookup(node).removeprefix("R(").removesuffix(")")
 
     def integer(self, value: int) -> str:
         """`2.0`."""

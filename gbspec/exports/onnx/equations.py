@@ -10,9 +10,10 @@ from sympy.logic.boolalg import BooleanAtom
 
 from gbspec.backends import UNARY, Call, Flat, Guard, Leaf, NotCoveredError, Operation, Where, activation_parts
 from gbspec.exports.onnx.graph import Graph
+from gbspec.exports.onnx.lookups import lookup
 from gbspec.exports.onnx.operators import Operators
 from gbspec.exports.subject import Exported
-from gbspec.ir import ordered
+from gbspec.ir import Lookup, ordered
 
 MOST_PRODUCTS = 4
 """Integer powers up to this exponent are products."""
@@ -66,6 +67,8 @@ class Equations:
                 return self._folded(word, [self._of(a, values) for a in ordered(node)])
             case sympy.atan2():
                 return ops.apply("atan2", *arguments)
+            case Lookup():
+                return lookup(g, ops, node, arguments)
             case BooleanAtom() | Relational() | sympy.And() | sympy.Or() | sympy.Not() | sympy.ITE():
                 return self._condition(node, arguments)
         if type(node) in UNARY:

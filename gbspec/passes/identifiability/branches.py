@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 
 from gbspec.arrays import Array
-from gbspec.ir import Condition, Expr, Input, State
+from gbspec.ir import Condition, Expr, Input, Lookup, State
 from gbspec.passes.identifiability.question import Question
 from gbspec.passes.identifiability.series import Algebra, Evaluation
 from gbspec.passes.intervals import REAL, Box, Interval, enclosure, of_range
@@ -25,7 +25,7 @@ Choice = tuple[int, ...]
 
 Points = Mapping[sympy.Symbol, Array]
 
-_KINDS = (sympy.Piecewise, sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Heaviside)
+_KINDS = (sympy.Piecewise, sympy.Max, sympy.Min, sympy.Abs, sympy.sign, sympy.Heaviside, Lookup)
 
 
 class Branches:
@@ -66,6 +66,8 @@ class Branches:
         values = np.stack([at(part)[..., 0] for part in atom.args])
         if isinstance(atom, sympy.Max | sympy.Min):
             return np.asarray(values.argmax(axis=0) if isinstance(atom, sympy.Max) else values.argmin(axis=0))
+        if isinstance(atom, Lookup):
+            return _part(atom, values)
         return np.asarray((values[0] > 0).astype(int))
 
     # ---------------------------------------------------------------- formulas
@@ -78,7 +80,7 @@ class Branches:
         def smooth(e: Expr) -> Expr:
             if e in memo or not e.args:
                 return memo.get(e, e)
-            if e in self._numbers:
+            if e in self._numbers and not isinstance(e, Lookup):
                 memo[e] = smooth(_picked(e, choice[self._numbers[e]]))
             elif e.has(*_KINDS):
                 memo[e] = e.func(*(smooth(part) for part in e.args))
@@ -98,6 +100,8 @@ class Branches:
     def unreached(self, reached: Sequence[Choice], generic: Choice) -> Iterator[Choice]:
         """For each argument or branch that no point has shown, and that the ranges do not exclude: such a choice."""
         for k, atom in enumerate(self.atoms):
+            if isinstance(atom, Lookup):  # its polynomials differ in numbers alone
+                continue
             shown = {choice[k] for choice in reached}
             count = len(atom.args) if isinstance(atom, sympy.Piecewise | sympy.Max | sympy.Min) else 2
             for other in set(range(count)) - shown:
@@ -134,6 +138,18 @@ def evaluated(points: Points, count: int) -> Evaluation:
     algebra = Algebra(0, 0)
     table = {name: algebra.constant(np.broadcast_to(np.asarray(value), count)) for name, value in points.items()}
     return Evaluation(algebra, table, count)
+
+
+def _part(atom: Lookup, values: Array) -> Array:
+    """In which quarter of the pieces of each argument the points lie: several points then tell what one piece does not.
+
+    A table of a single piece, or the points beyond its ends, are no branches of their own.
+    """
+    found = np.zeros(values.shape[1])
+    for places, x in zip(atom.curve.knots, values, strict=True):
+        piece = np.clip(np.searchsorted(places, x) - 1, 0, len(places) - 2)
+        found = 4 * found + piece * min(4, len(places) - 1) // (len(places) - 1)
+    return np.asarray(found)
 
 
 def _picked(atom: Expr, number: int) -> Expr:

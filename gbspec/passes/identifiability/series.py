@@ -15,7 +15,7 @@ import numpy as np
 import sympy
 
 from gbspec.arrays import Array, Mask
-from gbspec.ir import Expr
+from gbspec.ir import Expr, Lookup
 
 
 @dataclass(frozen=True)
@@ -165,6 +165,8 @@ class Evaluation:
 
     def _function(self, e: Expr) -> Array:
         algebra, arguments = self.algebra, [self(part) for part in e.args]
+        if isinstance(e, Lookup):
+            return self._lookup(e, arguments)
         a = arguments[0]
         match e.func.__name__:
             case "exp":
@@ -192,6 +194,22 @@ class Evaluation:
                 return result
             case name:
                 return algebra.general(str(name), a)
+
+    def _lookup(self, e: Lookup, arguments: list[Array]) -> Array:
+        """A table at series: the polynomial of the piece in which the constant terms lie."""
+        algebra = self.algebra
+        middles = [a[..., 0] for a in arguments]
+        changes = [a - algebra.constant(m) for a, m in zip(arguments, middles, strict=True)]
+        result = algebra.constant(np.zeros(self.lines))
+        for powers in np.ndindex(*[min(e.curve.degree, algebra.order) + 1] * len(arguments)):
+            order = tuple(have + more for have, more in zip(e.order, powers, strict=True))
+            factor = e.curve.value(order, *middles) / math.prod(map(math.factorial, powers))
+            term = algebra.constant(factor)
+            for change, power in zip(changes, powers, strict=True):
+                for _ in range(power):
+                    term = algebra.times(term, change)
+            result = result + term
+        return result
 
     def _piecewise(self, e: Expr) -> Array:
         result = np.full((self.lines, self.algebra.size), np.nan)

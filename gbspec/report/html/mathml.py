@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from gbspec.ir import NN, Expr, Model, Unknown
+from gbspec.ir import NN, Expr, Lookup, Model, Unknown
 
 _ENTITIES = {"&InvisibleTimes;": "&#x22C5;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
 """The printer's named entities as numbers, so that the page is well formed as XML too."""
@@ -42,13 +42,18 @@ class _Printer(MathMLPresentationPrinter):  # type: ignore[misc]  # sympy is unt
         return self._row(self._leaf("mo", "{"), table)
 
     def _print_Function(self, expr: sympy.Basic) -> Element:
+        if isinstance(expr, Lookup):  # sympy does not look for a method named after a base of a function's class
+            return self._applied(expr.table, expr)
         if not isinstance(expr, sympy.core.function.AppliedUndef):
             printed: Element = super()._print_Function(expr)
             return printed
+        return self._applied(expr.func.__name__, expr)
+
+    def _applied(self, function: str, expr: sympy.Basic) -> Element:
         inside: list[Element] = []
         for argument in expr.args:
             inside += ([self._leaf("mo", ",")] if inside else []) + [self._print(argument)]
-        name = self._print(sympy.Symbol(expr.func.__name__))
+        name = self._print(sympy.Symbol(function))
         return self._row(name, self._leaf("mo", "("), *inside, self._leaf("mo", ")"))
 
     def _print_Element(self, expr: sympy.Basic) -> Element:

@@ -21,6 +21,7 @@ from .model import ModelStatement as ModelStatement
 from .observe import ObserveStatement as ObserveStatement
 from .process import ProcessStatement as ProcessStatement
 from .state import StateStatement as StateStatement
+from .table import TableStatement as TableStatement
 from .time import TimeStatement as TimeStatement
 from .truth import TruthStatement as TruthStatement
 from .unit import UnitStatement as UnitStatement

@@ -8,14 +8,14 @@ from typing import Self
 
 from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
-from gbspec.syntax.nodes import Bound, Distribution, Expression, Grouping, Interval, Text, UnitExpression
+from gbspec.syntax.nodes import Bound, Declarator, Distribution, Expression, Grouping, Interval, Text, UnitExpression
 from gbspec.syntax.statements.base import Entry, Named, Place, ends, fixed, parameters
 from gbspec.syntax.transformer import Children, ClauseRules
 
 
 @dataclass(frozen=True)
 class LearnStatement(Named):
-    """`learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory ~ lognormal(0.3)`."""
+    """`learn beta = 1 in [0, 10] prior normal(3, 0.5) per trajectory ~ lognormal(0.3)`, or a row: `learn k[1..3]`."""
 
     entry = Entry(
         word="learn",
@@ -35,14 +35,17 @@ class LearnStatement(Named):
     prior: Distribution | None = None
     per: Grouping | None = None
     description: Text | None = None
+    row: tuple[Expression, ...] = ()
+    """The first and the last index of a row of constants."""
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
         """Builds the node from `learn NAME` and its clauses."""
         found = reader.gather(children, "a learnable constant")
+        declarator: Declarator = children[1]
         return cls(
             reader.over(children),
-            reader.declared(children[1]),
+            declarator.name,
             found.get("unit"),
             found.get("value"),
             found.get("range"),
@@ -50,11 +53,12 @@ class LearnStatement(Named):
             found.get("prior"),
             found.get("per_trajectory"),
             found.get("text"),
+            tuple(end for end in (declarator.first, declarator.last) if end is not None),
         )
 
     def places(self) -> Iterator[Place]:
         """The starting value, the bounds, the parameters of the prior, and how far values lie apart."""
-        yield from fixed(self.start, *(bound.value for bound in self.bounds))
+        yield from fixed(*self.row, self.start, *(bound.value for bound in self.bounds))
         yield from ends(self.range)
         yield from parameters(self.prior)
         if self.per is not None and self.per.spread is not None:

@@ -8,8 +8,8 @@ from typing import Self
 
 from gbspec.syntax import rules
 from gbspec.syntax.kinds import Kind
-from gbspec.syntax.nodes import Expression, Name
-from gbspec.syntax.statements.base import About, Entry, Formula, Place
+from gbspec.syntax.nodes import Expression, Index, Name
+from gbspec.syntax.statements.base import About, Entry, Formula, Key, Place, fixed
 from gbspec.syntax.transformer import Children, ClauseRules, Names
 
 
@@ -27,16 +27,26 @@ class TruthStatement(About, Formula):
     target: Name
     value: Expression
     parameters: tuple[Name, ...] | None = None
+    index: Expression | None = None
+    """Of an element of a row of constants."""
 
     @classmethod
     def read(cls, reader: ClauseRules, children: Children) -> Self:
         """Builds the node from `truth NAME(names) = value`."""
         found = reader.gather(children, "a truth")
         formals = next((child.items for child in children if isinstance(child, Names)), None)
-        return cls(reader.over(children), reader.name_at(children[1]), found["value"], formals)
+        target = children[1]
+        name, index = (target.array, target.index) if isinstance(target, Index) else (target, None)
+        return cls(reader.over(children), name, found["value"], formals, index)
+
+    def replaces(self) -> tuple[Key, ...]:
+        """The target, with its index."""
+        index = f"[{''.join(self.index.span.text.split())}]" if self.index is not None else ""
+        return ((self.entry.word, f"{self.target.text}{index}"),)
 
     def places(self) -> Iterator[Place]:
         """The value; its rule is judged from this statement only (parameters: the truth of an unknown)."""
+        yield from fixed(self.index)
         formals = frozenset(parameter.text for parameter in self.formals())
         yield Place(self.value, rules.TRUTH, None, formals, counts=False)
 

@@ -25,6 +25,25 @@ class ClauseRules(ExpressionRules):
     def extends_clause(self, children: Children) -> Clause:
         return self._string("extends", children)
 
+    def file_clause(self, children: Children) -> Clause:
+        path = self._string("file", children).content
+        return Clause(self.over(children), "file", ast.PointsFile(self.over(children), path))
+
+    def points_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "points", nodes(children))
+
+    def point(self, children: Children) -> ast.Point:
+        return ast.Point(self.over(children), nodes(children))
+
+    def signed_number(self, children: Children) -> ast.Number:
+        return ast.Number(self.over(children), "".join(map(str, children)).removeprefix("+"))
+
+    def method_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "method", str(children[0]))
+
+    def outside_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "outside", str(children[-1]))
+
     def column_clause(self, children: Children) -> Clause:
         return self._string("column", children)
 
