@@ -41,7 +41,7 @@ class Limits:
     value: Array
     side: NDArray[np.int8]
 
-    def rows(self, chosen: slice | NDArray[np.int64]) -> Limits:
+    def rows(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Limits:
         """Those of some of the rows."""
         return Limits(self.value[chosen], self.side[chosen])
 

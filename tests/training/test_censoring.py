@@ -25,6 +25,7 @@ from gbspec.training import TrainOptions, train
 from gbspec.training.engines.choice import native_engine, torch_engine
 from gbspec.training.engines.objective import half_squares, residual_table
 from gbspec.training.recipe import check_limits
+from gbspec.training.starts.initial_states import first_rows
 from tests.training.conftest import model_of, problem_of
 from tests.training.reference import linearise, measured_residuals, unroll, whole_jacobian
 
@@ -139,3 +140,14 @@ def test_limits_with_disturbances_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         train(model, data_of(model), TrainOptions(), tmp_path / "run")
     assert [d.code for d in caught.value.diagnostics] == ["GB784"]
+
+
+def test_limits_stay_with_their_rows() -> None:
+    """Parts of a problem have the limits of their rows, and no others."""
+    model = model_of(DECAY)
+    table = {"trajectory": [1, 1, 1, 2, 2], "t": [0.5, 1, 2, 1, 3], "x": ["1", "<0.9", "0.6", ">0.8", "0.4"]}
+    problem, _, _ = problem_of(model, read_frame(table, model, Findings()), 0.5)
+    for part in (first_rows(problem, 2), problem.take([1, 0]), problem.take([1])):
+        assert part.seen.shape == part.packed.limits.side.shape == part.measured.shape
+        known = part.packed.limits.side == 0
+        assert np.array_equal(np.isfinite(part.packed.values), known)

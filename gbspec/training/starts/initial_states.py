@@ -71,7 +71,10 @@ def first_rows(problem: Problem, count: int) -> Problem:
             "row_inputs",
         )
     }
-    shorter: Packed = replace(packed, t=packed.t[:depth], h=h, inputs=packed.inputs[:depth], steps=steps, **cut)
+    limits = packed.limits.rows(keep)
+    shorter: Packed = replace(
+        packed, t=packed.t[:depth], h=h, inputs=packed.inputs[:depth], steps=steps, limits=limits, **cut
+    )
     forcing = Forcing(problem.forcing.value[keep], problem.forcing.weight[keep])
     scaling = replace(problem.scaling, row_scale=problem.scaling.row_scale[keep])
     return replace(problem, packed=shorter, forcing=forcing, scaling=scaling)
