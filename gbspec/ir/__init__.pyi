@@ -50,6 +50,7 @@ from .model import Constant as Constant
 from .model import Contract as Contract
 from .model import Declared as Declared
 from .model import Diffusion as Diffusion
+from .model import Event as Event
 from .model import Dose as Dose
 from .model import Expr as Expr
 from .model import Initial as Initial
@@ -62,6 +63,7 @@ from .model import Range as Range
 from .model import State as State
 from .model import TruthConstant as TruthConstant
 from .model import TruthFunction as TruthFunction
+from .model import Timing as Timing
 from .model import Unknown as Unknown
 from .model import symbol as symbol
 from .model import unknown_function as unknown_function

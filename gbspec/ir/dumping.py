@@ -9,7 +9,7 @@ from sympy.printing.str import StrPrinter
 
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
-from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
+from gbspec.ir.model import NN, Contract, Declared, Event, Expr, Model, Network, Range, Timing, Unknown
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped
@@ -175,6 +175,7 @@ def _mathematics(model: Model) -> list[str]:
             for d in model.diffusions
         ),
     )
+    lines += _section("events", map(_event, model.events))
     lines += _section("arrays", (line for array in model.arrays for line in _array(array)))
     lines += _section("families", map(_family, model.families))
     claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)
@@ -183,6 +184,17 @@ def _mathematics(model: Model) -> list[str]:
 
 def _distribution(found: Distribution) -> str:
     return f" ~ {found.kind}({found.spread if found.spread is not None else repr(found.fixed)})"
+
+
+def _event(event: Event) -> str:
+    if event.guard is not None:
+        when = f"when {written(event.guard)} >= 0" + (" armed" if event.armed else "")
+    else:
+        timing = event.timing or Timing()
+        parts = zip(("at", "every", "until"), (timing.at, timing.every, timing.until), strict=True)
+        when = " ".join(f"{word} {written(value)}" for word, value in parts if value is not None)
+    priority = f" priority {event.priority!r}" if event.priority else ""
+    return f"{event.name} {when}{priority}: " + ", ".join(f"{name} = {written(v)}" for name, v in event.values)
 
 
 def _scale(noise: Noise) -> str:
@@ -238,4 +250,5 @@ def _network(network: Network) -> str:
 def _state(model: Model, index: int) -> str:
     state = model.states[index]
     initial = state.initial.kind if state.initial.value is None else written(state.initial.value)
-    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}"
+    kind = " discrete" if state.discrete else ""
+    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}{kind}"

@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import PREDICTION as PREDICTED
 from gbspec.ir import Expr, Noise, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.lower import populations
+from gbspec.lower import events, populations
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
@@ -173,6 +173,7 @@ class _Lowering:
             text=self._text(),
             allowed=self._checked.allowed,
         )
+        model = events.lowered(model, self._checked, self._expression, self._fixed, self._findings)
         model = populations.completed(model, self._checked)
         refuse_together(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model

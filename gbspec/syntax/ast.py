@@ -15,6 +15,7 @@ from typing import get_args
 from gbspec.syntax.nodes import (
     MAX_DEPTH,
     Argument,
+    Assignment,
     Binary,
     Bound,
     Call,
@@ -55,8 +56,10 @@ from gbspec.syntax.statements import (
     ConstStatement,
     CorrelateStatement,
     DiffusionStatement,
+    DiscreteStatement,
     DoseStatement,
     EffectStatement,
+    EventStatement,
     Formula,
     FunctionStatement,
     InitialStatement,
@@ -84,6 +87,7 @@ __all__ = [
     "About",
     "AllowStatement",
     "Argument",
+    "Assignment",
     "BalanceStatement",
     "Binary",
     "Bound",
@@ -98,9 +102,11 @@ __all__ = [
     "CorrelateStatement",
     "Declarator",
     "DiffusionStatement",
+    "DiscreteStatement",
     "Distribution",
     "DoseStatement",
     "EffectStatement",
+    "EventStatement",
     "Expression",
     "File",
     "Formula",
@@ -164,6 +170,8 @@ Statement = (
     | ObserveStatement
     | DoseStatement
     | DiffusionStatement
+    | DiscreteStatement
+    | EventStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

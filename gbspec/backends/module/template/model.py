@@ -22,6 +22,7 @@ import numpy as np
 # {{interface
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.directions import _weight_slopes
+from gbspec.backends.module.template.events import _Events
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.stepping import _Adaptive
@@ -296,11 +297,19 @@ class Template:  # {{class}}
         rhs = self.equations.field(m, condition, k, f)
         accuracy = self.info.get("tolerance") if tolerance is None and max_step is None else tolerance
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
+        # [events
+        events = _Events(self.equations, (condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]))
+        # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
             def step(t: float, h: float, x: Any, i: int = i) -> Any:
                 nodes, sizes = self.equations.grid(m, t, h)
                 u = tuple(signal(i, node) for node in nodes)
+                # [events
+                before = (x, signal(i - 1, t)) if self.inputs and i and t == grid[i] else None
+                if _math.isfinite(h):
+                    return events.across(t, h, x, u, grid[0], before)
+                # events]
                 return self.equations.step(m, rhs, ([_tensor(node, x) for node in nodes], sizes), x, u)
 
             count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))
@@ -309,6 +318,10 @@ class Template:  # {{class}}
                 x = adaptive.across(step, x, start, end)
             for j in range(count if adaptive is None else 0):
                 x = step(start + j * h, h, x)
+            # [events
+            if events.trouble:
+                raise ArithmeticError(f"between t = {start:.6g} and {end:.6g} {events.trouble}")
+            # events]
             path.append(x)
         return torch.stack(path, -2)
 
