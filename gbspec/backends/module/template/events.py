@@ -17,7 +17,8 @@ from gbspec.backends.module.template.vectors import _tensor
 # correction by Newton's method gives it those of the implicit function.
 
 _CASCADE = 100  # most events at one time
-_CLOSE = 200  # most times of events in one step
+_CLOSE = 100  # most times of events in one step
+_SHORT = 20  # most of them that follow each other within the band
 
 
 class _Events:
@@ -40,15 +41,21 @@ class _Events:
 
         span = _Span(self, t, h, x, u)
         with torch.no_grad():
-            on, pending, turn = self._start(span, x.detach(), _tensor(origin, x), before)
+            on, pending, turn, rated = self._start(span, x.detach(), _tensor(origin, x), before)
         at, left = span.begin, span.length
         if pending.any():
             x, on, turn = self._happen(span, at, x, pending, on, turn)
+            rated = None
+        short = torch.zeros_like(at)
         for _ in range(_CLOSE):
             with torch.no_grad():
-                wait, last = self._waits(span, at.detach(), left.detach(), x.detach(), on, turn)
-                first = wait.amin(-1)
+                wait, last = self._waits(span, at.detach(), left.detach(), x.detach(), on, turn, rated)
+                rated, first = None, wait.amin(-1)
                 found = torch.isfinite(first)
+                short = torch.where(found & (first <= self.band), short + 1, torch.zeros_like(short))
+                found = found & (short <= _SHORT)
+            if (short > _SHORT).any():
+                break
             if not found.any():
                 return span.step(at, left, x, self.given) if torch.is_grad_enabled() or last is None else last
             size = torch.where(found, torch.where(found, first, torch.zeros_like(first)), left)
@@ -58,15 +65,15 @@ class _Events:
             pending = found.unsqueeze(-1) & (wait <= (first + 0.01 * self.band).unsqueeze(-1))
             x, on, turn = self._happen(span, at, x, pending, on, turn)
         self.trouble = "events follow each other at ever shorter intervals"
-        return torch.where(found.unsqueeze(-1), torch.full_like(x, float("nan")), x)
+        return torch.where((found | (short > _SHORT)).unsqueeze(-1), torch.full_like(x, float("nan")), x)
 
     # ---------------------------------------------------------------- the start of a step
-    def _start(self, span: Any, x: Any, origin: Any, before: Any) -> tuple[Any, Any, Any]:
-        """Which conditions are true, which events what arrived makes happen, and the number of the next time of each
-        timed event."""
+    def _start(self, span: Any, x: Any, origin: Any, before: Any) -> tuple[Any, Any, Any, Any]:
+        """Which conditions are true, which events what arrived makes happen, the number of the next time of each timed
+        event, and the guards with their rates."""
         import torch
 
-        guard, rate = self._rated(span.begin.detach(), x, span.inputs)
+        guard, rate = self._rated(span, span.begin.detach(), x)
         zone = 2 * self.band * rate.abs()
         starting = ((span.begin - origin).abs() <= self.band).unsqueeze(-1)
         on = torch.where(starting, guard >= 0, (guard > zone) | ((guard >= 0) & (rate <= 0)))
@@ -80,7 +87,7 @@ class _Events:
         none = torch.zeros((*x.shape[:-1], self.timed), dtype=torch.bool, device=x.device)
         turn = torch.stack(times, -1) if times else x.new_zeros((*x.shape[:-1], 0))
         self.origin = origin
-        return on & ~arrived, torch.cat([none, arrived], -1), turn
+        return on & ~arrived, torch.cat([none, arrived], -1), turn, (guard, rate)
 
     def _number(self, timing: Any, span: Any, origin: Any) -> Any:
         """How many times of a timed event lie before a step."""
@@ -102,29 +109,19 @@ class _Events:
         condition, constants, networks = given
         return self.equations.guards(_torch_arithmetic(), t, x, condition, u, constants, networks)
 
-    def _rated(self, t: Any, x: Any, inputs: Callable[[Any], Any]) -> tuple[Any, Any]:
-        """The guards at a state, and their rates of change."""
-        import torch
-
+    def _rated(self, span: Any, t: Any, x: Any) -> tuple[Any, Any]:
+        """The guards at a state, and their rates of change, by a difference: they decide, and no value contains them."""
         condition, constants, networks = self.quiet
-        speed = self.equations.rhs(_torch_arithmetic(), t, x, condition, inputs(t), constants, networks).detach()
-        with torch.enable_grad():
-            clock, place = t.detach().requires_grad_(), x.detach().requires_grad_()
-            guard = self._guards(clock, place, inputs(clock), self.quiet)
-            rates = []
-            for part in guard.unbind(-1):
-                slopes: Any = (None, None)
-                if part.requires_grad:
-                    slopes = torch.autograd.grad(part.sum(), [clock, place], retain_graph=True, allow_unused=True)
-                rate = torch.zeros_like(part) if slopes[0] is None else slopes[0]
-                rates.append((rate if slopes[1] is None else rate + (slopes[1] * speed).sum(-1)).detach())
-        guard = guard.detach()
-        return guard, torch.stack(rates, -1) if rates else guard
+        u = span.inputs(t)
+        speed = self.equations.rhs(_torch_arithmetic(), t, x, condition, u, constants, networks)
+        guard = self._guards(t, x, u, self.quiet)
+        later = self._guards(t + span.tick, x + span.tick.unsqueeze(-1) * speed, span.inputs(t + span.tick), self.quiet)
+        return guard, (later - guard) / span.tick.unsqueeze(-1)
 
     def _after(self, span: Any, at: Any, size: Any, x: Any) -> tuple[Any, Any, Any]:
         """Guards and their rates after a step of some size, and the state there."""
         end = span.step(at, size, x, self.quiet)
-        return *self._rated(at + size, end, span.inputs), end
+        return *self._rated(span, at + size, end), end
 
     def _pace(self, span: Any, at: Any, size: Any, x: Any, which: Any) -> Any:
         """How the guard of the event with the number `which` changes with the size of the step, exactly."""
@@ -138,7 +135,9 @@ class _Events:
             return torch.autograd.grad(guards.gather(-1, which).sum(), size)[0]
 
     # ---------------------------------------------------------------- times
-    def _waits(self, span: Any, at: Any, left: Any, x: Any, on: Any, turn: Any) -> tuple[Any, Any]:
+    def _waits(
+        self, span: Any, at: Any, left: Any, x: Any, on: Any, turn: Any, start: Any
+    ) -> tuple[Any, Any]:
         """The time until each event happens in the rest of a step [..., events], infinite where it does not; and the
         state at its end, if that was computed."""
         import torch
@@ -148,11 +147,20 @@ class _Events:
         found = [torch.where((wait < limit) & (left > 0), wait.clamp(min=0.0), torch.inf) for wait in found]
         last = None
         if on.shape[-1]:
-            start = self._rated(at, x, span.inputs)
+            start = self._rated(span, at, x) if start is None else start
             end = self._after(span, at, left, x)
+            last = end[2]
             for j in range(on.shape[-1]):
-                last, ends = end[2], tuple(part[..., j] for part in (*start, *end[:2]))
-                search = _Search(lambda size, j=j: tuple(p[..., j] for p in self._after(span, at, size, x)[:2]), left)
+                ends = tuple(part[..., j] for part in (*start, *end[:2]))
+                if not _Search.needed(on[..., j], ends).any():
+                    found.append(torch.full_like(at, torch.inf))
+                    continue
+
+                def follow(size: Any, j: int = j) -> tuple[Any, Any]:
+                    value, rate, _ = self._after(span, at, size, x)
+                    return value[..., j], rate[..., j]
+
+                search = _Search(follow, left)
                 wait = search.first(on[..., j], ends, 2 * self.band, at)
                 found.append(torch.where((wait < limit) & (left > 0), wait, torch.inf))
         return torch.stack(found, -1), last
@@ -213,16 +221,18 @@ class _Events:
 
     def _follow(self, span: Any, at: Any, x: Any, after: Any, flags: Any, chosen: Any) -> tuple[Any, Any, Any]:
         """What is pending, true and next after the chosen events."""
+        import torch
+
         pending, on, turn = flags
         u, fired = span.inputs(at), chosen[..., self.timed :]
         earlier = self._guards(at, x, u, self.quiet)
-        guard, rate = self._rated(at, after, span.inputs)
+        guard, rate = self._rated(span, at, after)
         zone = 2 * self.band * rate.abs()
         acting = chosen.any(-1, keepdim=True)
         caused = acting & ~on & ~fired & (guard >= 0) & ((earlier < 0) | (guard > zone))
-        inside = guard.abs() <= zone
-        held = (on | fired) & ((guard > zone) | (inside & ((rate > 0) | ((rate == 0) & (guard >= 0)))))
-        on = held | (~acting & on)
+        # A guard that the event did not change is zero up to rounding: only its rate says which sign follows.
+        still = torch.where(guard == earlier, (rate > 0) | ((guard > zone) & ~fired), guard >= 0)
+        on = torch.where(acting, (on | fired) & still, on)
         pending = pending & ~chosen
         pending[..., self.timed :] |= caused
         return pending, on, turn + chosen[..., : self.timed].to(turn.dtype)
@@ -235,13 +245,15 @@ class _Span:
         self._equations, self._first, self._last = events.equations, u[0], u[-1]
         self.begin, self.length = (_tensor(value, x).expand(x.shape[:-1]) for value in (t, h))
 
+        length = self.length.detach()
+        self._unit = length.where(length != 0, length + 1)
+        self.tick = 1e-6 * self._unit
+
     def inputs(self, time: Any) -> Any:
         """The inputs at a time in the step."""
-        import torch
-
         if not self._first.shape[-1]:
             return self._first
-        length = torch.where(self.length == 0, torch.ones_like(self.length), self.length)
+        length = self.length.where(self.length != 0, self._unit)
         return self._first + ((time - self.begin) / length).unsqueeze(-1) * (self._last - self._first)
 
     def step(self, time: Any, size: Any, x: Any, given: Any) -> Any:
@@ -257,6 +269,12 @@ class _Search:
 
     def __init__(self, follow: Callable[[Any], tuple[Any, Any]], left: Any) -> None:
         self.follow, self.left = follow, left
+
+    @staticmethod
+    def needed(on: Any, ends: Any) -> Any:
+        """Where an event is possible, by value and rate at both ends of a step."""
+        g0, r0, g1, r1 = ends
+        return ((g1 >= 0) & (~on | ((r0 < 0) & (r1 > 0)))) | (~on & (((r0 > 0) & (r1 < 0)) | (g0 >= 0)))
 
     def first(self, on: Any, ends: Any, band: float, at: Any) -> Any:
         """The time; infinite where there is none. `ends`: value and rate at both ends; `on`: the condition is true."""

@@ -298,7 +298,7 @@ class Template:  # {{class}}
         accuracy = self.info.get("tolerance") if tolerance is None and max_step is None else tolerance
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
         # [events
-        events = _Events(self.equations, (condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]))
+        events = self.cutting((condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]))
         # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
@@ -325,6 +325,13 @@ class Template:  # {{class}}
             path.append(x)
         return torch.stack(path, -2)
 
+    # [events
+    def cutting(self, given: Any, quiet: Any, band: float) -> Any:
+        """Steps that are cut where events happen; `given`: conditions, constants and networks, `quiet`: those of the
+        search, which records nothing. Within `band` of its end a step leaves an event to the next one."""
+        return _Events(self.equations, given, quiet, band)
+
+    # events]
     @functools.cached_property
     def functions(self) -> dict[str, Callable[..., Any]]:
         """The unknown functions by name: of one tensor [..., n_arguments], or of separate arguments -> [...]."""
