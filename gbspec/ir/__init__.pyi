@@ -50,8 +50,8 @@ from .model import Constant as Constant
 from .model import Contract as Contract
 from .model import Declared as Declared
 from .model import Diffusion as Diffusion
-from .model import Event as Event
 from .model import Dose as Dose
+from .model import Event as Event
 from .model import Expr as Expr
 from .model import Initial as Initial
 from .model import Input as Input
@@ -61,9 +61,9 @@ from .model import Network as Network
 from .model import Prior as Prior
 from .model import Range as Range
 from .model import State as State
+from .model import Timing as Timing
 from .model import TruthConstant as TruthConstant
 from .model import TruthFunction as TruthFunction
-from .model import Timing as Timing
 from .model import Unknown as Unknown
 from .model import symbol as symbol
 from .model import unknown_function as unknown_function

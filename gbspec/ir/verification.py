@@ -113,9 +113,7 @@ def _expressions(model: Model) -> None:
     _require(len(set(disturbed)) == len(disturbed), "two diffusions of a state")
 
 
-def _events(
-    model: Model, check: Callable[..., None], known: set[sympy.Symbol], fixed: set[sympy.Symbol]
-) -> None:
+def _events(model: Model, check: Callable[..., None], known: set[sympy.Symbol], fixed: set[sympy.Symbol]) -> None:
     """Checks that events set states, and what their conditions, times and values use."""
     for event in model.events:
         what = f"the event `{event.name}`"

@@ -88,7 +88,7 @@ class _Lowering:
             place,
             help="write `>=` or `<=`: the event happens when the comparison becomes true",
         )
-        return sympy.Integer(-1)
+        return self._model.time.symbol  # so that nothing else is said about it
 
     def _inlined(self, node: sympy.Basic) -> sympy.Basic:
         return self._model.inlined([node])[0]

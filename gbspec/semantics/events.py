@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import replace
 
 from gbspec.diagnostics import Findings, Label
@@ -21,8 +21,14 @@ def expand(merged: Merged, findings: Findings) -> Merged:
         return merged
     _refuse(merged.items, findings)
     _unset(merged, findings)
-    items = tuple(made for item in merged.items for made in _written(item))
+    names = {item.statement.name.text for item in merged.items if isinstance(item.statement, ast.DiscreteStatement)}
+    items = tuple(made for item in merged.items if not _balances(item, names) for made in _written(item))
     return replace(merged, items=items)
+
+
+def _balances(item: Item, names: Container[str]) -> bool:
+    """Whether it is the balance of one of these names, which was reported."""
+    return isinstance(item.statement, ast.BalanceStatement) and target_name(item.statement.target).text in names
 
 
 def _written(item: Item) -> list[Item]:
@@ -100,7 +106,7 @@ def _not_yet(statement: ast.EventStatement, arrays: Iterable[str], findings: Fin
             "GB351",
             f"`after` is not offered yet, so that `{name}` cannot wait",
             statement.after.span,
-            help="keep the time in a discrete value: `event a when C: due = t + d`, `event b when t >= due: …, due = …`",
+            help="keep the time in a discrete value: `event a when C: due = t + d`, `event b when t >= due: …`",
         )
     if statement.transient:
         findings.error(
@@ -174,7 +180,7 @@ def _unset(merged: Merged, findings: Findings) -> None:
     }
     for item in merged.items:
         statement = item.statement
-        if isinstance(statement, ast.DiscreteStatement) and statement.name.text not in set_:
+        if isinstance(statement, ast.DiscreteStatement) and statement.name.text not in set_ | merged.uncertain:
             name = statement.name.text
             findings.warning(
                 "GB353",

@@ -213,7 +213,7 @@ class _Trajectory:
             if on:
                 on = bool(values[i] >= 0)
                 continue
-            if values[i] < 0 and 1 < i and values[i - 1] > values[i] and values[i - 1] >= values[i - 2]:
+            if values[i] < 0 and i > 1 and values[i - 1] > values[i] and values[i - 1] >= values[i - 2]:
                 top = minimize_scalar(lambda t: -value(t), bounds=(float(times[i - 2]), high), method="bounded")
                 if -top.fun > 0:
                     return float(brentq(value, float(times[i - 2]), top.x, xtol=1e-300, rtol=1e-15)), True

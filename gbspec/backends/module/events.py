@@ -14,9 +14,7 @@ def methods(model: Model) -> list[str]:
     """`events`, `guards`, `timing` and `happen`, in models that have events."""
     if not model.events:
         return []
-    table = [
-        f"({json.dumps(e.name, ensure_ascii=False)}, {e.timing is not None}, {e.armed})" for e in model.events
-    ]
+    table = [f"({json.dumps(e.name, ensure_ascii=False)}, {e.timing is not None}, {e.armed})" for e in model.events]
     head = "# name, whether it happens at given times, whether a condition that is true at the start counts"
     found = [f"{head}\nevents: ClassVar[tuple[tuple[str, bool, bool], ...]] = ({comma(table)})", _guards(model)]
     return [*found, *([_timing(model)] if any(e.timing is not None for e in model.events) else []), _happen(model)]
@@ -74,5 +72,3 @@ def _happen(model: Model) -> str:
     lines.append(f"return ({comma(f'after{i}' for i in range(len(model.events)))})")
     parameters = ["cls", "math", names[model.time.symbol], "state", "condition", "inputs", "constants", "networks"]
     return method_text("@classmethod", "happen", parameters, "The state after each event.", lines)
-
-

@@ -21,7 +21,7 @@ from gbspec.training.starts import fit_curves
 
 
 def check_disturbed(model: Model, options: TrainOptions) -> None:
-    """Raises UserError for options that a model with disturbances, a population (GB770) or events (GB354) cannot
+    """Raises UserError for options that a model with disturbances, a population (GB770) or events (GB778) cannot
     have."""
     found = []
     stiff = options.tolerance is not None or isinstance(METHODS.get(solver_of(options)), RosenbrockW)
@@ -34,7 +34,7 @@ def check_disturbed(model: Model, options: TrainOptions) -> None:
     if stiff and model.events:
         message = "adaptive steps and stiff solvers are not offered yet for a model with events: their steps are fixed"
         help = "leave out `--solver` and `--tolerance`; `--max-step` gives a shorter step"
-        found.append(Diagnostic("GB354", message, None, help=help))
+        found.append(Diagnostic("GB778", message, None, help=help))
     if not model.diffusions:
         if found:
             raise UserError(found)

@@ -135,9 +135,7 @@ class _Events:
             return torch.autograd.grad(guards.gather(-1, which).sum(), size)[0]
 
     # ---------------------------------------------------------------- times
-    def _waits(
-        self, span: Any, at: Any, left: Any, x: Any, on: Any, turn: Any, start: Any
-    ) -> tuple[Any, Any]:
+    def _waits(self, span: Any, at: Any, left: Any, x: Any, on: Any, turn: Any, start: Any) -> tuple[Any, Any]:
         """The time until each event happens in the rest of a step [..., events], infinite where it does not; and the
         state at its end, if that was computed."""
         import torch
@@ -214,7 +212,9 @@ class _Events:
                 if chosen[..., k].any():
                     after = torch.where(chosen[..., k, None], state, after)
             with torch.no_grad():
-                pending, on, turn = self._follow(span, at.detach(), x.detach(), after.detach(), (pending, on, turn), chosen)
+                pending, on, turn = self._follow(
+                    span, at.detach(), x.detach(), after.detach(), (pending, on, turn), chosen
+                )
             x = after
         self.trouble = f"more than {_CASCADE} events happen at one time"
         return torch.where(pending.any(-1, keepdim=True), torch.full_like(x, float("nan")), x), on, turn
