@@ -99,6 +99,9 @@ class Equations(Protocol):
     ) -> Value:
         """The state after each event."""
 
+    def cutting(self, given: Value, quiet: Value, band: float, strict: bool, /) -> Value:
+        """Steps of a batch that are cut where events happen, torch; in models that have any."""
+
     def grid(self, math: Arithmetic, t: Value, h: Value, /) -> Value:
         """The times at which a step of size h from t needs inputs, and the fractions of h that it uses."""
 
@@ -211,9 +214,6 @@ class GeneratedModule(Protocol):
         tolerance: float | None = None,
     ) -> Value:
         """States [..., n_times, n_states] at the times, torch."""
-
-    def cutting(self, given: Value, quiet: Value, band: float) -> Value:
-        """Steps of a batch that are cut where events happen, torch; in models that have any."""
 
     @property
     def functions(self) -> dict[str, Callable[..., Value]]:

@@ -17,6 +17,8 @@ from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
+from .events import Event as Event
+from .events import Timing as Timing
 from .forms import Block as Block
 from .forms import Form as Form
 from .forms import Layout as Layout
@@ -51,7 +53,6 @@ from .model import Contract as Contract
 from .model import Declared as Declared
 from .model import Diffusion as Diffusion
 from .model import Dose as Dose
-from .model import Event as Event
 from .model import Expr as Expr
 from .model import Initial as Initial
 from .model import Input as Input
@@ -61,7 +62,6 @@ from .model import Network as Network
 from .model import Prior as Prior
 from .model import Range as Range
 from .model import State as State
-from .model import Timing as Timing
 from .model import TruthConstant as TruthConstant
 from .model import TruthFunction as TruthFunction
 from .model import Unknown as Unknown

@@ -9,7 +9,8 @@ from sympy.printing.str import StrPrinter
 
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
-from gbspec.ir.model import NN, Contract, Declared, Event, Expr, Model, Network, Range, Timing, Unknown
+from gbspec.ir.events import Event, Timing
+from gbspec.ir.model import NN, Contract, Declared, Expr, Model, Network, Range, Unknown
 
 
 class _Printer(StrPrinter):  # type: ignore[misc] # sympy is untyped

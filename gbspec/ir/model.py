@@ -23,6 +23,7 @@ from sympy.printing.printer import Printer
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
 from gbspec.ir.distributions import Distribution, Noise
+from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
 
 Expr: TypeAlias = sympy.Expr
@@ -116,9 +117,7 @@ class Initial:
 @dataclass(frozen=True)
 class State(Declared):
     """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value.
-
-    `discrete`: a value that only events change; its balance is zero.
-    """
+    `discrete`: only events change it, and its balance is zero."""
 
     range: Range | None = None
     start: float | None = None
@@ -309,31 +308,6 @@ class Diffusion:
 
 
 @dataclass(frozen=True)
-class Timing:
-    """The times of an event: `at` (None: the start of the trajectory), then `every` so often, up to `until`."""
-
-    at: Expr | None = None
-    every: Expr | None = None
-    until: Expr | None = None
-
-
-@dataclass(frozen=True)
-class Event(Declared):
-    """Sets states: those in `values`, each to an expression of the values before.
-
-    It happens when `guard` becomes positive or zero (`condition` says the same as a relation, for display), or at the
-    times of `timing`; one of the two is None. `armed`: also at the start, if the condition is true there.
-    """
-
-    values: tuple[tuple[str, Expr], ...] = ()
-    guard: Expr | None = None
-    condition: sympy.Basic | None = None
-    timing: Timing | None = None
-    priority: float = 0.0
-    armed: bool = False
-
-
-@dataclass(frozen=True)
 class Claim(Declared):
     """`conserve`: a quantity whose rate of change is claimed to be `rate`."""
 
@@ -382,8 +356,7 @@ class Model:
     channels: tuple[Channel, ...] = ()
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
-    events: tuple[Event, ...] = ()
-    """In the order in which they happen at one time: timed ones first, then by priority, then as written."""
+    events: tuple[Event, ...] = ()  # in the order in which they happen at one time
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()

@@ -34,12 +34,12 @@ def mixed_rows() -> Trajectories:
 
 
 def differences(problem: Problem, parameters: Parameters, theta: Array, direction: Array, h: float = 1e-4) -> Array:
-    """Central differences of order six."""
+    """Central differences of order four."""
     total = np.zeros_like(solve(problem, parameters, theta))
-    for weight, s in ((45, 1), (-9, 2), (1, 3)):
+    for weight, s in ((8, 1), (-1, 2)):
         ahead, behind = (solve(problem, parameters, theta + sign * s * h * direction) for sign in (1, -1))
         total += weight * (ahead - behind)
-    return total / (60 * h)
+    return total / (12 * h)
 
 
 @pytest.mark.parametrize(("text", "data", "step", "blend"), [
@@ -57,7 +57,7 @@ def test_the_jacobian_is_exact(text: str, data: Trajectories, step: float, blend
     weights = rng.standard_normal(len(residuals))
     (gradient,) = torch.autograd.grad((residuals * torch.from_numpy(weights)).sum(), vector)
     assert np.abs(gradient.numpy() - weights @ dense).max() < 1e-9 * np.abs(gradient.numpy()).max()
-    for _ in range(2):
+    for _ in range(1):
         direction = rng.standard_normal(len(theta))
         slope = dense @ direction
         expected = differences(problem, parameters, theta, direction)

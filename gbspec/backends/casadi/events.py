@@ -68,6 +68,7 @@ class _Trajectory:
         self.constants = tuple(np.float64(value) for value in problem.constants)
         self.span = max(float(outputs[-1]) - begin, 1e-300)
         self.states = np.full((len(outputs), len(problem.scales)), np.nan)
+        self.recorded = outputs <= begin
         self.piece = Segment(begin, begin, np.zeros(0), np.zeros(0), np.zeros(0))
         self.timing: tuple[tuple[float | None, ...], ...] = ()
         if solver._timed:
@@ -112,11 +113,11 @@ class _Trajectory:
             found = equations.guards(math, time, state, self.problem.condition, u, self.constants, networks)
         return np.asarray(found, dtype=np.float64)
 
-    def rising(self, time: float, state: Array) -> Flags:
-        """Which guards increase."""
+    def rates(self, time: float, state: Array) -> Array:
+        """How fast the guards change."""
         size = 1e-7 * self.span
         after = self.guards(time + size, state + size * self.rate(time, state))
-        return np.asarray(after > self.guards(time, state), dtype=bool)
+        return np.asarray((after - self.guards(time, state)) / size, dtype=np.float64)
 
     # ---------------------------------------------------------------- in time
     def advance(self, place: _Place) -> None:
@@ -128,7 +129,7 @@ class _Trajectory:
             pending = np.zeros(len(self.solver._events), dtype=bool)
             if stop > place.time:
                 pending[self.solver._timed :] = self.until(place, stop)
-            if not pending.any() and stop < self.piece.end:
+            if stop < self.piece.end and place.time >= stop - 1e-13 * self.span:
                 pending[: len(times)] = [time <= stop for time in times]
             place.short = place.short + 1 if pending.any() and place.time - began <= CLOSE * self.span else 0
             if place.short > SHORT:
@@ -170,17 +171,19 @@ class _Trajectory:
                 self.fail(place, "the trajectory cannot be integrated further")
             dense = solver.dense_output()
             time, found = self.first(place, dense, solver.t_old, solver.t, leaving)
-            self.record(dense, solver.t_old, time)
+            self.record(dense, time + (CLOSE * self.span if found.any() else 0.0))
             place.time, place.state = time, np.array(dense(time)) if found.any() else solver.y.copy()
             if found.any():
                 return found
             leaving = none
         return none
 
-    def record(self, dense: Callable[[Array], Array], start: float, end: float) -> None:
-        inside = (self.outputs > start) & (self.outputs <= end)
+    def record(self, dense: Callable[[Array], Array], end: float) -> None:
+        """Keeps the states up to a time; those at the time of an event are those before it."""
+        inside = ~self.recorded & (self.outputs <= end)
         if inside.any():
             self.states[inside] = np.asarray(dense(self.outputs[inside])).T
+            self.recorded |= inside
 
     def first(
         self, place: _Place, dense: Callable[[Array], Array], start: float, end: float, leaving: Flags
@@ -253,8 +256,10 @@ class _Trajectory:
                 place.turn[k] += 1
             else:
                 fired[k - timed] = True
-            zero = (guard == earlier) & fired & ~np.full(len(guard), jumped)
-            still = np.where(zero, self.rising(place.time, place.state), guard >= 0)
+            # A guard that the event did not change is zero up to rounding: only its rate says which sign follows.
+            rates = self.rates(place.time, place.state)
+            zero = (guard == earlier) & fired & (np.abs(guard) <= 2 * CLOSE * self.span * np.abs(rates))
+            still = np.where(zero & (not jumped), rates > 0, guard >= 0)
             pending[timed:] |= ~place.on & ~fired & (guard >= 0) & (earlier < 0)
             place.on = (place.on | fired) & still
         self.fail(place, f"more than {CASCADE} events happen at one time")

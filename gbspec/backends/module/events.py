@@ -17,6 +17,14 @@ def methods(model: Model) -> list[str]:
     table = [f"({json.dumps(e.name, ensure_ascii=False)}, {e.timing is not None}, {e.armed})" for e in model.events]
     head = "# name, whether it happens at given times, whether a condition that is true at the start counts"
     found = [f"{head}\nevents: ClassVar[tuple[tuple[str, bool, bool], ...]] = ({comma(table)})", _guards(model)]
+    cutting = method_text(
+        "@classmethod",
+        "cutting",
+        ["cls", "given", "quiet", "band", "strict"],
+        "Steps that are cut where events happen; `given`: conditions, constants, networks, `quiet`: for the search.",
+        ["return _Events(cls, given, quiet, band, strict)"],
+    )
+    found.append(cutting)
     return [*found, *([_timing(model)] if any(e.timing is not None for e in model.events) else []), _happen(model)]
 
 

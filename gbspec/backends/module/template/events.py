@@ -26,11 +26,11 @@ class _Events:
 
     `given` are conditions, constants and networks; `quiet` the same for the search, which records nothing. Within
     `band` of its end a step leaves an event to the next one, so that what arrives at that time comes first. Where
-    events follow each other without end the state becomes NaN, and `trouble` says why.
+    events follow each other without end the state becomes NaN, and `trouble` says why (`strict`: ArithmeticError).
     """
 
-    def __init__(self, equations: Any, given: Any, quiet: Any, band: float) -> None:
-        self.equations, self.given, self.quiet, self.band = equations, given, quiet, band
+    def __init__(self, equations: Any, given: Any, quiet: Any, band: float, strict: bool) -> None:
+        self.equations, self.given, self.quiet, self.band, self.strict = equations, given, quiet, band, strict
         self.timed = sum(timed for _, timed, _ in equations.events)
         self.trouble = ""
 
@@ -64,8 +64,13 @@ class _Events:
             at, left = at + size + shift, torch.where(found, left - size - shift, torch.zeros_like(left))
             pending = found.unsqueeze(-1) & (wait <= (first + 0.01 * self.band).unsqueeze(-1))
             x, on, turn = self._happen(span, at, x, pending, on, turn)
-        self.trouble = "events follow each other at ever shorter intervals"
+        self._tell("events follow each other at ever shorter intervals", at)
         return torch.where((found | (short > _SHORT)).unsqueeze(-1), torch.full_like(x, float("nan")), x)
+
+    def _tell(self, trouble: str, at: Any) -> None:
+        self.trouble = trouble
+        if self.strict:
+            raise ArithmeticError(f"{trouble} at t = {float(at.max()):.6g}")
 
     # ---------------------------------------------------------------- the start of a step
     def _start(self, span: Any, x: Any, origin: Any, before: Any) -> tuple[Any, Any, Any, Any]:
@@ -110,7 +115,7 @@ class _Events:
         return self.equations.guards(_torch_arithmetic(), t, x, condition, u, constants, networks)
 
     def _rated(self, span: Any, t: Any, x: Any) -> tuple[Any, Any]:
-        """The guards at a state, and their rates of change, by a difference: they decide, and no value contains them."""
+        """The guards at a state, and their rates of change, by a difference, since no result contains them."""
         condition, constants, networks = self.quiet
         u = span.inputs(t)
         speed = self.equations.rhs(_torch_arithmetic(), t, x, condition, u, constants, networks)
@@ -216,7 +221,7 @@ class _Events:
                     span, at.detach(), x.detach(), after.detach(), (pending, on, turn), chosen
                 )
             x = after
-        self.trouble = f"more than {_CASCADE} events happen at one time"
+        self._tell(f"more than {_CASCADE} events happen at one time", at)
         return torch.where(pending.any(-1, keepdim=True), torch.full_like(x, float("nan")), x), on, turn
 
     def _follow(self, span: Any, at: Any, x: Any, after: Any, flags: Any, chosen: Any) -> tuple[Any, Any, Any]:
@@ -231,7 +236,7 @@ class _Events:
         acting = chosen.any(-1, keepdim=True)
         caused = acting & ~on & ~fired & (guard >= 0) & ((earlier < 0) | (guard > zone))
         # A guard that the event did not change is zero up to rounding: only its rate says which sign follows.
-        still = torch.where(guard == earlier, (rate > 0) | ((guard > zone) & ~fired), guard >= 0)
+        still = torch.where(guard == earlier, (rate > 0) | (guard > zone), guard >= 0)
         on = torch.where(acting, (on | fired) & still, on)
         pending = pending & ~chosen
         pending[..., self.timed :] |= caused

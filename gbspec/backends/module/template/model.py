@@ -22,7 +22,6 @@ import numpy as np
 # {{interface
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
 from gbspec.backends.module.template.directions import _weight_slopes
-from gbspec.backends.module.template.events import _Events
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.stepping import _Adaptive
@@ -298,7 +297,8 @@ class Template:  # {{class}}
         accuracy = self.info.get("tolerance") if tolerance is None and max_step is None else tolerance
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
         # [events
-        events = self.cutting((condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]))
+        cut: Any = self.equations
+        events = cut.cutting((condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]), True)
         # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
@@ -306,9 +306,8 @@ class Template:  # {{class}}
                 nodes, sizes = self.equations.grid(m, t, h)
                 u = tuple(signal(i, node) for node in nodes)
                 # [events
-                before = (x, signal(i - 1, t)) if self.inputs and i and t == grid[i] else None
-                if _math.isfinite(h):
-                    return events.across(t, h, x, u, grid[0], before)
+                if events is not None:
+                    return events.across(t, h, x, u, grid[0], (x, signal(i - 1, t)) if i and t == grid[i] else None)
                 # events]
                 return self.equations.step(m, rhs, ([_tensor(node, x) for node in nodes], sizes), x, u)
 
@@ -318,20 +317,9 @@ class Template:  # {{class}}
                 x = adaptive.across(step, x, start, end)
             for j in range(count if adaptive is None else 0):
                 x = step(start + j * h, h, x)
-            # [events
-            if events.trouble:
-                raise ArithmeticError(f"between t = {start:.6g} and {end:.6g} {events.trouble}")
-            # events]
             path.append(x)
         return torch.stack(path, -2)
 
-    # [events
-    def cutting(self, given: Any, quiet: Any, band: float) -> Any:
-        """Steps that are cut where events happen; `given`: conditions, constants and networks, `quiet`: those of the
-        search, which records nothing. Within `band` of its end a step leaves an event to the next one."""
-        return _Events(self.equations, given, quiet, band)
-
-    # events]
     @functools.cached_property
     def functions(self) -> dict[str, Callable[..., Any]]:
         """The unknown functions by name: of one tensor [..., n_arguments], or of separate arguments -> [...]."""

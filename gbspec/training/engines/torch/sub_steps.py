@@ -167,7 +167,9 @@ def cutting(
     if not problem.model.events:
         return None
     given, found = (condition, tuple(k), networks), tuple(value.detach() for value in k)
-    made: Cutting = problem.module.cutting(given, (condition, found, quiet), BAND * problem.packed.max_step)
+    made: Cutting = problem.module.equations.cutting(
+        given, (condition, found, quiet), BAND * problem.packed.max_step, False
+    )
     return made
 
 
