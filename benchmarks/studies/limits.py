@@ -256,13 +256,19 @@ Not offered yet, and said so: constants that differ between groups of another co
 distribution beside others with one (GB426), profiles of models with populations (GB777).
 
 Not offered for infusions (`dose … over`): durations and lags that are learned (GB427, GB428), elements of arrays
-(GB429), measured rates of the infused state (GB430). A dose in a steady state is preceded by a number of doses, not by
-a fixed point: it begins its trajectory (GB749), all initial values are given (GB757), and a table that `simulate --like`
-writes of it has the doses before its first row, which a model with `time … from` does not read (GB717).
+(GB429), measured rates of the infused state (GB430). A dose in a steady state is preceded by a number of doses, not
+by a fixed point: it begins its trajectory (GB749), all initial values are given (GB757), and a table that `simulate
+--like` writes of it has the doses before its first row, which a model with `time … from` does not read (GB717).
 
 Not offered together with `diffusion`: populations, noises with learned constants, learned lags of doses, measured
-rates of the disturbed state (GB344); censored values (GB784); profiles (GB772); stiff solvers and tolerances (GB770; these not for populations
-either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a population its medians.
+rates of the disturbed state (GB344); censored values (GB784); profiles (GB772); stiff solvers and tolerances (GB770;
+these not for populations either). `eigen`, `bifurcate` and `export` of such a model take its drift, those of a
+population its medians.
+
+Events: `after` and `transient`, events that set elements of arrays, and events together with `diffusion`, populations
+or learned noises are not offered yet (GB351); nor are stiff solvers, tolerances, `eigen` and `bifurcate` for such a
+model (GB778), its export and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its
+balances without the events. Second derivatives through the time of an event are not computed.
 
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.

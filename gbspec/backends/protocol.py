@@ -66,6 +66,42 @@ class Equations(Protocol):
     def diffusions(self, math: Arithmetic, state: Value, condition: Value, inputs: Value, constants: Value, /) -> Value:
         """The sizes of random disturbances (of logarithms where they are relative); in models that have any."""
 
+    @property
+    def events(self) -> Sequence[tuple[str, bool, bool]]:
+        """Name, whether it has given times, and whether it is armed, of each event; in models that have any."""
+
+    def guards(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
+        """A number for each event with a condition, which becomes positive where the condition becomes true."""
+
+    def timing(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
+        """For each event at given times the first one, the interval and the last one."""
+
+    def happen(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
+        """The state after each event."""
+
+    def cutting(self, given: Value, quiet: Value, band: float, strict: bool, /) -> Value:
+        """Steps of a batch that are cut where events happen, torch; in models that have any."""
+
     def grid(self, math: Arithmetic, t: Value, h: Value, /) -> Value:
         """The times at which a step of size h from t needs inputs, and the fractions of h that it uses."""
 

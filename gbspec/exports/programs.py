@@ -10,7 +10,7 @@ import sympy
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 
-from gbspec.backends import Flat, Operation, flatten
+from gbspec.backends import Flat, NotCoveredError, Operation, flatten
 from gbspec.ir import Expr, Model, State, Unknown, unknown_function
 
 MOST_OPERATIONS = 20_000
@@ -32,6 +32,8 @@ class Programs:
     """The functions of a model, each flattened once. Raises NotCoveredError for what no export can express."""
 
     def __init__(self, model: Model) -> None:
+        if model.events:
+            raise NotCoveredError("it has events, which no exported program carries out yet")
         self.model = model
 
     @cached_property

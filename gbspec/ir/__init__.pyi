@@ -18,6 +18,8 @@ from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
+from .events import Event as Event
+from .events import Timing as Timing
 from .forms import Block as Block
 from .forms import Form as Form
 from .forms import Layout as Layout

@@ -9,6 +9,7 @@ from sympy.printing.str import StrPrinter
 
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
+from gbspec.ir.events import Event, Timing
 from gbspec.ir.model import NN, Contract, Declared, Dose, Expr, Model, Network, Range, Table, Unknown
 
 
@@ -176,6 +177,7 @@ def _mathematics(model: Model) -> list[str]:
             for d in model.diffusions
         ),
     )
+    lines += _section("events", map(_event, model.events))
     lines += _section("arrays", (line for array in model.arrays for line in _array(array)))
     lines += _section("families", map(_family, model.families))
     claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)
@@ -189,6 +191,17 @@ def _distribution(found: Distribution) -> str:
 def _dose(dose: Dose) -> str:
     over = "" if dose.duration is None else f" over {written(dose.duration)} as {dose.infusion}"
     return f"{dose.state}{over} times {written(dose.fraction)} lag {written(dose.lag)}"
+
+
+def _event(event: Event) -> str:
+    if event.guard is not None:
+        when = f"when {written(event.guard)} >= 0" + (" armed" if event.armed else "")
+    else:
+        timing = event.timing or Timing()
+        parts = zip(("at", "every", "until"), (timing.at, timing.every, timing.until), strict=True)
+        when = " ".join(f"{word} {written(value)}" for word, value in parts if value is not None)
+    priority = f" priority {event.priority!r}" if event.priority else ""
+    return f"{event.name} {when}{priority}: " + ", ".join(f"{name} = {written(v)}" for name, v in event.values)
 
 
 def _scale(noise: Noise) -> str:
@@ -259,4 +272,5 @@ def _table(table: Table) -> str:
 def _state(model: Model, index: int) -> str:
     state = model.states[index]
     initial = state.initial.kind if state.initial.value is None else written(state.initial.value)
-    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}"
+    kind = " discrete" if state.discrete else ""
+    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}{kind}"

@@ -20,6 +20,7 @@ import sympy
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
 from gbspec.ir.distributions import Distribution, Noise
+from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
 from gbspec.ir.symbols import symbol as symbol
 from gbspec.ir.symbols import unknown_function as unknown_function
@@ -92,11 +93,13 @@ class Initial:
 
 @dataclass(frozen=True)
 class State(Declared):
-    """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value."""
+    """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value.
+    `discrete`: only events change it, and its balance is zero."""
 
     range: Range | None = None
     start: float | None = None
     initial: Initial = Initial("measured")
+    discrete: bool = False
 
 
 @dataclass(frozen=True)
@@ -344,6 +347,7 @@ class Model:
     channels: tuple[Channel, ...] = ()
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
+    events: tuple[Event, ...] = ()  # in the order in which they happen at one time
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import sympy
 from sympy.core.function import AppliedUndef
@@ -112,8 +112,25 @@ def _expressions(model: Model) -> None:
         check(what, diffusion.value, given | {symbol(diffusion.state)}, applies=False)
         if diffusion.relative is not None:
             check(what, diffusion.relative, given, applies=False)
+    _events(model, check, known, constants | conditions)
     disturbed = [diffusion.state for diffusion in model.diffusions]
     _require(len(set(disturbed)) == len(disturbed), "two diffusions of a state")
+
+
+def _events(model: Model, check: Callable[..., None], known: set[sympy.Symbol], fixed: set[sympy.Symbol]) -> None:
+    """Checks that events set states, and what their conditions, times and values use."""
+    for event in model.events:
+        what = f"the event `{event.name}`"
+        _require((event.guard is None) != (event.timing is None), f"when {what} happens")
+        if event.guard is not None:
+            check(what, event.guard, known)
+        if event.timing is not None:
+            for part in (event.timing.at, event.timing.every, event.timing.until):
+                if part is not None:
+                    check(what, part, fixed, applies=False)
+        for name, value in event.values:
+            _require(name in model.state_index, f"{what} sets `{name}`")
+            check(what, value, known)
 
 
 def _families(model: Model) -> None:

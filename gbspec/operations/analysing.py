@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from gbspec.diagnostics import packages
+from gbspec.diagnostics import Diagnostic, UserError, packages
 from gbspec.operations.models import Subject, truth_of
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def eigen(
     """Eigenvalues of a subject; for a run also those of its model's truth, if there is one."""
     from gbspec.analysis import eigen as run
 
+    _without_events(source, "eigen")
     true = truth_of(source)
     truth = None if true is None else system(true)
     predicted: list[Prediction] = []
@@ -54,6 +55,14 @@ def eigen(
         fit = None if source.run is None else source.run.fit
         predicted = predictions(source.evaluator, source.model, along, fit)
     return run(system(source), truth=truth, at=at, along=along, predicted=predicted, steady=steady)
+
+
+def _without_events(source: Subject, command: str) -> None:
+    """Raises UserError (GB778) for a model with events, which has no steady states in the sense of these analyses."""
+    if source.model.events:
+        message = f"`gbspec {command}` is not for a model with events: it analyses equations that do not switch"
+        help = "simulate it, or analyse a model without the events, each discrete value a `const`"
+        raise UserError([Diagnostic("GB778", message, None, help=help)])
 
 
 @packages()
@@ -80,6 +89,7 @@ def bifurcate(
     from gbspec.analysis import BifurcationOptions, Certainty, CycleOptions, with_uncertainty
     from gbspec.analysis import bifurcate as run
 
+    _without_events(source, "bifurcate")
     subject = system(source)
     found = run(subject, over, low, high, BifurcationOptions(cycles=cycles, cycle=CycleOptions(doublings=doublings)))
     if source.run is None or source.member is None:
@@ -111,6 +121,7 @@ def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box,
     """The Hopf and fold curves of a subject in a box of the plane of two of its parameters."""
     from gbspec.analysis import bifurcation_plane as run
 
+    _without_events(source, "bifurcate")
     return run(system(source), names, boxes)
 
 

@@ -22,4 +22,5 @@ class Examination:
 
 def examine(model: Model, findings: Findings) -> Examination:
     """Finds both; parameters that cannot be separated are recorded as warnings (GB401, GB402)."""
-    return Examination(linear_laws(model), identifiability(model, findings), bool(model.diffusions))
+    laws = () if model.events else linear_laws(model)  # an event may change any of them
+    return Examination(laws, identifiability(model, findings), bool(model.diffusions))

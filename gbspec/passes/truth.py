@@ -51,6 +51,15 @@ def with_truth(model: Model) -> Model:
         intermediates=tuple(dataclasses.replace(i, value=put(i.value)) for i in model.intermediates),
         balances=tuple(put(b) for b in model.balances),
         channels=tuple(dataclasses.replace(c, value=put(c.value)) for c in model.channels),
+        events=tuple(
+            dataclasses.replace(
+                e,
+                guard=None if e.guard is None else put(e.guard),
+                condition=None if e.condition is None else put(e.condition),
+                values=tuple((name, put(value)) for name, value in e.values),
+            )
+            for e in model.events
+        ),
         claims=tuple(dataclasses.replace(c, value=put(c.value), rate=put(c.rate)) for c in model.claims),
         arrays=tuple(dataclasses.replace(a, ends=tuple((i, put(v)) for i, v in a.ends)) for a in model.arrays),
         families=tuple(dataclasses.replace(f, value=put(f.value)) for f in model.families),

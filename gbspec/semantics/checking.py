@@ -11,6 +11,7 @@ from gbspec.semantics import (
     balances,
     columns,
     doubts,
+    events,
     graph,
     measured_rates,
     places,
@@ -50,7 +51,7 @@ def check(file: ast.File, findings: Findings, load: Load) -> Checked | None:
     local = Findings()
     read = merge(file, local, load)
     _limited(file, len(read.items))
-    merged, found = arrays.expand(read, local)
+    merged, found = arrays.expand(events.expand(read, local), local)
     merged = measured_rates.expand(merged, local)
     names = table.build(merged.items, local)
     accepted = allow.allowed(merged.items, names, local, merged)
@@ -91,6 +92,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     balances.once(items, findings)
     balances.targets(items, names, findings, merged)
     balances.coverage(items, names, takers, places_of, rests, findings, merged)
+    events.check(items, names, findings, merged)
     balances.start_cycles(items, places_of, names, findings)
     columns.check(items, names, findings)
     known = _truths(items, places_of, names, values, numbers, findings, merged)

@@ -100,6 +100,8 @@ class _Rules:
                 units.declared[name.text] = ONE
             case ast.FunctionStatement() | ast.ProcessStatement() | ast.ConserveStatement() | ast.Remark():
                 pass  # declare no unit
+            case ast.DiscreteStatement() | ast.EventStatement():
+                pass  # a discrete value is a state by now
             case ast.CorrelateStatement():
                 pass
             case ast.About() | ast.ClosureStatement():
@@ -147,6 +149,8 @@ class _Rules:
                 self._diffusion(target_name(target), value)
             case ast.ConserveStatement(value=value, rate=rate):
                 self._claim(value, rate)
+            case ast.EventStatement():
+                self._event(statement)
             case ast.StateStatement(declarator=declarator, range=interval, start=start):
                 self._ranged(declarator.name, interval, start)
             case (
@@ -161,7 +165,7 @@ class _Rules:
                 self._ranged(name, None, start)
             case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():
                 pass  # checked in `named`
-            case ast.EffectStatement() | ast.CorrelateStatement() | ast.TableStatement():
+            case ast.EffectStatement() | ast.CorrelateStatement() | ast.TableStatement() | ast.DiscreteStatement():
                 pass
             case ast.TruthStatement() | ast.ClosureStatement() | ast.Remark():
                 pass
@@ -263,6 +267,19 @@ class _Rules:
         if self._usable(value):
             wanted = units.of(name.text).times(self._time(), Fraction(-1, 2))
             units.carries(value, wanted, f"the diffusion of `{name.text}`", name.span)
+
+    def _event(self, statement: ast.EventStatement) -> None:
+        """Checks the condition of an event, its times, and that each value has the unit of what it sets."""
+        units = self._units
+        if statement.condition is not None and self._usable(statement.condition):
+            units.expression(statement.condition)
+        for time in (statement.at, statement.every, statement.until):
+            if time is not None and self._usable(time):
+                units.carries(time, self._time(), "the time of an event", time.span)
+        for assignment in statement.assignments:
+            name = target_name(assignment.target)
+            if name.text in units.table and self._usable(assignment.value):
+                units.carries(assignment.value, units.of(name.text), f"`{name.text}`", name.span)
 
     def _claim(self, value: ast.Expression, rate: ast.Expression | None) -> None:
         if not self._usable(value):

@@ -15,6 +15,7 @@ from typing import get_args
 from gbspec.syntax.nodes import (
     MAX_DEPTH,
     Argument,
+    Assignment,
     Binary,
     Bound,
     Call,
@@ -57,8 +58,10 @@ from gbspec.syntax.statements import (
     ConstStatement,
     CorrelateStatement,
     DiffusionStatement,
+    DiscreteStatement,
     DoseStatement,
     EffectStatement,
+    EventStatement,
     Formula,
     FunctionStatement,
     InitialStatement,
@@ -87,6 +90,7 @@ __all__ = [
     "About",
     "AllowStatement",
     "Argument",
+    "Assignment",
     "BalanceStatement",
     "Binary",
     "Bound",
@@ -101,9 +105,11 @@ __all__ = [
     "CorrelateStatement",
     "Declarator",
     "DiffusionStatement",
+    "DiscreteStatement",
     "Distribution",
     "DoseStatement",
     "EffectStatement",
+    "EventStatement",
     "Expression",
     "File",
     "Formula",
@@ -171,6 +177,8 @@ Statement = (
     | ObserveStatement
     | DoseStatement
     | DiffusionStatement
+    | DiscreteStatement
+    | EventStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

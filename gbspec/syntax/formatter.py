@@ -37,6 +37,7 @@ _ORDER = (
         "over",
         "times",
         "lag",
+        *("when", "at", "every", "until", "after", "priority", "transient", "armed", "assignments"),
         "column",
         "network",
         "text",
@@ -200,7 +201,7 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
 
 def _starts_line(piece: Piece, clauses: Sequence[Clause]) -> bool:
     """Whether a token begins a clause that gets its own line when the statement is broken into clauses."""
-    return piece.first and clauses[piece.clause or 0].kind not in ("unit", "consumed", "produced")
+    return piece.first and clauses[piece.clause or 0].kind not in ("unit", "consumed", "produced", "assignments")
 
 
 def _filled(line: Sequence[Piece], indent: int, hanging: int) -> list[str]:

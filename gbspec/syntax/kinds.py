@@ -21,7 +21,8 @@ class Kind(Enum):
     PROCESS = "a process"
     CHANNEL = "a measured channel"
     CLAIM = "a `conserve` claim"
+    EVENT = "an event"
 
 
-VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM}
+VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM, Kind.EVENT}
 """The kinds that may occur in an expression."""

@@ -49,6 +49,7 @@ _KEYWORDS = frozenset(
             "times",
             "lag",
         ),
+        *("when", "every", "until", "after", "priority", "transient", "armed"),
         *("by", "zero", "at", "increasing", "decreasing", "if", "and", "or", "not"),
     }
 )

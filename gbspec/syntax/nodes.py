@@ -227,6 +227,14 @@ class Grouping(Node):
 
 
 @dataclass(frozen=True)
+class Assignment(Node):
+    """`X = e` in an event: the value of X after it."""
+
+    target: Name | Index
+    value: Expression
+
+
+@dataclass(frozen=True)
 class Option(Node):
     """`activation=silu` among a network's arguments."""
 

@@ -74,6 +74,12 @@ DISTURBANCE = Rule(
     "constants, learnable constants, conditions, inputs and the disturbed state itself",
     "GB340",
 )
+TIMING = Rule(
+    "the time of an event",
+    _FIXED | {Kind.CONDITION},
+    "constants, learnable constants and conditions",
+    "GB352",
+)
 CLAIM = Rule(
     "a `conserve` claim",
     VALUES - {Kind.UNKNOWN},

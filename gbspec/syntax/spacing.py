@@ -18,7 +18,8 @@ _TOKEN = re.compile(
 )
 _TIGHT = frozenset({"*", "/", "^"})
 _WORDS = frozenset({"and", "or", "not"})
-_VALUE_WORDS = frozenset({"rate", "over", "times", "lag", "from"})  # clause keywords that precede an expression
+# clause keywords that precede an expression
+_VALUE_WORDS = frozenset({"rate", "over", "times", "lag", "from", "when", "at", "every", "until", "after", "priority"})
 
 
 @dataclass
@@ -91,7 +92,7 @@ def _space(found: list[Piece], clauses: Sequence[Clause]) -> None:
         piece.depth = len(brackets)
         inner = brackets[-1] if brackets else ""
         if previous is not None:
-            piece.space = piece.first or _spaced(previous, piece, kind, inner, unary)
+            piece.space = (piece.first and kind != "assignments") or _spaced(previous, piece, kind, inner, unary)
             joined = piece.kind == "sign" and piece.text in "+-" and not unary and inner != "index"
             separate = previous.text == "," or joined or piece.text in ("and", "or")
             piece.breakable = piece.space and separate and kind != "unit"
@@ -132,8 +133,8 @@ def _spaced(previous: Piece, piece: Piece, kind: str, inner: str, unary: bool) -
         return previous.kind != "name" or before == "in"
     if inner == "index" or (inner == "options" and "=" in (before, text)):
         return False
-    if text == ":" and piece.clause is None and inner == "":
-        return False  # after the name of a process
+    if text == ":" and (piece.clause is None or kind == "assignments") and inner == "":
+        return False  # after the name of a process, before the assignments of an event
     return not (unary and before in _TIGHT)
 
 

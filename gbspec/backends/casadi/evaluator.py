@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
+from gbspec.backends.casadi.events import EventSolver
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.ir import METHODS
@@ -196,6 +197,8 @@ class Evaluator:
         problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
         )
+        if self.has_events:
+            return self._event_solver.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
         return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
 
     def integrate_fixed(
@@ -214,8 +217,10 @@ class Evaluator:
         """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
         and kinks, each divided into `parts`.
 
-        States may be infinite or NaN: the fixed step is not checked.
+        States may be infinite or NaN: the fixed step is not checked. With events the steps are adaptive here too.
         """
+        if self.has_events:
+            return self.integrate(x0, times, condition, inputs, start, doses=doses, constants=constants)
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
@@ -227,6 +232,15 @@ class Evaluator:
     @cached_property
     def _integrator(self) -> Integrator:
         return Integrator(self.rhs, tuple(self.instance.states))
+
+    @property
+    def has_events(self) -> bool:
+        """Whether its model has events."""
+        return hasattr(self.instance.equations, "events")
+
+    @cached_property
+    def _event_solver(self) -> EventSolver:
+        return EventSolver(self.instance, self.rhs)
 
     @cached_property
     def _stepper(self) -> steps.Stepper:

@@ -264,6 +264,14 @@ def diffusions_method(model: Model) -> list[str]:
 
 
 # ---------------------------------------------------------------------- parts of a method
+def body_of(model: Model, outputs: Sequence[Assignment], names: Names, read: Iterable[sympy.Symbol] = ()) -> list[str]:
+    """Lines that unpack what is used, and compute the outputs; `read` is unpacked as well."""
+    program = Program(model, outputs)
+    return _unpacked(model, names, _used(program.statements) | set(read)) + _statements(
+        program.statements, names, model
+    )
+
+
 def _statements(program: Iterable[Statement], names: Names, model: Model) -> list[str]:
     printer = PythonPrinter(lambda symbol: names[symbol])
     lines = []

@@ -20,10 +20,16 @@ PLACE = re.compile(
 )
 
 
+WITH_EVENTS = re.compile(r"^[ ]*\# \[events\n(.*?)^[ ]*\# events\]\n", flags=re.M | re.S)
+"""What only modules of models with events have."""
+
+
 @cache
-def template(*more: str) -> str:
+def template(*more: str, events: bool = False) -> str:
     """The files joined, with those that only some models need, without comments for type checkers and linters."""
-    text = "\n\n\n".join(map(_part, (*PARTS, *more))) + "\n"
+    parts = (*PARTS[:2], "events", *PARTS[2:]) if events else PARTS
+    text = "\n\n\n".join(map(_part, (*parts, *more))) + "\n"
+    text = WITH_EVENTS.sub(r"\1" if events else "", text)
     return re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text)
 
 

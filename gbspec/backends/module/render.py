@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import attributes, equations, stepping
+from gbspec.backends.module import attributes, equations, events, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -24,7 +24,8 @@ def generate(model: Model, method: Method = RK4) -> str:
     training runs."""
     name = class_name(model)
     more = ("lookups",) if model.tables else ()
-    return fill(template(*more).replace("-> Template:", f"-> {name}:"), _places(model, name, method))
+    text = template(*more, events=bool(model.events))
+    return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
 def class_name(model: Model) -> str:
@@ -45,6 +46,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.initial_method(model),
         equations.doses_method(model),
         *equations.diffusions_method(model),
+        *events.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]

@@ -10,8 +10,10 @@ from .conserve import ConserveStatement as ConserveStatement
 from .const import ConstStatement as ConstStatement
 from .correlate import CorrelateStatement as CorrelateStatement
 from .diffusion import DiffusionStatement as DiffusionStatement
+from .discrete import DiscreteStatement as DiscreteStatement
 from .dose import DoseStatement as DoseStatement
 from .effect import EffectStatement as EffectStatement
+from .event import EventStatement as EventStatement
 from .function import FunctionStatement as FunctionStatement
 from .initial import InitialStatement as InitialStatement
 from .input import InputStatement as InputStatement

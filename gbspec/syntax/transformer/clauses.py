@@ -72,6 +72,33 @@ class ClauseRules(ExpressionRules):
     def lag_clause(self, children: Children) -> Clause:
         return self._number("lag", children)
 
+    def at_clause(self, children: Children) -> Clause:
+        return self._number("at", children)
+
+    def every_clause(self, children: Children) -> Clause:
+        return self._number("every", children)
+
+    def until_clause(self, children: Children) -> Clause:
+        return self._number("until", children)
+
+    def after_clause(self, children: Children) -> Clause:
+        return self._number("after", children)
+
+    def priority_clause(self, children: Children) -> Clause:
+        return self._number("priority", children)
+
+    def when_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "when", self.condition_value(children[-1]))
+
+    def flag_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), str(children[0]), True)
+
+    def assignment(self, children: Children) -> ast.Assignment:
+        return ast.Assignment(self.over(children), children[0], self.number_value(children[-1]))
+
+    def assignments_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "assignments", nodes(children))
+
     def unit_clause(self, children: Children) -> Clause:
         return Clause(self.over(children), "unit", children[-1])
 

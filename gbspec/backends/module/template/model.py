@@ -296,11 +296,19 @@ class Template:  # {{class}}
         rhs = self.equations.field(m, condition, k, f)
         accuracy = self.info.get("tolerance") if tolerance is None and max_step is None else tolerance
         adaptive = None if accuracy is None else _Adaptive(accuracy, limit)
+        # [events
+        cut: Any = self.equations
+        events = cut.cutting((condition, k, f), (condition, k, f), 1e-11 * (grid[-1] - grid[0]), True)
+        # events]
         for i, (start, end) in enumerate(itertools.pairwise(grid)):
 
             def step(t: float, h: float, x: Any, i: int = i) -> Any:
                 nodes, sizes = self.equations.grid(m, t, h)
                 u = tuple(signal(i, node) for node in nodes)
+                # [events
+                if events is not None:
+                    return events.across(t, h, x, u, grid[0], (x, signal(i - 1, t)) if i and t == grid[i] else None)
+                # events]
                 return self.equations.step(m, rhs, ([_tensor(node, x) for node in nodes], sizes), x, u)
 
             count = 1 if limit is None else max(1, _math.ceil((end - start) / limit - 1e-9))

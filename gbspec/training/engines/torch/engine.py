@@ -11,7 +11,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.training.engines.columns import Columns
 from gbspec.training.engines.deliveries import Paths
-from gbspec.training.engines.engine import Moments, by_group, taken
+from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group, taken
 from gbspec.training.engines.linearised import Jacobian
 from gbspec.training.engines.torch.control import planned
 from gbspec.training.engines.torch.jacobian import jacobian
@@ -108,6 +108,8 @@ class TorchEngine:
 
     def second(self, theta: Array, path: Path, direction: Array, cotangent: Array) -> Array:
         """The gradient of `cotangent` times the means' Jacobian times `direction`, by differentiating twice."""
+        if self.problem.model.events:
+            raise UnableError(Unable(Lack.SECOND, "the times of events have first derivatives only"))
         vector = self._leaf(theta)
         mean = self.unroll(vector, path).mean
         (first,) = torch.autograd.grad((mean * mean.new_tensor(cotangent)).sum(), vector, create_graph=True)

@@ -11,7 +11,7 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.torch.control import planned
-from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
+from gbspec.training.engines.torch.sub_steps import Deliveries, advance, cutting, sub_step
 from gbspec.training.problem import Parameters, Problem
 
 _REMEDY = (
@@ -50,6 +50,7 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
     k = tuple(parameters.constants(vector).unbind(1))
     c = torch.from_numpy(packed.condition)
     deliveries, rhs = Deliveries.of(problem, c, k), module.equations.field(m, c, k, networks)
+    events = cutting(problem, c, k, networks, networks)
     x = module.equations.initial(m, parameters.starts(vector), c, k)
     bad = ~torch.isfinite(x)
     if bad.any():
@@ -61,12 +62,13 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
         if s > 0:
             step = sub_step(problem, path, np.full(packed.trajectories, s - 1), everyone, x)
             going = torch.from_numpy(packed.steps >= s)
-            new = torch.where(going[:, None], advance(x, step, deliveries, rhs), x)
+            new = torch.where(going[:, None], advance(x, step, deliveries, rhs, events), x)
             bad = ~torch.isfinite(new)
             if bad.any():
                 i = int(torch.nonzero(bad.any(-1))[0, 0])
                 slope = module.equations.rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
-                return i, float(packed.t[s - 1, i]), _blame(names, slope, bad[i]), x[i].numpy()
+                why = events.trouble if events is not None and events.trouble else _blame(names, slope, bad[i])
+                return i, float(packed.t[s - 1, i]), why, x[i].numpy()
             x = new
         here = np.flatnonzero(packed.row_step == s)
         weight, value = torch.zeros_like(x), torch.zeros_like(x)

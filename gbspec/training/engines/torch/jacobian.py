@@ -19,7 +19,7 @@ from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.columns import Columns, Taped, gradients
 from gbspec.training.engines.engine import Moments
 from gbspec.training.engines.linearised import Batch, Jacobian, Observed
-from gbspec.training.engines.torch.sub_steps import Deliveries, advance, sub_step
+from gbspec.training.engines.torch.sub_steps import Deliveries, advance, cutting, sub_step
 from gbspec.training.problem import Integers, Path
 
 CHUNK_BYTES = 256 * 1024 * 1024
@@ -114,6 +114,7 @@ class _Intervals:
         """Steps the batch to the ends of its rows; the first j sub-steps wrote `calls[j]` tape entries."""
         columns, problem = self.columns, self.columns.problem
         networks = problem.module.torch_networks(columns.weights, tape)
+        quiet = problem.module.torch_networks(columns.weights) if problem.model.events else networks
         condition = columns.tensor(self.path.packed.condition[batch.owner])
         deliveries = Deliveries.of(problem, condition, k)
         finished: list[Tensor] = [x[batch.live(0) :]]
@@ -125,7 +126,9 @@ class _Intervals:
             rhs = problem.module.equations.field(
                 torch_arithmetic(problem.module), condition[:live], tuple(column[:live] for column in k), networks
             )
-            state = advance(state, step, deliveries, rhs)
+            part = [column[:live] for column in k]
+            events = cutting(problem, condition[:live], part, networks, quiet)
+            state = advance(state, step, deliveries, rhs, events)
             calls.append(len(tape))
             remaining = batch.live(j + 1)
             finished.append(state[remaining:])

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from gbspec.backends import Value
+from gbspec.backends import Networks, Value
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Terms, terms_of
 from gbspec.training.engines.torch.affine import Field
@@ -20,7 +21,8 @@ from gbspec.training.problem import Integers, Path, Problem
 class SubStep:
     """A sub-step of each of B rows: start `t` and length `h` [B], the inputs at the method's nodes, [B, n_inputs] each,
     and the result of the generated `grid` for `t` and `h`. `arrivals`: the doses, None if there are none; `factors`:
-    the frozen matrices, factored [B, n, n], and their pivots [B, n]."""
+    the frozen matrices, factored [B, n, n], and their pivots [B, n]; `origin`: the starts of the trajectories [B], and
+    `before`: the inputs before the sub-step [B, n_inputs], in models with events."""
 
     t: Tensor
     h: Tensor
@@ -28,6 +30,8 @@ class SubStep:
     grid: Value
     arrivals: Arrivals | None = None
     factors: tuple[Tensor, Tensor] | None = None
+    origin: Tensor | None = None
+    before: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,12 @@ def sub_step(problem: Problem, path: Path, steps: Integers, who: Integers, like:
     if path.factors is not None:
         pivots = torch.from_numpy(path.factors.pivots[steps, who]).to(like.device)
         factors = like.new_tensor(path.factors.lu[steps, who]), pivots
-    return SubStep(t, h, inputs.unbind(1), grid, arrivals, factors)
+    origin = before = None
+    if problem.model.events:
+        origin = like.new_tensor(packed.start[who])
+        at_end = like.new_tensor(packed.inputs[np.maximum(steps - 1, 0), who, -1])
+        before = torch.where(torch.from_numpy(steps > 0).to(like.device)[:, None], at_end, inputs[:, 0])
+    return SubStep(t, h, inputs.unbind(1), grid, arrivals, factors, origin, before)
 
 
 @dataclass(frozen=True)
@@ -99,6 +108,13 @@ class Deliveries:
         moved = zip(step.nodes, shares, strict=True)
         return grid, tuple(node + share[:, None] * arrivals.slope for node, share in moved)
 
+    def ends(self, step: SubStep) -> tuple[Tensor, Tensor]:
+        """Start and length of a sub-step, with the derivatives of learned lags."""
+        if step.arrivals is None:
+            return step.t, step.h
+        begin, end = (self._move(cutting, step.t) for cutting in (step.arrivals.begin, step.arrivals.end))
+        return step.t + begin, step.h + (end - begin)
+
     def _move(self, cutting: Integers, like: Tensor) -> Tensor:
         """The displacement of an end of a sub-step by the doses `cutting` [B]: zero, with the lag's derivative."""
         out, kinds = torch.zeros_like(like), self.problem.packed.doses.kind
@@ -115,16 +131,46 @@ def _rows(value: Tensor | float, count: int) -> Tensor | float:
     return value[:count] if isinstance(value, Tensor) and value.ndim else value
 
 
-def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field) -> Tensor:
-    """The states [B, n_states] at the end of a sub-step, from those at its start before doses."""
-    problem, grid, nodes = deliveries.problem, step.grid, step.nodes
+def advance(x: Tensor, step: SubStep, deliveries: Deliveries, rhs: Field, events: Cutting | None = None) -> Tensor:
+    """The states [B, n_states] at the end of a sub-step, from those at its start before doses; `events` cut it."""
+    problem, grid, nodes, before = deliveries.problem, step.grid, step.nodes, x
     if step.arrivals is not None:
         x = deliveries.added(x, step.arrivals)
         if (step.arrivals.begin >= 0).any() or (step.arrivals.end >= 0).any():
             grid, nodes = deliveries.moved(step, step.arrivals)
+    if events is not None:
+        t, h = deliveries.ends(step)
+        arriving = bool(problem.model.inputs) or step.arrivals is not None
+        return events.across(t, h, x, nodes, step.origin, (before, step.before) if arriving else None)
     solve = () if step.factors is None else (solver_of(*step.factors),)
     out: Tensor = problem.module.equations.step(torch_arithmetic(problem.module), rhs, grid, x, nodes, *solve)
     return out
+
+
+class Cutting(Protocol):
+    """The module's own steps that are cut where events happen (`_Events` of its template)."""
+
+    trouble: str
+
+    def across(self, t: Tensor, h: Tensor, x: Tensor, u: Value, origin: Value, before: Value) -> Tensor:
+        """The states after a step."""
+
+
+BAND = 1e-10
+"""Within this share of the longest step of its end a step leaves events to the next one, after what arrives there."""
+
+
+def cutting(
+    problem: Problem, condition: Value, k: Sequence[Tensor], networks: Networks, quiet: Networks
+) -> Cutting | None:
+    """The events of B rows; None in models without. `quiet` are networks that record nothing."""
+    if not problem.model.events:
+        return None
+    given, found = (condition, tuple(k), networks), tuple(value.detach() for value in k)
+    made: Cutting = problem.module.equations.cutting(
+        given, (condition, found, quiet), BAND * problem.packed.max_step, False
+    )
+    return made
 
 
 def solver_of(lu: Tensor, pivots: Tensor) -> Callable[[Tensor], Tensor]:

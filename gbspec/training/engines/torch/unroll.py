@@ -14,7 +14,7 @@ from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
 from gbspec.training.engines.torch.segments import Schedule
-from gbspec.training.engines.torch.sub_steps import Deliveries, SubStep, advance
+from gbspec.training.engines.torch.sub_steps import Cutting, Deliveries, SubStep, advance, cutting
 from gbspec.training.problem import Parameters, Problem
 
 
@@ -52,6 +52,7 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
     passed, steps = [x], schedule.steps
     # Computed in advance, so that an interval that is recomputed uses the same values as the first time.
     flows = {live: motion.of(slice(live)) for live in {len(step.t) for step in steps}}
+    events = {live: motion.events(slice(live)) for live in flows}
 
     def interval(x: Tensor, begin: int, end: int) -> tuple[Tensor, ...]:
         out = []
@@ -60,7 +61,7 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
                 given, kept = reset
                 x = torch.addcmul(given, kept, x)
             live = len(step.t)
-            x = advance(x if live == len(x) else x[:live], step, motion.deliveries, flows[live])
+            x = advance(x if live == len(x) else x[:live], step, motion.deliveries, flows[live], events[live])
             out.append(x)
         return tuple(out)
 
@@ -68,6 +69,7 @@ def _run(schedule: Schedule, motion: Motion, x: Tensor) -> list[Tensor]:
         """The first segment's first sub-step, as a batch of `count` equal rows."""
         first, row = steps[0], torch.zeros(count, dtype=torch.int64, device=x.device)
         t, h, nodes = first.t[row], first.h[row], tuple(node[row] for node in first.nodes)
+        # An event may cut a step anywhere: its memory is that of a few steps, and only its size matters here.
         return advance(x[row], SubStep(t, h, nodes, motion.grid(t, h)), motion.deliveries, motion.of(row))
 
     every = [(0, len(steps))]
@@ -97,7 +99,7 @@ class Motion:
         ]
         self.deliveries = Deliveries.of(problem, schedule.condition, self._constants)
         self._affine: Affine | None = None
-        if affine_by_model(problem.model, problem.module):
+        if not problem.model.events and affine_by_model(problem.model, problem.module):
             ops = torch_arithmetic(problem.module)
             self._affine = affine(problem.module, ops, schedule.condition, self._constants, networks)
 
@@ -110,6 +112,11 @@ class Motion:
             torch_arithmetic(self._problem.module), self._condition[rows].unbind(1), k, self._networks
         )
         return field
+
+    def events(self, rows: slice | Tensor) -> Cutting | None:
+        """What cuts the steps of some of the segments; None in models without events."""
+        k = tuple(value[rows] if value.ndim else value for value in self._constants)
+        return cutting(self._problem, self._condition[rows], k, self._networks, self._networks)
 
     def grid(self, t: Tensor, h: Tensor) -> Value:
         """The quantities that the solver's step derives from times and lengths [B]."""

@@ -1,0 +1,40 @@
+"""Events of a Model: what happens at a time, or when a condition becomes true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import sympy
+
+from gbspec.diagnostics import Span
+
+Expr: TypeAlias = sympy.Expr
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The times of an event: `at` (None: the start of the trajectory), then `every` so often, up to `until`."""
+
+    at: Expr | None = None
+    every: Expr | None = None
+    until: Expr | None = None
+
+
+@dataclass(frozen=True)
+class Event:
+    """Sets states: those in `values`, each to an expression of the values before.
+
+    It happens when `guard` becomes positive or zero (`condition` says the same as a relation, for display), or at the
+    times of `timing`; one of the two is None. `armed`: also at the start, if the condition is true there.
+    """
+
+    name: str
+    values: tuple[tuple[str, Expr], ...] = ()
+    guard: Expr | None = None
+    condition: sympy.Basic | None = None
+    timing: Timing | None = None
+    priority: float = 0.0
+    armed: bool = False
+    description: str = field(default="", kw_only=True)
+    span: Span | None = field(default=None, kw_only=True, compare=False, repr=False)
