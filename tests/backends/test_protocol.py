@@ -44,7 +44,9 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
         else:
             assert isinstance(there, type(declared)), f"{method} is of a class on one side alone"
             assert parameters(getattr(module, method)) == parameters(getattr(GeneratedModule, method)), method
-    optional = set() if model.diffusions else {"diffusions"}
+    optional = {"events"} if model.diffusions else {"events", "diffusions"}
+    optional |= set() if model.events else {"guards", "happen", "cutting"}
+    optional |= set() if any(event.timing is not None for event in model.events) else {"timing"}
     for method in set(offered(Equations)) - optional:
         expected = [(model.time.name if key == "t" and method != "grid" else key, default)
                     for key, default in parameters(getattr(Equations, method))]  # fmt: skip

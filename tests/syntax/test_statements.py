@@ -93,7 +93,7 @@ def test_every_statement_is_lowered_or_used_up_before(monkeypatch: pytest.Monkey
     # names of units, ends of arrays and functions are written out; `let`s come in their order; the rest is no part
     elsewhere = {
         *(ast.UnitStatement, ast.ClosureStatement, ast.FunctionStatement, ast.LetStatement),
-        *(ast.AllowStatement, ast.WithoutStatement),
+        *(ast.AllowStatement, ast.WithoutStatement, ast.DiscreteStatement),
     }
     assert asked | elsewhere == set(ast.STATEMENTS)
     assert not asked & elsewhere
