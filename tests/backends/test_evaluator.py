@@ -52,6 +52,14 @@ def test_time_and_the_start_before_the_first_output() -> None:
     assert clock.integrate([7.0], [3.0]).tolist() == [[7.0]]
 
 
+def test_a_power_of_a_negative_state_with_a_named_exponent() -> None:
+    """Its derivative by the exponent, which nothing needs, has the logarithm of the state."""
+    named = evaluator(1 - (x / 2) ** a, constants=(Constant("a", value=4.0),))
+    number = evaluator(1 - (x / 2) ** 4)
+    times = np.linspace(0.0, 3.0, 7)
+    assert named.integrate([-0.1], times) == pytest.approx(number.integrate([-0.1], times), rel=1e-9)
+
+
 SIGNAL = Signal(np.array([0.5, 1.0, 2.0]), np.array([1.0, 3.0, 0.0]))
 
 

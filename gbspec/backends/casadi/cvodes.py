@@ -161,15 +161,20 @@ def _inputs_at(piece: Segment, time: float) -> Array:
 
 
 def _scaled(rhs: Casadi) -> Casadi:
-    """The system in scaled time and states; parameters: begin, length, condition, inputs, slopes, constants, scales."""
+    """The system in scaled time and states; parameters: begin, length, condition, inputs, slopes, constants, scales.
+
+    The right-hand side is written out in it: the derivative of a call by the states has terms with those by all other
+    arguments, and log(x) of a power x^n times zero is not a number where x is negative.
+    """
+    kind: Casadi = ca.SX if rhs.is_a("SXFunction") else ca.MX
     n_states, n_condition, n_inputs, n_constants = (rhs.size1_in(i) for i in (1, 2, 3, 4))
     sizes = [1, 1, n_condition, n_inputs, n_inputs, n_constants, n_states]
-    tau, y, z, u = ca.MX.sym("tau"), ca.MX.sym("y", n_states), ca.MX.sym("z", 0), ca.MX.sym("u", 0)
-    p = ca.MX.sym("p", sum(sizes))
+    tau, y, z, u = kind.sym("tau"), kind.sym("y", n_states), kind.sym("z", 0), kind.sym("u", 0)
+    p = kind.sym("p", sum(sizes))
     begin, length, condition, inputs, slopes, constants, scales = ca.vertsplit(p, np.cumsum([0, *sizes]).tolist())
     elapsed = length * tau
-    dx = rhs(begin + elapsed, scales * y, condition, inputs + slopes * elapsed, constants)
-    empty = ca.MX(0, 1)
+    (dx,) = rhs.call([begin + elapsed, scales * y, condition, inputs + slopes * elapsed, constants], True, False)
+    empty = kind(0, 1)
     return ca.Function(
         "system",
         [tau, y, z, p, u],
