@@ -11,7 +11,7 @@ from gbspec.lsp.index import DEFAULT_TIME, Occurrence
 from gbspec.lsp.workspace import Parsed, Workspace
 from gbspec.syntax import Kind
 
-TYPES = ("variable", "parameter", "property", "function", "type", "class", "enumMember")
+TYPES = ("variable", "parameter", "property", "function", "type", "class", "enumMember", "event")
 """Types of tokens, all of the protocol's own, so that every colour theme knows them."""
 MODIFIERS = ("declaration", "readonly", "defaultLibrary", "learned", "given")
 """`learned`: what is fitted to data; `given`: what the data give (conditions, inputs, the time)."""
@@ -30,6 +30,7 @@ _NAMES: dict[Kind, tuple[str, tuple[str, ...]]] = {
     Kind.PROCESS: ("variable", ()),
     Kind.CHANNEL: ("variable", ()),
     Kind.CLAIM: ("variable", ()),
+    Kind.EVENT: ("event", ()),
 }
 _WORDS = {"function": "function", "value": "variable", "option": "property", "activation": "enumMember"}
 """Types of the words of the language by their kinds; the others (networks, distributions) are types."""

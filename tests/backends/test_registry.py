@@ -46,6 +46,10 @@ def test_every_bundled_model_can_be_written(name: str) -> None:
         backend = backends()[name]
         cls = load_module(model)
         instance = (cls.random(0) if cls.networks else cls()) if backend.numbers else None
+        if model.events and name in ("latex", "native"):
+            with pytest.raises(UserError, match="GB808"):
+                backend.emit(model, instance)
+            continue
         made = backend.emit(model, instance)
         assert isinstance(made, bytes) if backend.binary else str(made).endswith("\n")
         assert made == backend.emit(model, instance), "what it writes is reproducible"

@@ -108,7 +108,9 @@ for call in (lambda: model.simulate(trajectories=1), lambda: model.train({{"t": 
 
 def test_the_advice_names_extras_that_exist() -> None:
     extras = PROJECT["optional-dependencies"]
-    for package, (extra, _) in EXTRAS.items():
+    projects = {"libsbml": "python-libsbml", "yaml": "pyyaml"}  # where a package is called otherwise
+    for name, (extra, _) in EXTRAS.items():
+        package = projects.get(name, name)
         assert any(requirement.startswith(package) for requirement in extras[extra])
         assert any(requirement.startswith(package) for requirement in extras["all"])
         assert not any(requirement.startswith(package) for requirement in PROJECT["dependencies"])

@@ -226,7 +226,7 @@ def test_the_information_of_spreads_is_that_of_a_normal_distribution() -> None:
     spread = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]], np.zeros((2, 2))])
     noise = np.stack([*np.zeros((3, 5)), np.ones(5)], axis=1)
     of = cast(Any, SimpleNamespace(by_z=torch.from_numpy(f), variance=torch.from_numpy(variance)))
-    found = marginal._information(owner, np.zeros((5, 4)), of, omega, spread, noise)
+    found = marginal._information(owner, np.zeros((5, 4)), of, omega, spread, noise, np.arange(5))
     expected = np.zeros((4, 4))
     for rows in (owner == 0, owner == 1):
         inverse = np.linalg.inv(np.diag(variance[rows]) + f[rows] @ omega @ f[rows].T)
