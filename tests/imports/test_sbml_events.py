@@ -13,7 +13,7 @@ from tests.imports import models as made
 from tests.imports.test_sbml import DECAY, LAW, solved, text_of
 
 TIME = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">time</csymbol>'
-FIXED = made.parameters("false", x="1", y="1", z="0")
+FIXED = made.parameters("false", x="1", y="1", w="0")
 
 
 def at(time: str) -> str:
@@ -69,10 +69,17 @@ def test_the_larger_priority_comes_first(tmp_path: Path) -> None:
             [made.event("e", at("1"), {"x": "<ci>y</ci>"}), made.event("f", at("1"), {"y": "<ci>x</ci>"})],
             "it can happen together with another event",
         ),
+        (
+            [
+                made.event("e", at("1"), {"w": "<cn>2</cn>"}),
+                made.event("f", made.apply("gt", "w", "2"), {"y": "<cn>3</cn>"}),
+            ],
+            "another event sets a quantity to its threshold",
+        ),
     ],
 )
 def test_events_with_other_solutions_are_refused(tmp_path: Path, events: list[str], reason: str) -> None:
-    path = made.stored(tmp_path, made.sbml(FIXED, made.happening(*events)))
+    path = made.stored(tmp_path, made.sbml(FIXED, made.rules(w="<cn>0</cn>"), made.happening(*events)))
     with pytest.raises(UserError) as raised:
         import_file(path, tmp_path / "out")
     assert [reason in one.message for one in raised.value.diagnostics] == [True]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from itertools import combinations
+from collections.abc import Callable, Iterator
+from itertools import combinations, permutations
 
 from gbspec.imports.computing import NotConstantError, value_of
 from gbspec.imports.description import Description, Event, Function
@@ -19,6 +19,7 @@ from gbspec.imports.formulas import (
     names,
     negated,
     number,
+    replaced,
     walk,
 )
 from gbspec.imports.sbml.book import Book, Happening, elements
@@ -26,6 +27,8 @@ from gbspec.imports.sbml.reading import Element
 from gbspec.imports.sbml.rounding import inlined
 from gbspec.imports.sbml.symbols import Starts, Symbols, described
 
+MOST_EVENTS = 500
+"""The number of events of a model; each pair of them is looked at."""
 _ORDERS = ("<", "<=", ">", ">=")
 _COMPARISONS = (*_ORDERS, "==")
 _SHARED = (
@@ -36,15 +39,19 @@ _SHARED = (
 
 def read_events(book: Book) -> None:
     """The events of a model in its book; what is not offered is refused."""
+    found = elements(book.model.getListOfEvents())
+    if len(found) > MOST_EVENTS:
+        book.report.refuse("listOfEvents", found[0].getLine(), f"more than {MOST_EVENTS} events are not offered")
+        return
     taken: set[str] = set()
-    for i, element in enumerate(elements(book.model.getListOfEvents()), 1):
+    for i, element in enumerate(found, 1):
         name = element.getId() or f"event_{i}"
         while not element.getId() and (book.model.getElementBySId(name) is not None or name in taken):
             name += "_"
         taken.add(name)
-        found = _happening(book, name, element)
-        if found is not None:
-            book.events.append(found)
+        made = _happening(book, name, element)
+        if made is not None:
+            book.events.append(made)
 
 
 def _happening(book: Book, name: str, element: Element) -> Happening | None:
@@ -228,9 +235,10 @@ def _check_start(
 
 
 def _known(out: Description) -> dict[str, float]:
-    """The constants and the starts of states that are numbers."""
+    """The constants and the starts of states that are numbers, and are neither learned nor given by a table."""
     known: dict[str, float] = {}
-    left = {one.id: one.value for one in (*out.constants, *out.states) if one.value is not None}
+    fixed = (one for one in (*out.constants, *out.states) if one.learn is None and not one.condition)
+    left = {one.id: one.value for one in fixed if one.value is not None}
     progress = True
     while progress:
         progress = False
@@ -249,18 +257,45 @@ def _refuse_shared(symbols: Symbols, out: Description) -> None:
     """SBML computes values when events are triggered, before others at that time; the language after them."""
     sources = {one.id: one for one in symbols.book.events}
     ordered = sorted(out.events, key=lambda event: -event.priority)
-    known = {one.id: one.value.value for one in out.constants if one.value is not None and one.value.head == "number"}
+    known = {name: value for name, value in _known(out).items() if name in symbols.constants}
+    strict = {one.id: [n for n in _strict(one.condition) if _moves(symbols, n)] for one in out.events}
+    reads = {one.id: set().union(*(_reached(symbols, v)[0] for _, v in one.values)) for one in out.events}
+    needs = {one.id: _reached(symbols, one.condition)[0] for one in out.events}
+    for first, second in permutations(out.events, 2):
+        if any(_touches(first, node, known) for node in strict[second.id]):
+            reason = "another event sets a quantity to its threshold, where its trigger is not true, which has no form"
+            _refusing(symbols, sources[second.id])(reason)
     targets = {state for event in out.events for state, _ in event.values}
     for first, second in combinations(ordered, 2):
-        if _never_together(first, second, symbols, known, targets):
+        source, changed = sources[second.id], {state for state, _ in first.values}
+        early = source.early and bool(changed & reads[second.id])
+        cancels = not source.persistent and bool(changed & needs[second.id])
+        if not (early or cancels) or _never_together(first, second, symbols, known, targets):
             continue
-        source = sources[second.id]
-        changed = {state for state, _ in first.values}
-        read = set().union(*(_reached(symbols, value)[0] for _, value in second.values))
-        if source.early and changed & read:
+        if early:
             _refusing(symbols, source)(_SHARED)
-        if not source.persistent and changed & _reached(symbols, second.condition)[0]:
+        if cancels:
             _refusing(symbols, source)("another event at the same time can cancel it, which has no form")
+
+
+def _strict(node: Formula, negative: bool = False) -> Iterator[Formula]:
+    """The comparisons of a condition that do not hold between equal numbers."""
+    if node.head in ("and", "or", "not"):
+        for part in node.parts:
+            yield from _strict(part, negative != (node.head == "not"))
+    elif node.head in (("<=", ">=") if negative else ("<", ">")):
+        yield node
+
+
+def _touches(event: Event, comparison: Formula, known: dict[str, float]) -> bool:
+    """Whether an event makes the sides of a comparison equal, as far as that can be computed."""
+    if not names(comparison) & dict(event.values).keys():
+        return False
+    try:
+        left, right = (value_of(replaced(part, dict(event.values)), known) for part in comparison.parts)
+    except NotConstantError:
+        return False
+    return left == right
 
 
 def _never_together(first: Event, second: Event, symbols: Symbols, known: dict[str, float], targets: set[str]) -> bool:
