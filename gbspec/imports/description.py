@@ -25,6 +25,7 @@ class Quantity:
     that is learned, after its value.
 
     `unit` is a text of the language. A constant that follows a table (`condition`) has its default as the value.
+    Only events change a state that is `discrete`.
     """
 
     id: str
@@ -33,6 +34,7 @@ class Quantity:
     unit: str | None = None
     learn: str | None = None
     condition: bool = False
+    discrete: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,18 @@ class Conversion:
     consumed: tuple[tuple[Formula, str], ...]
     produced: tuple[tuple[Formula, str], ...]
     rate: Formula
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happens when a condition becomes true: states and their values, computed from those before."""
+
+    id: str
+    condition: Formula
+    values: tuple[tuple[str, Formula], ...]
+    priority: float = 0.0
+    armed: bool = False
     description: str = ""
 
 
@@ -84,6 +98,7 @@ class Description:
     conversions: list[Conversion] = field(default_factory=list)
     balances: dict[str, Formula] = field(default_factory=dict)
     """The right side of each state with a balance, without `net`, which is added where it has conversions too."""
+    events: list[Event] = field(default_factory=list)
     channels: list[Channel] = field(default_factory=list)
 
 

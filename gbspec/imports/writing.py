@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from gbspec.imports.description import Channel, Conversion, Description, Quantity
-from gbspec.imports.formulas import ONE, Formula, names, text, walk
+from gbspec.imports.description import Channel, Conversion, Description, Event, Quantity
+from gbspec.imports.formulas import ONE, Formula, condition_text, names, number, text, walk
 from gbspec.syntax import REFUSED, is_name
 
 _WORDS = """
@@ -80,7 +80,8 @@ class _Writer:
             [self._let(q) for q in made.intermediates],
             [self._process(c) for c in made.conversions],
             [self._balance(name, value) for name, value in made.balances.items()],
-            [self._initial(q) for q in made.states if q.value is not None],
+            [self._initial(q) for q in made.states if q.value is not None and not q.discrete],
+            [self._event(e) for e in made.events],
             [self._channel(c) for c in made.channels],
         ]
         text = "\n\n".join("\n".join(lines) for lines in sections if lines) + "\n"
@@ -120,6 +121,9 @@ class _Writer:
         return f"function {self.spelled(name)}({', '.join(own.values())}) = {body}{self._said(description)}"
 
     def _state(self, one: Quantity) -> str:
+        if one.discrete and one.value is not None:
+            value = self._text(one.value)
+            return f"discrete {self.spelled(one.id)}{self._unit(one)} = {value}{self._said(one.description)}"
         return f"state {self.spelled(one.id)}{self._unit(one)}{self._said(one.description)}"
 
     def _let(self, one: Quantity) -> str:
@@ -153,6 +157,13 @@ class _Writer:
         assert one.value is not None
         return f"initial {self.spelled(one.id)} = {self._text(one.value)}"
 
+    def _event(self, one: Event) -> str:
+        condition = condition_text(one.condition, self.spelled, self.time)
+        priority = f" priority {self._text(number(one.priority))}" if one.priority else ""
+        armed = " armed" if one.armed else ""
+        values = ", ".join(f"{self.spelled(state)} = {self._text(value)}" for state, value in one.values)
+        return f"event {self.spelled(one.id)} when {condition}{priority}{armed}: {values}{self._said(one.description)}"
+
     def _channel(self, one: Channel) -> str:
         column = one.column + "_" * bool(_COLUMNS.match(one.column))
         self.columns[one.id] = column
@@ -171,7 +182,7 @@ class _Writer:
 
 
 def _declared(made: Description, channels: bool = True) -> Iterable[str]:
-    for part in (made.constants, made.states, made.intermediates, made.functions, made.conversions):
+    for part in (made.constants, made.states, made.intermediates, made.functions, made.conversions, made.events):
         yield from (one.id for one in part)
     if channels:
         yield from (one.id for one in made.channels)
@@ -212,3 +223,5 @@ def _formulas(made: Description) -> Iterable[Formula]:
         yield conversion.rate
         yield from (factor for factor, _ in (*conversion.consumed, *conversion.produced))
     yield from made.balances.values()
+    for event in made.events:
+        yield from (event.condition, *(value for _, value in event.values))

@@ -70,6 +70,20 @@ def rules(**rates: str) -> str:
     return f"<listOfRules>{each}</listOfRules>"
 
 
+def event(name: str, trigger: str, values: dict[str, str], inside: str = "", initial: str = "true") -> str:
+    """An event; events stand in `happening`."""
+    each = "".join(f'<eventAssignment variable="{k}">{math(v)}</eventAssignment>' for k, v in values.items())
+    return (
+        f'<event id="{name}" useValuesFromTriggerTime="true"><trigger initialValue="{initial}" persistent="true">'
+        f"{math(trigger)}</trigger>{inside}<listOfEventAssignments>{each}</listOfEventAssignments></event>"
+    )
+
+
+def happening(*events: str) -> str:
+    """The list of events."""
+    return f"<listOfEvents>{''.join(events)}</listOfEvents>"
+
+
 def stored(folder: Path, text: str, name: str = "made.xml") -> Path:
     """The file of a text."""
     (folder / name).write_text(text, encoding="utf-8")

@@ -31,6 +31,21 @@ class Reaction:
     element: Element
 
 
+@dataclass(frozen=True)
+class Happening:
+    """An event without a delay. `armed`: it happens at the start if its trigger is true there; `persistent`: another
+    event at the same time does not cancel it; `early`: its values are those before other events at the same time."""
+
+    id: str
+    condition: Formula
+    values: Mapping[str, Formula]
+    priority: float
+    armed: bool
+    persistent: bool
+    early: bool
+    element: Element
+
+
 @dataclass
 class Book:
     """A model's symbols: what rules and initial assignments say, the reactions, and the constants of kinetic laws."""
@@ -41,6 +56,7 @@ class Book:
     rates: dict[str, Formula] = field(default_factory=dict)
     starts: dict[str, Formula] = field(default_factory=dict)
     reactions: dict[str, Reaction] = field(default_factory=dict)
+    events: list[Happening] = field(default_factory=list)
     local: dict[str, tuple[Formula | None, Element]] = field(default_factory=dict)
     """The constants of kinetic laws, under names that the whole model can have."""
     references: dict[str, Element] = field(default_factory=dict)
@@ -65,6 +81,10 @@ class Book:
             terms = tuple(replace(term, factor=put(term.factor)) for term in reaction.terms)
             law = None if reaction.law is None else put(reaction.law)
             self.reactions[name] = replace(reaction, law=law, terms=terms)
+        self.events = [
+            replace(one, condition=put(one.condition), values={k: put(v) for k, v in one.values.items()})
+            for one in self.events
+        ]
 
     def formulas(self) -> Iterable[Formula]:
         """All formulas of the model, with those of kinetic laws."""
@@ -73,6 +93,12 @@ class Book:
             yield from (term.factor for term in reaction.terms)
             if reaction.law is not None:
                 yield reaction.law
+        for event in self.events:
+            yield from (event.condition, *event.values.values())
+
+    def targets(self) -> set[str]:
+        """What events set."""
+        return {name for event in self.events for name in event.values}
 
     def referenced(self) -> set[str]:
         """The names in formulas."""
@@ -107,8 +133,6 @@ def elements(found: Element) -> list[Element]:
 
 
 def _refuse(model: Element, report: Report) -> None:
-    for event in elements(model.getListOfEvents()):
-        report.refuse(f"event {event.getId()}".strip(), event.getLine(), "events are not offered yet")
     for constraint in elements(model.getListOfConstraints()):
         report.omit(
             "constraint", constraint.getLine(), "constraints are checked by simulators; they change no solution"

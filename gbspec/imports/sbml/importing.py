@@ -20,6 +20,7 @@ from gbspec.imports.formulas import (
     without_factor,
 )
 from gbspec.imports.sbml.book import Reaction, Term, elements, read_book
+from gbspec.imports.sbml.events import add_events, read_events
 from gbspec.imports.sbml.mathml import NotOfferedError, formula_of
 from gbspec.imports.sbml.reading import Element, omit_notes, read_model
 from gbspec.imports.sbml.rounding import inlined, to_inline, without_rounding
@@ -59,6 +60,7 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     """The description of libsbml's model; what cannot be expressed is refused in the report."""
     change = change or Change()
     book = read_book(model, report)
+    read_events(book)
     book.starts = {k: v for k, v in book.starts.items() if k not in change.constants and k not in change.assigned}
     book.starts.update(change.starts)
     book.assigned.update(change.assigned)
@@ -66,6 +68,8 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     inline = to_inline(functions)
     book.change(lambda formula: inlined(formula, inline))
     symbols = read_symbols(book)
+    for added in (change.constants.keys() | change.assigned.keys() | change.starts.keys()) & book.targets():
+        report.refuse(*symbols.place(added), "events change it, and the problem sets it, which is not offered yet")
     for added, quantity in change.constants.items():
         known = symbols.constants.get(added)
         symbols.constants[added] = quantity if known is None else replace(quantity, unit=known.unit)
@@ -79,6 +83,7 @@ def described_model(model: Element, report: Report, path: Path, change: Change |
     for state, rate in book.rates.items():
         out.balances[state] = rate
     _quantities(symbols, out)
+    add_events(symbols, out, {f.id: f for f in functions})
     out.channels = _channels(symbols) if change.channels is None else list(change.channels)
     _with_clock(out, report, model.getLine())
     without_rounding(out, report, symbols.place)
@@ -195,9 +200,10 @@ def _as_balances(symbols: Symbols, out: Description, reaction: Reaction, terms: 
 def _quantities(symbols: Symbols, out: Description) -> None:
     starts, needed = Starts(symbols), _needed(symbols, out)
     for one in symbols.states.values():
-        if not any(one.id == state for c in out.conversions for _, state in (*c.consumed, *c.produced)):
+        reacting = any(one.id == state for c in out.conversions for _, state in (*c.consumed, *c.produced))
+        if not one.discrete and not reacting:
             out.balances.setdefault(one.id, ZERO)  # it stands in reactions with the coefficient 0
-        value = None if one.value is None else starts.of(one.value, states=True)
+        value = None if one.value is None else starts.of(one.value, states=not one.discrete)
         if value is None:
             symbols.book.report.refuse(*symbols.lines[one.id], "it has no value at the start")
         out.states.append(replace(one, value=value))
@@ -243,9 +249,10 @@ def _channels(symbols: Symbols) -> list[Channel]:
 
 def _with_clock(out: Description, report: Report, line: int) -> None:
     """A model in which nothing has a balance gets a state: the language has no models without one."""
-    if out.states:
+    if any(not one.discrete for one in out.states):
         return
-    taken = used_names(out) | {q.id for q in (*out.constants, *out.intermediates)}
+    taken = used_names(out) | {q.id for q in (*out.constants, *out.intermediates, *out.states)}
+    taken |= {event.id for event in out.events}
     name = CLOCK
     while name in taken:
         name += "_"

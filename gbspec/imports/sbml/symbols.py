@@ -51,7 +51,7 @@ class Symbols:
 
     def fixed(self, compartment: str) -> bool:
         """Whether a compartment keeps its size."""
-        return compartment not in self.book.assigned and compartment not in self.book.rates
+        return not any(compartment in one for one in (self.book.assigned, self.book.rates, self.book.targets()))
 
 
 def read_symbols(book: Book) -> Symbols:
@@ -102,6 +102,8 @@ def _declare(out: Symbols, name: str, literal: Formula | None, description: str,
         out.starts[name] = book.assigned[name]
     elif name in book.rates:
         out.states[name] = Quantity(name, start, description, unit)
+    elif name in book.targets() and not out.reacts(name):
+        out.states[name] = Quantity(name, start, description, unit, discrete=True)
     else:
         out.constants[name] = Quantity(name, start, description, unit)
 
@@ -131,7 +133,9 @@ def _species(out: Symbols, species: Element) -> None:
     out.lines[amount] = out.lines[name]
     out.amounts[name] = amount
     said = f"amount of {description or name}"
-    (out.states if out.reacts(name) else out.constants)[amount] = Quantity(amount, whole, said)
+    discrete = name in book.targets() and not out.reacts(name)
+    changes = discrete or out.reacts(name)
+    (out.states if changes else out.constants)[amount] = Quantity(amount, whole, said, discrete=discrete)
     out.intermediates[name] = Quantity(
         name, named(amount) / named(compartment), description, species_unit(species, amount_only)
     )
@@ -184,7 +188,7 @@ class Starts:
 
     def _named(self, name: str, states: bool) -> Formula | None:
         symbols = self.symbols
-        if name in symbols.constants or (states and name in symbols.states):
+        if name in symbols.constants or (states and name in symbols.states and not symbols.states[name].discrete):
             return None
         reaction: Reaction | None = symbols.book.reactions.get(name)
         value = reaction.law if reaction is not None else symbols.starts.get(name)
