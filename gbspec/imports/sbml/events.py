@@ -127,7 +127,7 @@ def add_events(symbols: Symbols, out: Description, functions: dict[str, Function
                 continue
             compartment = symbols.book.model.getSpecies(name).getCompartment()
             if compartment in one.values:
-                refuse(f"it sets the concentration of `{name}` and its compartment, which is not offered yet")
+                refuse("it sets a concentration and its compartment, which is not offered yet")
             values.append((state, value * named(compartment)))
         symbols.lines[one.id] = (f"event {one.id}", one.element.getLine())
         out.events.append(Event(one.id, condition, tuple(values), one.priority, one.armed, described(one.element)))
