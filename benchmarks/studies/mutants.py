@@ -386,7 +386,7 @@ def _campaign(judge: Judge, waiting: Sequence[Mutant], path: Path, workers: int)
 
 
 def _again(judge: Judge, path: Path, tests: Sequence[str]) -> None:
-    """Judges survivors by other tests, in a new copy of the tree, and writes their rows anew."""
+    """Judges survivors by other tests, in a new copy of the tree, and replaces their rows."""
     place = path.parent.resolve() / "again"
     shutil.rmtree(place, ignore_errors=True)
     copied(place)
