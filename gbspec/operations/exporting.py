@@ -68,7 +68,6 @@ def export(
     if not source.model.states:
         raise UserError([_refused(form, source.model.name, "it has no states")])
     try:
-        assert subject.method  # before a trajectory is simulated
         made = chosen.make(subject, example(source, subject), options)
     except NotCoveredError as problem:
         raise UserError([_refused(form, source.model.name, str(problem))]) from None

@@ -21,7 +21,7 @@ _TIMES = {60.0: "min", 3600.0: "h", 86400.0: "day"}
 
 
 _LEVEL_2 = {"substance": "mol", "volume": "L", "area": "m^2", "length": "m", "time": "s"}
-"""The units of Level 2 that a model may define anew."""
+"""The units of Level 2 that a model may define again."""
 
 
 # libsbml derives units too, but ends the process for some malformed ones.

@@ -322,7 +322,7 @@ class _Planner:
         """Whether whole solutions are so far from the data that segments are needed to find them.
 
         Not with few noisy values: segments are fitted without a ridge, and would follow the noise. Yet they are all
-        that is left where intervals could not be fitted.
+        that is left where intervals could not be fitted, or where whole solutions are worse than the mean.
         """
         if StageName.TEACHER not in reached.marks:
             return True

@@ -50,5 +50,5 @@ def earlier(path: str | Path, model: Model, module: type[GeneratedModule]) -> Ea
 
 
 def _refused(path: str | Path, reason: str) -> UserError:
-    help = "`--start` takes a run of the same model, or of one with the same networks; without it the fit begins anew"
+    help = "`--start` takes a run of the same model, or of one with the same networks; without it no run is needed"
     return UserError([Diagnostic("GB867", f"a fit cannot start from `{path}`: {reason}", None, help=help)])
