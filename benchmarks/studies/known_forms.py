@@ -6,9 +6,9 @@
 Each model of `known_forms.toml` is simulated from its true constants with 2 % noise relative to each channel's standard
 deviation, a set for each seed. Every constant has bounds that are six decades apart and contain the truth at a random
 place in their four inner decades; the starting value is the default one. Each set is fitted with all defaults, and once
-more from the truth itself, by least squares alone. The best minimum is found if the loss of the first fit is at most
-that of the second, up to a part in a thousand. A row is added to OUT/sets.csv as soon as its set is done; the same
-command run again continues with the missing sets.
+more from the truth itself, by least squares alone, at the step that the first fit ended with. The best minimum is found
+if the loss of the first fit is at most that of the second, up to a part in a thousand. A row is added to OUT/sets.csv
+as soon as its set is done; the same command run again continues.
 """
 
 from __future__ import annotations
@@ -88,16 +88,25 @@ def one_set(name: str, seed: int) -> list[Row]:
         data = tables.simulate(models.reference(model), drawn)
         path.write_text(form.text({k: f"{bounds[k]} = {v!r}" for k, v in form.constants.items()}), encoding="utf-8")
         there = frontend.load_model(str(path), Findings())
-        least = TrainOptions(threads=1, stages="least squares; least squares, starts too", warm_start=False)
-        reference = fitting.fit(there, data, Path(place) / "reference", least).fit.members[0]
         began = time.process_time()
         try:
-            fit = fitting.fit(model, data, Path(place) / "run", TrainOptions(threads=1, seed=seed)).fit
-        except ComputationError as error:
-            print(f"{form.name} {seed}: {error.what}", flush=True)
+            run = fitting.fit(model, data, Path(place) / "run", TrainOptions(threads=1, seed=seed))
+        except ComputationError as failure:
+            print(f"{form.name} {seed}: {failure.what}", flush=True)
+            run = None
+        seconds = time.process_time() - began
+        # At the step that the fit ended with: a coarser one moves the least loss by its own error.
+        least = TrainOptions(
+            threads=1,
+            stages="least squares; least squares, starts too",
+            warm_start=False,
+            max_step=None if run is None else run.step(0),
+        )
+        reference = fitting.fit(there, data, Path(place) / "reference", least).fit.members[0]
+        if run is None:
             return [dict(zip(FIELDS, (form.name, seed, len(form.constants), math.nan, reference.loss or math.nan, 0, "",
                                       math.nan, 0), strict=True))]  # fmt: skip
-        seconds = time.process_time() - began
+        fit = run.fit
     loss, best = fit.members[0].loss or 0.0, reference.loss or 0.0
     search = next(stage.remark for stage in fit.members[0].stages if stage.name == "search") or ""
     error = max(abs(math.log10(fit.constants[k].value / v)) for k, v in form.constants.items())
