@@ -6,17 +6,22 @@
 Bundled models without one of their channels, and `hidden_tanks.gb`: 1,000 even rows (of one trajectory; of ten for the
 reactor, which is soon at rest), without noise and with 2 % of each channel's standard deviation, fitted with all
 defaults. `r2`: R² of whole solutions in the worst channel; `naive`: that of the best predictor that knows no model;
-`loss_noise`: loss over that of the noise alone (with noise); `fresh`: R² on two trajectories from other initial states
-and with other inputs, without noise, of which `validate` estimates the initial states; `reference`: the same of a fit
-of whole solutions to the same rows that starts at the truth (`--start` with a run that was fitted to exact rows of all
-states). A row is added to OUT/sets.csv as soon as its fit is done; the same command run again continues with the
-missing fits.
+`loss_noise`: loss over that of the noise alone (with noise); `rhs`: the error of the right-hand side along the rows'
+whole solutions, as the first and second rates of change of the measured states, which no transformation of unmeasured
+ones alters, relative to their deviations (the worst); `fresh`: R² on two trajectories from other initial states and
+with other inputs, without noise, of which `validate` estimates the initial states; `rhs_reference`, `reference`: the
+same of a fit of whole solutions to the same rows that starts at the truth (`--start` with a run that was fitted to
+exact rows of all states). A row is added to OUT/sets.csv as soon as its fit is done; the same command run again
+continues with the missing fits.
 """
 
 from __future__ import annotations
 
 import argparse
+import atexit
+import functools
 import math
+import shutil
 import statistics
 import tempfile
 import time
@@ -25,15 +30,31 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from .sets import Key, Row, Study, by_model
 
 if TYPE_CHECKING:
+    from gbspec.arrays import Array
+    from gbspec.backends import Evaluator
     from gbspec.data import Trajectories
     from gbspec.ir import Model
     from gbspec.runs import MemberRecord
     from gbspec.training import TrainOptions
 
-FIELDS = ("model", "noise", "seed", "r2", "naive", "loss_noise", "fresh", "reference", "seconds")
+FIELDS = (
+    "model",
+    "noise",
+    "seed",
+    "r2",
+    "naive",
+    "loss_noise",
+    "rhs",
+    "rhs_reference",
+    "fresh",
+    "reference",
+    "seconds",
+)
 ROWS, FRESH = 1000, 2
 NOISES = (0.0, 0.02)
 WHOLE = "autoregressive"
@@ -91,18 +112,17 @@ def one_fit(name: str, noise: float, seed: int) -> list[Row]:
         everything, model = (load_model(str(place / file), Findings()) for file in ("all.gb", "hidden.gb"))
         data = drawn(model, hidden, hidden.trajectories, noise, seed)
         fresh = drawn(model, hidden, FRESH, 0.0, seed + 100)
+        true = rates(everything, drawn(everything, hidden, hidden.trajectories, 0.0, seed), model)
         began = time.process_time()
-        member, found = fitted(model, data, fresh, place / "run", TrainOptions(threads=1, seed=seed))
+        member, *found = fitted(model, data, fresh, true, place / "run", TrainOptions(threads=1, seed=seed))
         seconds = time.process_time() - began
-        exact = drawn(everything, hidden, max(2, hidden.trajectories), 0.0, seed)
-        fitted(everything, exact, exact, place / "truth", TrainOptions(threads=1, seed=seed))
-        from_truth = TrainOptions(threads=1, seed=seed, start=str(place / "truth"), stages=WHOLE)
-        _, reference = fitted(model, data, fresh, place / "reference", from_truth)
+        from_truth = TrainOptions(threads=1, seed=seed, start=str(fit_of_all(name)), stages=WHOLE)
+        _, *reference = fitted(model, data, fresh, true, place / "reference", from_truth)
     channels = (member.channels or {}).values()
     own, naive = (min(value for value in values if value is not None)
                   for values in ([c.r2 for c in channels], [c.naive for c in channels]))  # fmt: skip
     share = (member.loss or 0.0) / (0.5 * noise**2) if noise else 0.0
-    values = (name, noise, seed, own, naive, share, found, reference, round(seconds))
+    values = (name, noise, seed, own, naive, share, found[0], reference[0], found[1], reference[1], round(seconds))
     return [dict(zip(FIELDS, values, strict=True))]
 
 
@@ -116,15 +136,59 @@ def drawn(model: Model, hidden: Hidden, count: int, noise: float, seed: int) -> 
     return tables.simulate(models.reference(model), options)
 
 
+@functools.cache
+def fit_of_all(name: str) -> Path:
+    """The directory of a run that was fitted to exact rows of all states, where others start."""
+    from gbspec.diagnostics import Findings
+    from gbspec.frontend import load_model
+    from gbspec.operations import fitting
+    from gbspec.training import TrainOptions
+
+    hidden, place = MODELS[name], Path(tempfile.mkdtemp(prefix="gbspec-hidden-"))
+    atexit.register(shutil.rmtree, place, ignore_errors=True)
+    (place / "all.gb").write_text(hidden.complete, encoding="utf-8")
+    model = load_model(str(place / "all.gb"), Findings())
+    data = drawn(model, hidden, max(2, hidden.trajectories), 0.0, 0)
+    fitting.fit(model, data, place / "truth", TrainOptions(threads=1))
+    return place / "truth"
+
+
 def fitted(
-    model: Model, data: Trajectories, fresh: Trajectories, place: Path, options: TrainOptions
-) -> tuple[MemberRecord, float]:
-    """A fit's member, and its R² on fresh trajectories in the worst channel."""
+    model: Model, data: Trajectories, fresh: Trajectories, true: Array, place: Path, options: TrainOptions
+) -> tuple[MemberRecord, float, float]:
+    """A fit's member, the error of its right-hand side, and its R² on fresh trajectories, of the worst channel."""
+    from gbspec.analysis import predictions
+    from gbspec.backends import Evaluator
     from gbspec.operations import analysing, fitting
 
     run = fitting.fit(model, data, place, options)
     (member,) = run.fit.members
-    return member, min(errors.r2 for errors in analysing.validate(run, fresh).channels.values())
+    evaluator = Evaluator(run.member(0))
+    solved = [one.states for one in predictions(evaluator, run.model, data, run.fit)]
+    off = rates_along(evaluator, data, solved, run.model) - true
+    error = float(np.max(np.sqrt(np.mean(off**2, axis=0)) / np.std(true, axis=0)))
+    return member, error, min(errors.r2 for errors in analysing.validate(run, fresh).channels.values())
+
+
+def rates(everything: Model, data: Trajectories, model: Model) -> Array:
+    """The true rates of change [R, 2 C] of the states that `model` measures, at exact rows of all states."""
+    from gbspec.analysis import truth_evaluator
+
+    places = [[channel.state for channel in everything.channels].index(i) for i in range(len(everything.states))]
+    return rates_along(truth_evaluator(everything), data, [item.values[:, places] for item in data.items], model)
+
+
+def rates_along(evaluator: Evaluator, data: Trajectories, states: Sequence[Array], model: Model) -> Array:
+    """First and second rates of change [R, 2 C] of the states that `model` measures, at trajectories' states [R, n]."""
+    from gbspec.analysis import input_values
+
+    measured = np.array([channel.state for channel in model.channels], dtype=np.intp)
+    found = []
+    for item, at in zip(data.items, states, strict=True):
+        inputs = input_values(model, item, item.times)
+        first = evaluator.rhs_many(item.times, at, item.condition, inputs)[:, measured]
+        found.append(np.hstack([first, np.gradient(first, item.times, axis=0)]))
+    return np.concatenate(found)
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -132,18 +196,23 @@ def table(rows: Sequence[Row]) -> str:
     lines = [
         "1,000 even rows, defaults, one member; the worst of the fits. `error / from truth`: the error on fresh",
         f"trajectories over that of a fit that starts at the truth, both at least {LEAST:g}: the median and the worst.",
+        "`rhs`: the worst error of the right-hand side along the rows' solutions; beside it, over that from the truth.",
         "",
-        "| model | noise | fits | R² | naive R² | loss / noise | fresh R² | error / from truth | CPU s a fit |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| model | noise | fits | R² | naive R² | loss / noise | rhs | rhs / from truth | fresh R² "
+        "| error / from truth | CPU s a fit |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for name, noise in dict.fromkeys((str(row["model"]), float(row["noise"])) for row in rows):
         own = [row for row in rows if (row["model"], float(row["noise"])) == (name, noise)]
         r2, fresh = (min(float(row[key]) for row in own) for key in ("r2", "fresh"))
         naive, share = (max(float(row[key]) for row in own) for key in ("naive", "loss_noise"))
         ratios = [_error(row["fresh"]) / _error(row["reference"]) for row in own]
+        along = [max(LEAST, float(row["rhs"])) / max(LEAST, float(row["rhs_reference"])) for row in own]
+        rhs = max(float(row["rhs"]) for row in own)
         seconds = sum(float(row["seconds"]) for row in own) / len(own)
         shown = f"{share:.3g}" if noise else "-"
-        lines.append(f"| {name} | {100 * noise:g} % | {len(own)} | {r2:.6f} | {naive:.3f} | {shown} | {fresh:.6f} | "
+        lines.append(f"| {name} | {100 * noise:g} % | {len(own)} | {r2:.6f} | {naive:.3f} | {shown} | {rhs:.2g} | "
+                     f"{statistics.median(along):.2f}, {max(along):.2f} | {fresh:.6f} | "
                      f"{statistics.median(ratios):.2f}, {max(ratios):.2f} | {seconds:.0f} |")  # fmt: skip
     return "\n".join(lines) + "\n"
 

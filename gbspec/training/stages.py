@@ -22,6 +22,7 @@ class StageName(StrEnum):
     TEACHER = "teacher forcing"
     STARTS_AGAIN = "initial states again"
     HALF_STEP = "half step"
+    WHOLE = "whole solutions"
     HORIZONS = "growing horizons"
     BLEND = "blend"
     WHOLE_STARTS = "initial states of whole solutions"
@@ -50,6 +51,7 @@ _MOST: Mapping[StageName, tuple[int, int, int]] = {
     StageName.IMPUTED: (4, 6, 10),
     StageName.TEACHER: (6, 60, 200),
     StageName.HALF_STEP: (0, 30, 100),
+    StageName.WHOLE: (0, 40, 100),
     StageName.BLEND: (4, 4, 10),
     StageName.AUTOREGRESSIVE: (8, 100, 200),
     StageName.AS_ASKED: (8, 14, 60),

@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gbspec.backends.module import load_module
 from gbspec.data import Trajectories, Trajectory
 from gbspec.training import TrainOptions, train
-from gbspec.training.recipe import step_fraction
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions
+from gbspec.training.recipe import finer, step_fraction
+from gbspec.training.recipe.context import build_context
+from gbspec.training.recipe.finer import FinerStep, step_shows
 from tests.training.conftest import Recorder, model_of
 
 ABSORPTION = """
@@ -104,3 +108,26 @@ def test_a_model_with_a_network_is_fitted_at_a_step_that_does_not_show(tmp_path:
 def test_the_step_of_a_network_that_was_given_stays(tmp_path: Path) -> None:
     run = train(model_of(HIDDEN), doses(), TrainOptions(workers=1, max_step=2.0), tmp_path / "run")
     assert "finer step" not in [stage.name for stage in run.fit.members[0].stages]
+
+
+def test_solutions_that_blow_up_at_half_the_step_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such a fit follows the data by the error of its steps; to pass it over would be to keep it."""
+    context = build_context(model_of(ABSORPTION), load_module(model_of(ABSORPTION)), SPARSE, TrainOptions(), 0)
+    parameters = context.parameters({})
+    now, half = (context.engine(parameters, 0.0, fraction) for fraction in (1.0, 0.5))
+    theta = np.zeros(parameters.size)
+    good = np.zeros(now.problem.seen.shape)
+    tables = {id(now): good, id(half): np.where(np.arange(len(good)) < len(good) - 1, 0.0, np.inf)[:, None]}
+    monkeypatch.setattr(finer, "residual_table", lambda engine, vector: tables[id(engine)])
+    assert step_shows(now, half, theta, constants=False)
+    tables[id(half)] = good
+    assert not step_shows(now, half, theta, constants=False)
+
+
+@pytest.mark.parametrize("solved", [True, False])
+def test_a_finer_step_that_cannot_be_solved_begins_elsewhere(solved: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(finer, "residual_vector", lambda engine, theta: np.array([0.0 if solved else np.inf]))
+    monkeypatch.setattr(LevenbergMarquardt, "begin", lambda self, theta: {"theta": theta})
+    of = LevenbergMarquardt("any", 1, lambda iteration: None, LevenbergOptions())  # type: ignore[arg-type, return-value]
+    begun = FinerStep(of, "largest step 1", lambda theta: theta + 1).begin(np.zeros(2))
+    assert np.array_equal(begun["theta"], np.zeros(2) if solved else np.ones(2))

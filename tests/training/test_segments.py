@@ -170,6 +170,20 @@ def test_a_drive_is_trained_with_default_options(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick_fits")
+def test_whole_solutions_are_fitted_to_exact_data_of_which_a_state_is_not_measured(tmp_path: Path) -> None:
+    hidden = train(model_of(DRIVE), drive_data(60), TrainOptions(workers=1, seed=1), tmp_path / "hidden")
+    losses = [float(row["loss"]) for row in hidden.history() if row["stage"] == StageName.WHOLE]
+    assert losses[-1] < 0.9 * losses[0]
+    data = drive_data(60)
+    (item,) = data.items
+    both = replace(item, **{name: np.hstack([getattr(item, name)] * 2) for name in ("values", "counts", "sd")})
+    both.values[:, 1] = np.gradient(both.values[:, 0], item.times)
+    measured = model_of(DRIVE + "observe v\n")
+    run = train(measured, Trajectories((both,), ("q", "v")), TrainOptions(workers=1, seed=1), tmp_path / "measured")
+    assert StageName.WHOLE not in [row["stage"] for row in run.history()]
+
+
+@pytest.mark.usefixtures("quick_fits")
 @pytest.mark.parametrize("segments_too", [False, True])
 def test_segments_are_tried_where_no_interval_can_be_fitted(
     segments_too: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("quick_fits")
 KNOWN = URP.replace("unknown phi(x1, x2, Da) by mlp(12, 12)", "let phi = Da*(1 - x1)*exp(x2)")
 
 
-@pytest.mark.parametrize("stage", ["imputed forcing", "half step", "blend", "autoregressive"])
+@pytest.mark.parametrize("stage", ["imputed forcing", "half step", "whole solutions", "blend", "autoregressive"])
 def test_a_stage_alone_runs_where_the_data_do_not_ask_for_it(stage: str, tmp_path: Path) -> None:
     recorder = Recorder()
     options = TrainOptions(stages=stage.replace(" ", "-"), epochs=5, max_step=0.1, workers=1)

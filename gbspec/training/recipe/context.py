@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -83,6 +83,10 @@ class Context:
         if self.adaptive:
             return {"max_step": self.options.max_step, "tolerance": self.tolerance(fraction)}
         return {"max_step": self.max_step * fraction}
+
+    def finer(self, fraction: float) -> Context:
+        """The same data at `fraction` of the largest step."""
+        return self if self.adaptive else replace(self, max_step=fraction * self.max_step, _packed={})
 
     def control(self, fraction: float = 1.0) -> Control | None:
         """The control of adaptive steps; None for fixed ones."""

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gbspec.arrays import Array
-from gbspec.training.engines import Engine, residual_table
-from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, State, moved
+from gbspec.training.engines import Engine, residual_table, residual_vector
+from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Stage, State, moved
 from gbspec.training.problem import Parameters, mean_loss, measured_only
-from gbspec.training.stages import Effort, StageName
+from gbspec.training.recipe.context import Context
+from gbspec.training.recipe.growing import GrowingHorizons
+from gbspec.training.recipe.planned import Planned, Reached, step_fraction
+from gbspec.training.stages import Effort, StageName, most_iterations
 
 HALVINGS: Mapping[Effort, int] = {"low": 3, "normal": 6, "high": 8}
 """How often the step may be halved where all forms are known."""
 NETWORK_HALVINGS: Mapping[Effort, int] = {"low": 2, "normal": 4, "high": 6}
 """How often it may be halved with networks, whose fits take longer."""
+STEADY = 1e-2
+"""Initial damping if an earlier stage has already come close to the minimum."""
 SHOWS, LEAST_ERROR = 0.1, 1e-5
 """A step's error shows where it moves a solution by more than this share of the noise, or a constant by more than this
 many of its standard deviations, and where it is larger than this fraction of a channel's scale."""
@@ -53,8 +58,10 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
     suspect = False
     for i in range(before.shape[1]):
         rows = seen[:, i]
-        if not (rows.any() and np.isfinite(after[rows, i]).all() and np.isfinite(before[rows, i]).all()):
+        if not (rows.any() and np.isfinite(before[rows, i]).all()):
             continue
+        if not np.isfinite(after[rows, i]).all():
+            return True  # solutions that only a coarse step keeps from blowing up
         change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
         if change <= least:
             continue
@@ -70,13 +77,54 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
 
 
 class FinerStep(LevenbergMarquardt):
-    """Levenberg-Marquardt with a finer step, which it shows."""
+    """Levenberg-Marquardt with a finer step, which it shows.
 
-    def __init__(self, of: LevenbergMarquardt, remark: str) -> None:
+    Where solutions blow up at this step, it begins from the vector that `elsewhere` finds.
+    """
+
+    def __init__(
+        self, of: LevenbergMarquardt, remark: str, elsewhere: Callable[[Array], Array] = lambda theta: theta
+    ) -> None:
         super().__init__(StageName.FINER.value, of.total, of.engine_at, of.options)
-        self.remark = remark
+        self.remark, self.elsewhere = remark, elsewhere
+
+    def begin(self, theta: Array) -> State:
+        """The state of the optimiser."""
+        solved = np.isfinite(residual_vector(self.engine_at(0), theta)).all()
+        return super().begin(theta if solved else self.elsewhere(theta))
 
     def step(self, state: State, iteration: int) -> Outcome:
         """One iteration, with the step in its remark."""
         outcome = super().step(state, iteration)
         return Outcome(outcome.state, outcome.loss, outcome.done, outcome.note, self.remark)
+
+
+def finer_step(context: Context, number: int, last: Callable[[Reached], LastFit | None], effort: Effort) -> Planned:
+    """Continues the last fit at half its step (adaptive: a tenth of its tolerance), where the error shows and the step
+    is not one that the user gave. `number` counts these stages."""
+    most = most_iterations(StageName.FINER, effort)
+
+    def make(reached: Reached) -> Stage:
+        found, fraction = last(reached), step_fraction(reached.begun) / 2
+        assert found is not None, "the stage has begun"
+        layout, blend = found.layout, found.blend
+        chosen = replace(found.options(reached.theta), damping=STEADY)
+        newton = LevenbergMarquardt(StageName.FINER, most, lambda i: context.engine(layout, blend, fraction, i), chosen)
+        rtol = context.tolerance(fraction)
+        said = f"largest step {fraction * context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
+        again = GrowingHorizons(context.finer(fraction), layout, [reached.theta], effort)
+        return FinerStep(newton, said, again.run) if layout.n_weights and again.horizons else FinerStep(newton, said)
+
+    def shows(reached: Reached) -> bool:
+        found = last(reached)
+        given = context.options.tolerance if context.adaptive else context.options.max_step
+        if given is not None or found is None:
+            return False
+        if list(reached.begun).count(StageName.FINER) != number - 1:
+            return False
+        size = step_fraction(reached.begun)
+        now, half = (context.engine(found.layout, found.seen, part) for part in (size, size / 2))
+        least = LEAST_ADAPTIVE if context.adaptive else LEAST_ERROR
+        return step_shows(now, half, reached.theta, found.constants, least)
+
+    return Planned(StageName.FINER, most, make, possible=shows)

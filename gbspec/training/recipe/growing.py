@@ -65,6 +65,16 @@ class GrowingHorizons:
             return Outcome(new, outcome.loss, False)
         return self._after_horizon(self._compared(new), horizon, outcome)
 
+    def run(self, theta: Array) -> Array:
+        """The vector at the end of all steps. Raises ComputationError if one of them is impossible."""
+        state = self.begin(theta)
+        for iteration in range(self.total):
+            outcome = self.step(state, iteration)
+            state = outcome.state
+            if outcome.done:
+                break
+        return state["theta"]
+
     def _compared(self, state: State) -> State:
         """The state with the better one of the present vector and the best one so far."""
         short, whole = self.losses(state["theta"])

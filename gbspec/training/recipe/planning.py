@@ -16,29 +16,17 @@ from gbspec.training.recipe import populations
 from gbspec.training.recipe.breeding import Breeding
 from gbspec.training.recipe.context import Context, released_starts
 from gbspec.training.recipe.disturbed import disturbed_stage
-from gbspec.training.recipe.finer import (
-    HALVINGS,
-    LEAST_ADAPTIVE,
-    LEAST_ERROR,
-    NETWORK_HALVINGS,
-    FinerStep,
-    LastFit,
-    step_shows,
-)
+from gbspec.training.recipe.finer import HALVINGS, NETWORK_HALVINGS, STEADY, LastFit, finer_step
 from gbspec.training.recipe.further import Further
 from gbspec.training.recipe.growing import ATTEMPTS, GrowingHorizons, short_loss
 from gbspec.training.recipe.planned import At, Decision, Planned, Reached, always, step_fraction
 from gbspec.training.recipe.segments import Segments, horizons
 from gbspec.training.recipe.stages import ChoiceOfFit, InitialStates, imputed_forcing
 from gbspec.training.recipe.weighing import REWEIGHTINGS, noise_table, reweighed
+from gbspec.training.recipe.whole import ENOUGH, whole_of_exact_data
 from gbspec.training.stages import Effort, StageName, most_iterations
 from gbspec.training.starts import PATIENCE, Search
 
-ENOUGH: Mapping[Effort, float] = {"low": 1e-6, "normal": 1e-9, "high": 1e-11}
-"""Mean loss below which teacher forcing needs no further iteration (1e-9: residuals of 0.005 % of the standard
-deviations)."""
-STEADY = 1e-2
-"""Initial damping if an earlier stage has already come close to the minimum."""
 LARGEST = 4 * 1024**3
 """Above this size of the Jacobian in bytes Adam on minibatches of trajectories replaces the second-order stages."""
 PASSES = 128
@@ -150,44 +138,15 @@ class _Planner:
             Planned(StageName.SEARCH, PATIENCE[self.options.effort].improved, make),
             self._newton(StageName.LEAST_SQUARES, self._at(blend), plain),
             self._newton(StageName.LEAST_SQUARES_STARTS, released, plain, believed),
-            *(self._finer(number, known) for number in range(1, HALVINGS[self.options.effort] + 1)),
+            *(
+                finer_step(context, number, known, self.effort)
+                for number in range(1, HALVINGS[self.options.effort] + 1)
+            ),
             *(self._weights(plain, blend == 0.0) for _ in range(REWEIGHTINGS)),
         ]
 
-    def _finer(self, number: int, last: Callable[[Reached], LastFit | None]) -> Planned:
-        """Continues the last fit at half its step (adaptive: a tenth of its tolerance), where the error shows and the
-        step is not one that the user gave."""
-        most = self._most(StageName.FINER)
-
-        def make(reached: Reached) -> Stage:
-            found, fraction = last(reached), step_fraction(reached.begun) / 2
-            assert found is not None, "the stage has begun"
-            chosen = replace(found.options(reached.theta), damping=STEADY)
-            newton = LevenbergMarquardt(StageName.FINER, most, self._at(found.blend, fraction, found.layout), chosen)
-            rtol = self.context.tolerance(fraction)
-            said = f"largest step {fraction * self.context.max_step:.3g}" if rtol is None else f"tolerance {rtol:.3g}"
-            return FinerStep(newton, said)
-
-        def shows(reached: Reached) -> bool:
-            found = last(reached)
-            given = self.options.tolerance if self.context.adaptive else self.options.max_step
-            if given is not None or found is None:
-                return False
-            if list(reached.begun).count(StageName.FINER) != number - 1:
-                return False
-            size = step_fraction(reached.begun)
-            now, half = (self.context.engine(found.layout, found.seen, part) for part in (size, size / 2))
-            least = LEAST_ADAPTIVE if self.context.adaptive else LEAST_ERROR
-            return step_shows(now, half, reached.theta, found.constants, least)
-
-        return Planned(StageName.FINER, most, make, possible=shows)
-
     def _weights(self, options: LevenbergOptions | Callable[[Array], LevenbergOptions], whole: bool = True) -> Planned:
         """Continues `whole` solutions with channels weighed by their noise."""
-
-        def layout(reached: Reached) -> Parameters:
-            moved = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
-            return self.released if moved else self.parameters
 
         def noisy(reached: Reached) -> bool:
             """Whether whole solutions were fitted to data that are not exact (known forms look at the residuals)."""
@@ -198,11 +157,13 @@ class _Planner:
             chosen = options if isinstance(options, LevenbergOptions) else options(reached.theta)
             return replace(chosen, damping=STEADY)
 
-        return reweighed(self.context, self._most(StageName.WEIGHTS), layout, settings, noisy)
+        return reweighed(self.context, self._most(StageName.WEIGHTS), self._layout, settings, noisy)
 
     def _last_of_networks(self, reached: Reached) -> LastFit | None:
         """The last fit of the weights: of whole solutions, or of intervals; None for a fit of segments."""
         marks = reached.marks
+        if StageName.WHOLE in marks:
+            return LastFit(self._layout(reached), 0.0, 0.0, self._to_rounding, self.values < FEW)
         if StageName.AS_ASKED in marks:
             return LastFit(self.parameters, self.blend, self.blend, self._regular, True)
         if StageName.AUTOREGRESSIVE in marks:
@@ -242,6 +203,7 @@ class _Planner:
             self._newton(StageName.AUTOREGRESSIVE, whole, self._regular, self._unfollowed, self._whole_limit()),
             *(self._weights(self._regular) for _ in range(REWEIGHTINGS)),
             Planned(StageName.CHOICE, 1, self._choice, possible=self._both_fits),
+            whole_of_exact_data(self.context, self._layout, self.effort, self._to_rounding, self._exact),
             *self._continued(),
         ]
 
@@ -249,7 +211,10 @@ class _Planner:
         """What follows the last fit of networks: finer steps, and at effort high further iterations and finer steps."""
 
         def finer(effort: Effort) -> list[Planned]:
-            return [self._finer(n, self._last_of_networks) for n in range(1, NETWORK_HALVINGS[effort] + 1)]
+            return [
+                finer_step(self.context, n, self._last_of_networks, self.effort)
+                for n in range(1, NETWORK_HALVINGS[effort] + 1)
+            ]
 
         def make(reached: Reached) -> Stage:
             found = self._last_of_networks(reached)
@@ -333,6 +298,15 @@ class _Planner:
         """Whether whole solutions have to be fitted: they do not follow the data, or the data are noisy."""
         return StageName.HORIZONS in reached.marks or self._noisy(reached) or self._whole_error(reached) > NOISE
 
+    def _exact(self, reached: Reached) -> bool:
+        """Whether neither intervals nor whole solutions show any noise."""
+        return not self._noisy(reached) and self._whole_error(reached) <= NOISE
+
+    def _layout(self, reached: Reached) -> Parameters:
+        """The layout of the last fit: with free initial states where whole solutions were fitted with these."""
+        moved = {StageName.AUTOREGRESSIVE, StageName.LEAST_SQUARES_STARTS} & set(reached.marks)
+        return self.released if moved else self.parameters
+
     def _clean(self, reached: Reached) -> bool:
         return self.options.half_step and StageName.HORIZONS not in reached.marks and not self._noisy(reached)
 
@@ -359,6 +333,10 @@ class _Planner:
     def _close(self, theta: Array) -> LevenbergOptions:
         """The same options, with the damping for a vector that an earlier stage has improved."""
         return replace(self._prior(theta), damping=STEADY, enough=self.enough)
+
+    def _to_rounding(self, theta: Array) -> LevenbergOptions:
+        """The same for whole solutions of exact data."""
+        return replace(self._close(theta), enough=ENOUGH["high"])
 
     def _above_step_error(self, theta: Array, residuals: Array) -> float:
         """The mean loss at which the whole step ends: a smaller loss would only fit the step's discretisation error."""

@@ -26,7 +26,7 @@ INTERVALS = frozenset(
     | {StageName.LEAST_SQUARES, StageName.LBFGS, StageName.LEVENBERG_MARQUARDT}
 )
 """Stages of which half the largest number of iterations is expected, each with a Jacobian at the forcing asked for."""
-WHOLE = frozenset({StageName.AUTOREGRESSIVE})
+WHOLE = frozenset({StageName.AUTOREGRESSIVE, StageName.WHOLE})
 """Stages of which a quarter of the iterations is expected, each with four whole solutions: as many as iterations."""
 
 clock: Callable[[], float] = time.perf_counter
