@@ -15,6 +15,7 @@ from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions
 from gbspec.training.recipe import finer, step_fraction
 from gbspec.training.recipe.context import build_context
 from gbspec.training.recipe.finer import FinerStep, step_shows
+from gbspec.training.runs.summary import only_at_its_step
 from tests.training.conftest import Recorder, model_of
 
 ABSORPTION = """
@@ -131,3 +132,29 @@ def test_a_finer_step_that_cannot_be_solved_begins_elsewhere(solved: bool, monke
     of = LevenbergMarquardt("any", 1, lambda iteration: None, LevenbergOptions())  # type: ignore[arg-type, return-value]
     begun = FinerStep(of, "largest step 1", lambda theta: theta + 1).begin(np.zeros(2))
     assert np.array_equal(begun["theta"], np.zeros(2) if solved else np.ones(2))
+
+
+BLOWS_UP = """
+model blows_up
+time t
+state x
+learn k = 2 in [0.1, 10]
+x' = k*exp(x)
+initial x = 0
+observe x
+"""
+
+
+@pytest.mark.parametrize("k", [0.5, 2.0])
+def test_a_solution_that_only_a_long_step_keeps_finite_is_told(k: float) -> None:
+    """x blows up at t = 1/k; one step of Runge and Kutta passes over that, two do not."""
+    t = np.array([0.0, 1.0])
+    item = Trajectory("1", 0.0, t, t[:, None], np.ones((2, 1)), np.full((2, 1), np.nan), np.zeros(0))
+    model = model_of(BLOWS_UP)
+    context = build_context(model, load_module(model), Trajectories((item,), ("x",)), TrainOptions(max_step=1.0), 0)
+    parameters = context.parameters({})
+    theta = parameters.vector({}, np.array([k]))
+    told = only_at_its_step(context, parameters, theta, 1.0, [])
+    assert bool(told) == (k == 2.0)
+    assert not only_at_its_step(context, parameters, theta, 1.0, ["1"])
+    assert all("half the solver's step (0.5) solutions of `1` blow up" in text for text in told)

@@ -111,7 +111,7 @@ def summarise(
         solution.initial.copy(),
         list(context.packed().labels),
         failed,
-        left=_left(model, solution),
+        left=[*_left(model, solution), *only_at_its_step(context, parameters, theta, fraction, failed)],
         own=own,
         own_sd=np.full(own.shape, np.nan),
         scales=None if context.estimated is None else context.scaled(context.estimated),
@@ -125,6 +125,27 @@ def _left(model: Model, solution: Moments) -> list[str]:
         told = states_far_outside(model, np.where(np.isfinite(values), values, np.nan))
         found += [(text.partition(":")[0], f"in the {what}, {text}") for text in told]
     return list(dict(reversed(found)).values())
+
+
+def only_at_its_step(
+    context: Context, parameters: Parameters, theta: Array, fraction: float, failed: Sequence[str]
+) -> list[str]:
+    """A sentence if solutions blow up at half the solver's step: such a fit uses the error of its steps.
+
+    Nothing is said of trajectories that `failed` at the step of the fit.
+    """
+    if context.adaptive or context.model.marginal or context.model.diffusions:
+        return []
+    problem = context.problem(0.0, fraction / 2)
+    blown = problem.seen & ~np.isfinite(predicted(context.engine(parameters, 0.0, fraction / 2), theta).mean)
+    labels = {problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]} - set(failed)
+    if not labels:
+        return []
+    listed = ", ".join(f"`{label}`" for label in sorted(labels)[:5]) + (", ..." if len(labels) > 5 else "")
+    return [
+        f"at half the solver's step ({context.max_step * fraction / 2:.3g}) solutions of {listed} blow up: the fit "
+        "follows the data by the error of its steps. Do not rely on it; fit again with a smaller `--max-step`"
+    ]
 
 
 def _channels(
