@@ -111,14 +111,15 @@ def test_the_step_of_a_network_that_was_given_stays(tmp_path: Path) -> None:
     assert "finer step" not in [stage.name for stage in run.fit.members[0].stages]
 
 
-def test_solutions_that_blow_up_at_half_the_step_show(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("end", [np.inf, 1e290])
+def test_solutions_that_blow_up_at_half_the_step_show(end: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Such a fit follows the data by the error of its steps; to pass it over would be to keep it."""
     context = build_context(model_of(ABSORPTION), load_module(model_of(ABSORPTION)), SPARSE, TrainOptions(), 0)
     parameters = context.parameters({})
     now, half = (context.engine(parameters, 0.0, fraction) for fraction in (1.0, 0.5))
     theta = np.zeros(parameters.size)
     good = np.zeros(now.problem.seen.shape)
-    tables = {id(now): good, id(half): np.where(np.arange(len(good)) < len(good) - 1, 0.0, np.inf)[:, None]}
+    tables = {id(now): good, id(half): np.where(np.arange(len(good)) < len(good) - 1, 0.0, end)[:, None]}
     monkeypatch.setattr(finer, "residual_table", lambda engine, vector: tables[id(engine)])
     assert step_shows(now, half, theta, constants=False)
     tables[id(half)] = good
@@ -157,4 +158,4 @@ def test_a_solution_that_only_a_long_step_keeps_finite_is_told(k: float) -> None
     told = only_at_its_step(context, parameters, theta, 1.0, [])
     assert bool(told) == (k == 2.0)
     assert not only_at_its_step(context, parameters, theta, 1.0, ["1"])
-    assert all("half the solver's step (0.5) solutions of `1` blow up" in text for text in told)
+    assert all("half the solver's step (0.5) solutions of `1` blow up or" in text for text in told)

@@ -22,6 +22,8 @@ NETWORK_HALVINGS: Mapping[Effort, int] = {"low": 2, "normal": 4, "high": 6}
 """How often it may be halved with networks, whose fits take longer."""
 STEADY = 1e-2
 """Initial damping if an earlier stage has already come close to the minimum."""
+APART = 10.0
+"""Solutions at half the step that are this many scales of a channel apart have nothing to do with each other."""
 SHOWS, LEAST_ERROR = 0.1, 1e-5
 """A step's error shows where it moves a solution by more than this share of the noise, or a constant by more than this
 many of its standard deviations, and where it is larger than this fraction of a channel's scale."""
@@ -62,7 +64,10 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
             continue
         if not np.isfinite(after[rows, i]).all():
             return True  # solutions that only a coarse step keeps from blowing up
-        change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
+        with np.errstate(over="ignore"):
+            change, noise = (np.sqrt(2 * mean_loss(r[rows, i])) for r in (before - after, after))
+        if not np.isfinite(noise):
+            return True
         if change <= least:
             continue
         if change > SHOWS * noise:
@@ -79,7 +84,7 @@ def step_shows(now: Engine, half: Engine, theta: Array, constants: bool, least: 
 class FinerStep(LevenbergMarquardt):
     """Levenberg-Marquardt with a finer step, which it shows.
 
-    Where solutions blow up at this step, it begins from the vector that `elsewhere` finds.
+    Where solutions blow up at this step, or are far from the data, it begins from the vector that `elsewhere` finds.
     """
 
     def __init__(
@@ -90,7 +95,7 @@ class FinerStep(LevenbergMarquardt):
 
     def begin(self, theta: Array) -> State:
         """The state of the optimiser."""
-        solved = np.isfinite(residual_vector(self.engine_at(0), theta)).all()
+        solved = (np.abs(residual_vector(self.engine_at(0), theta)) < APART).all()
         return super().begin(theta if solved else self.elsewhere(theta))
 
     def step(self, state: State, iteration: int) -> Outcome:

@@ -24,7 +24,7 @@ from gbspec.training.problem import (
     measured_only,
     residuals_of,
 )
-from gbspec.training.recipe import Context, held_out_solutions, step_fraction
+from gbspec.training.recipe import APART, Context, held_out_solutions, step_fraction
 from gbspec.training.stages import StageName
 
 
@@ -136,15 +136,19 @@ def only_at_its_step(
     """
     if context.adaptive or context.model.marginal or context.model.diffusions:
         return []
-    problem = context.problem(0.0, fraction / 2)
-    blown = problem.seen & ~np.isfinite(predicted(context.engine(parameters, 0.0, fraction / 2), theta).mean)
+    now, half = (context.engine(parameters, 0.0, part) for part in (fraction, fraction / 2))
+    problem = half.problem
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart = np.abs(residual_table(half, theta) - residual_table(now, theta))
+    blown = problem.seen & ~(apart < APART)
     labels = {problem.packed.labels[i] for i in problem.packed.row_trajectory[blown.any(axis=1)]} - set(failed)
     if not labels:
         return []
     listed = ", ".join(f"`{label}`" for label in sorted(labels)[:5]) + (", ..." if len(labels) > 5 else "")
     return [
-        f"at half the solver's step ({context.max_step * fraction / 2:.3g}) solutions of {listed} blow up: the fit "
-        "follows the data by the error of its steps. Do not rely on it; fit again with a smaller `--max-step`"
+        f"at half the solver's step ({context.max_step * fraction / 2:.3g}) solutions of {listed} blow up or are far "
+        "from the data: the fit follows them by the error of its steps. Do not rely on it; fit again with a smaller "
+        "`--max-step`"
     ]
 
 
