@@ -1,5 +1,11 @@
 from . import model as model
 from .affinity import is_affine as is_affine
+from .algebra import Algebraic as Algebraic
+from .algebra import Equation as Equation
+from .algebra import EquationBlock as EquationBlock
+from .algebra import right_sides as right_sides
+from .algebra import unknowns_in_equations as unknowns_in_equations
+from .algebra import used_by_balances as used_by_balances
 from .arrays import Element as Element
 from .arrays import Family as Family
 from .arrays import StateArray as StateArray
@@ -58,6 +64,7 @@ from .model import Dose as Dose
 from .model import Expr as Expr
 from .model import Initial as Initial
 from .model import Input as Input
+from .model import Intermediate as Intermediate
 from .model import Learnable as Learnable
 from .model import Model as Model
 from .model import Network as Network

@@ -18,6 +18,7 @@ from typing import Literal, TypeAlias
 import sympy
 
 from gbspec.diagnostics import Span
+from gbspec.ir.algebra import Algebraic, Equation, EquationBlock
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event
@@ -348,6 +349,9 @@ class Model:
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
     events: tuple[Event, ...] = ()  # in the order in which they happen at one time
+    algebraics: tuple[Algebraic, ...] = ()  # in the order of the blocks, without those that are intermediates
+    constraints: tuple[Equation, ...] = ()
+    blocks: tuple[EquationBlock, ...] = ()
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()

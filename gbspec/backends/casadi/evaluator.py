@@ -108,6 +108,15 @@ class Evaluator:
         """Channels [N, n_channels]; arguments as for `rhs_many`."""
         return self._many("observe", self.observe, self._points(t, x, condition, inputs, constants))
 
+    def algebraics_many(self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = ()) -> Array:
+        """Algebraic variables [N, n]; arguments as for `rhs_many`."""
+        columns = self._points(t, x, condition, inputs, None)[:-1]
+        count = max(len(column) for column in columns)
+        time, state, known, given = (np.broadcast_to(column, (count, column.shape[1])) for column in columns)
+        m, networks = self.instance.arithmetic("numpy"), self.instance.numpy_networks()
+        found = self.instance.equations.algebraic(m, time[:, 0], state, known, given, self._tuple(None), networks)
+        return np.asarray(found, dtype=np.float64)
+
     def functions_many(self, name: str, arguments: ArrayLike, constants: ArrayLike | None = None) -> Array:
         """Values [N] of an unknown at arguments [N, n_arguments]."""
         table = np.atleast_2d(np.asarray(arguments, dtype=np.float64))

@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import attributes, equations, events, stepping
+from gbspec.backends.module import algebraic, attributes, equations, events, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -23,8 +23,8 @@ def generate(model: Model, method: Method = RK4) -> str:
     """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
     training runs."""
     name = class_name(model)
-    more = ("lookups",) if model.tables else ()
-    text = template(*more, events=bool(model.events))
+    parts = {"events": model.events, "lookups": model.tables, "algebraic": model.algebraics}
+    text = template(*(part for part, needed in parts.items() if needed))
     return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
@@ -47,6 +47,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.doses_method(model),
         *equations.diffusions_method(model),
         *events.methods(model),
+        *algebraic.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]
