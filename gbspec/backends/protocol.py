@@ -100,9 +100,9 @@ class Equations(Protocol):
         """The state after each event."""
 
     @property
-    def blocks(self) -> Sequence[tuple[str, tuple[str, ...], tuple[tuple[str, float, float, float], ...]]]:
-        """The blocks of algebraic equations, in models that have any: the method of their residuals, the names of the
-        equations, and name, start and range of each variable."""
+    def blocks(self) -> Sequence[tuple[Value, ...]]:
+        """The blocks of algebraic equations, in models that have any: the method of their residuals, that of their
+        derivatives, the names of the equations, and name, start and range of each variable."""
 
     def algebraic(
         self,

@@ -3,9 +3,6 @@ from .affinity import is_affine as is_affine
 from .algebra import Algebraic as Algebraic
 from .algebra import Equation as Equation
 from .algebra import EquationBlock as EquationBlock
-from .algebra import right_sides as right_sides
-from .algebra import unknowns_in_equations as unknowns_in_equations
-from .algebra import used_by_balances as used_by_balances
 from .arrays import Element as Element
 from .arrays import Family as Family
 from .arrays import StateArray as StateArray
@@ -24,6 +21,10 @@ from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
+from .evaluated import named as named
+from .evaluated import right_sides as right_sides
+from .evaluated import unknowns_in_equations as unknowns_in_equations
+from .evaluated import used_by_balances as used_by_balances
 from .events import Event as Event
 from .events import Timing as Timing
 from .forms import Block as Block

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from sympy.core.numbers import Float
 from sympy.printing.str import StrPrinter
 
-from gbspec.ir.algebra import Algebraic, EquationBlock
+from gbspec.ir.algebra import EquationBlock
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event, Timing
@@ -240,11 +240,11 @@ def _quoted(text: str) -> str:
     return f' "{text}"' if text else ""
 
 
-def _unit(item: Declared | Algebraic) -> str:
+def _unit(item: Declared) -> str:
     return f" : {item.unit}" if item.unit else ""
 
 
-def _head(item: Declared | Algebraic) -> str:
+def _head(item: Declared) -> str:
     return f"{item.name}{_unit(item)}"
 
 

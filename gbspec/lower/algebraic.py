@@ -21,8 +21,8 @@ def lowered(model: Model, checked: Checked, expression: Lower) -> Model:
         constraints=tuple(
             Equation(
                 target_name(s.target).text,
-                expression(s.left),
-                expression(s.right),
+                left=expression(s.left),
+                right=expression(s.right),
                 description=string(s.description),
                 span=s.span,
             )

@@ -129,7 +129,8 @@ def _boxes(model: Model, network: Network) -> tuple[Box, Box]:
     constants: dict[sympy.Symbol, Interval] = {c.symbol: Interval(c.value, c.value) for c in model.constants}
     # Training keeps a learnable strictly inside its bounds.
     constants |= {k.symbol: of_range(k.range, strict=True) for k in model.learnables}
-    named: dict[str, Range | None] = {item.name: item.range for item in (*model.states, *model.algebraics)}
+    named: dict[str, Range | None] = {item.name: item.range for item in model.states}
+    named |= {item.name: item.range for item in model.algebraics}
     named |= {item.name: item.range for item in model.conditions} | {item.name: item.range for item in model.inputs}
     formals = {a.symbol: of_range(a.range or named.get(a.name)) for a in network.arguments}
     return {s: i for s, i in constants.items() if s not in formals}, formals

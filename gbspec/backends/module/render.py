@@ -75,6 +75,7 @@ def _module_document(model: Model, method: Method) -> str:
     learned = {learnable.name for learnable in model.learnables}
     sections: list[tuple[str, Iterable[Declared]]] = [
         ("States", model.states),
+        ("Algebraic", model.algebraics),
         ("Conditions", model.conditions),
         ("Inputs", model.inputs),
         ("Constants", (*model.constants, *model.learnables)),
@@ -133,6 +134,7 @@ def _class_document(model: Model) -> str:
     )
     for vector, form in vectors:
         lines += [form.format(printer.print(left), printer.print(right)) for left, right in model.equations(vector)]
+    lines += [f"{e.name}: {printer.print(e.left)} = {printer.print(e.right)}" for e in model.constraints]
     postulated = [unknown for unknown in model.unknowns if unknown.postulate != NN]
     lines += [f"{unknown.name} = {printer.print(unknown.postulate)}" for unknown in postulated]
     return "\n".join([*lines, "", *_shapes(model)])

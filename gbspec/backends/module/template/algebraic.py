@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from gbspec.backends.module.template.arithmetic import _numpy_arithmetic
+
 # <body>
 # ---------------------------------------------------------------------- algebraic variables
-# `equations.blocks` has for each block of equations the method that gives its residuals, the names of its equations,
-# and name, start, lower and upper end of each of its variables. Newton's method finds them from their starts, damped
-# so that residuals fall and nothing leaves the range. The solution is found without derivatives; corrections with its
+# `equations.blocks` has for each block of equations the method that gives its residuals, that which gives their
+# derivatives as well (empty with unknown functions in them), the names of its equations, and name, start, lower and
+# upper end of each of its variables. Newton's method finds them from their starts, damped so that residuals fall and
+# nothing leaves the range. The solution is found without derivatives; corrections with its
 # Jacobian as a constant, of which each adds an order, then give it those of the implicit function, and round it off.
 
 _TICKS = 200  # most evaluations of a block's residuals and their derivatives
@@ -23,30 +26,33 @@ _INSIDE = 0.9  # of the way to an end of the range
 def _solved(equations: Any, math: Any, given: Any) -> Any:
     """The algebraic variables in the order of the blocks, NaN where there is no solution; `given`: time, state,
     condition, inputs, constants and networks."""
-    library, found = type(given[1]).__module__.split(".")[0], ()
-    root = {"torch": _torch_root, "casadi": _casadi_root}.get(library, _numpy_root)
-    for method, _, variables in equations.blocks:
-        found = (*found, *math.unpack(root(getattr(equations, method), math, given, found, variables)))
+    found: tuple[Any, ...] = ()
+    for block in equations.blocks:
+        found = (*found, *math.unpack(_root(given[1])(equations, block, math, given, found)))
     return math.pack(given[1], found)
+
+
+def _root(state: Any) -> Any:
+    """The function that solves for a block's variables in the library of a state."""
+    library = type(state).__module__.split(".")[0]
+    return {"torch": _torch_root, "casadi": _casadi_root}.get(library, _numpy_root)
 
 
 def _unsolved(equations: Any, math: Any, given: Any) -> str:
     """Which equations have no solution at a single point, and the residuals where the search ended; numpy or torch."""
-    root = _torch_root if type(given[1]).__module__.split(".")[0] == "torch" else _numpy_root
     found: tuple[Any, ...] = ()
-    for method, names, variables in equations.blocks:
-        residual = getattr(equations, method)
-        solved = root(residual, math, given, found, variables)
-        if np.isfinite(np.asarray(solved.tolist(), dtype=np.float64)).all():
+    for block in equations.blocks:
+        method, _, names, variables = block
+        solved = _root(given[1])(equations, block, math, given, found)
+        if all(abs(value) < np.inf for value in solved.tolist()):
             found = (*found, *math.unpack(solved))
             continue
-        last = root(residual, math, given, found, variables, True)
-        left = residual(math, *given, (*found, *math.unpack(last))).tolist()
+        last = _root(given[1])(equations, block, math, given, found, True)
+        left = getattr(equations, method)(math, *given, (*found, *math.unpack(last))).tolist()
         ends = ", ".join(f"`{v[0]}` = {z:.6g}" for v, z in zip(variables, last.tolist(), strict=True))
         which = ", ".join(f"`{name}` (residual {r:.3g})" for name, r in zip(names, left, strict=True))
-        return (
-            f"no solution of the equation{'s' if len(names) > 1 else ''} {which} was found: the search ended at {ends}"
-        )
+        word = "equations" if len(names) > 1 else "equation"
+        return f"no solution of the {word} {which} was found: the search ended at {ends}"
     return ""
 
 
@@ -85,41 +91,69 @@ def _newton(lib: Any, linear: Callable[[Any], Any], divide: Callable[[Any, Any],
     return lib.where(done[..., None], z, np.nan + 0.0 * z), slopes, z
 
 
-def _torch_root(residual: Any, math: Any, given: Any, known: Any, variables: Any, last: bool = False) -> Any:
+def _torch_root(equations: Any, block: Any, math: Any, given: Any, known: Any, last: bool = False) -> Any:
     """A block's variables [..., n]; with `last` the points at which the search ended."""
+    import torch
+
+    residual, state = getattr(equations, block[0]), given[1]
+    found, slopes, point = (_torch_search if not block[1] else _numpy_search_of)(equations, block, math, given, known)
+    if last or not torch.is_grad_enabled():
+        return point if last else found
+    for _ in range(2):
+        found = found - _torch_divided(slopes, residual(math, *given, (*known, *found.unbind(-1))))
+    return found.to(state.dtype)
+
+
+def _torch_divided(slopes: Any, g: Any) -> Any:
+    import torch
+
+    return g / slopes[..., 0] if g.shape[-1] == 1 else torch.linalg.solve_ex(slopes, g.unsqueeze(-1))[0].squeeze(-1)
+
+
+def _torch_search(equations: Any, block: Any, math: Any, given: Any, known: Any) -> Any:
+    """As from `_newton`, with derivatives by torch; for equations with unknown functions."""
     import torch
     from torch import Tensor
 
     t, state, condition, inputs, constants, networks = given
+    residual = getattr(equations, block[0])
     # What records the calls of networks has to see those of the corrections alone.
     quiet = tuple(getattr(network, "quiet", network) for network in networks)
-    start, low, high = (state.new_tensor([v[i] for v in variables]) for i in range(1, 4))
+    start, low, high = (state.new_tensor([v[i] for v in block[3]]) for i in range(1, 4))
     fixed = tuple(k.detach() if isinstance(k, Tensor) else k for k in constants)
     fixed_known = tuple(value.detach() for value in known)
+
+    def left(z: Any) -> Any:
+        return residual(math, t, state.detach(), condition, inputs, fixed, quiet, (*fixed_known, *z.unbind(-1)))
 
     def linear(z: Any) -> Any:
         with torch.enable_grad(), torch.autograd.graph.saved_tensors_hooks(lambda x: x, lambda x: x):
             at = z.detach().requires_grad_()
-            g = residual(math, t, state.detach(), condition, inputs, fixed, quiet, (*fixed_known, *at.unbind(-1)))
-            g = g + 0.0 * at  # which depends on the variables even where the residuals do not
+            g = left(at) + 0.0 * at  # which depends on the variables even where the residuals do not
             rows = [torch.autograd.grad(row.sum(), at, retain_graph=True)[0] for row in g.unbind(-1)]
         return g.detach(), torch.stack(rows, -2)
 
-    def divide(slopes: Any, g: Any) -> Any:
-        if g.shape[-1] == 1:
-            return g / slopes[..., 0]
-        return torch.linalg.solve_ex(slopes, g.unsqueeze(-1))[0].squeeze(-1)
-
     with torch.no_grad():
-        first = start.expand(*state.shape[:-1], -1).unbind(-1)
-        shape = residual(math, t, state, condition, inputs, constants, quiet, (*known, *first))
+        shape = left(start.expand(*state.shape[:-1], -1)).shape
         ends = (low, high, _sizes(low, high, start))
-        found, slopes, point = _newton(torch, linear, divide, start.expand(shape.shape), ends)
-    if last:
-        return point
-    for _ in range(2):
-        found = found - divide(slopes, residual(math, *given, (*known, *found.unbind(-1))))
-    return found
+        found, slopes, point = _newton(torch, linear, _torch_divided, start.expand(shape), ends)
+        for _ in range(2):
+            found = found - _torch_divided(slopes, left(found))
+    return found, slopes, point
+
+
+def _numpy_search_of(equations: Any, block: Any, math: Any, given: Any, known: Any) -> Any:
+    """The search over arrays, several times as fast as that over tensors; its result as tensors."""
+    import torch
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(plain, value))
+        return value.detach().cpu().double().numpy() if isinstance(value, torch.Tensor) else value
+
+    found = _numpy_search(equations, block, _numpy_arithmetic(), (*map(plain, given[:5]), ()), plain(known))
+    state = given[1]
+    return tuple(torch.as_tensor(part, dtype=state.dtype, device=state.device) for part in found)
 
 
 def _sizes(low: Any, high: Any, start: Any) -> Any:
@@ -131,46 +165,63 @@ def _sizes(low: Any, high: Any, start: Any) -> Any:
     return sizes
 
 
-def _numpy_root(residual: Any, math: Any, given: Any, known: Any, variables: Any, last: bool = False) -> Any:
+def _numpy_root(equations: Any, block: Any, math: Any, given: Any, known: Any, last: bool = False) -> Any:
     """A block's variables [..., n]; with `last` the points at which the search ended."""
+    found, slopes, point = _numpy_search(equations, block, math, given, known)
+    if last:
+        return point
+    with np.errstate(all="ignore"):  # what records the calls of networks sees this one
+        left = getattr(equations, block[0])(math, *given, (*known, *np.moveaxis(found, -1, 0)))
+        return found - _numpy_divided(slopes, left)
+
+
+def _numpy_divided(slopes: Any, g: Any) -> Any:
+    if g.shape[-1] == 1:
+        return g / slopes[..., 0]
+    try:
+        return np.linalg.solve(slopes, g[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        singular = ~(np.abs(np.linalg.det(slopes)) > 0)[..., None]
+        matrix = np.where(singular[..., None], np.eye(g.shape[-1]), slopes)
+        return np.where(singular, np.nan, np.linalg.solve(matrix, g[..., None])[..., 0])
+
+
+def _numpy_search(equations: Any, block: Any, math: Any, given: Any, known: Any) -> Any:
+    """As from `_newton`; derivatives of equations with unknown functions by differences."""
     *rest, networks = given
+    method, derived, _, variables = block
     quiet = tuple(getattr(network, "quiet", network) for network in networks)
     start, low, high = (np.array([v[i] for v in variables]) for i in range(1, 4))
-    sizes = _sizes(low, high, start)
+    sizes, n = _sizes(low, high, start), len(variables)
 
-    def at(z: Any) -> Any:
-        return residual(math, *rest, quiet, (*known, *np.moveaxis(z, -1, 0)))
+    def left(z: Any) -> Any:
+        return getattr(equations, method)(math, *rest, quiet, (*known, *np.moveaxis(z, -1, 0)))
 
     def linear(z: Any) -> Any:
-        change = 6e-6 * np.maximum(np.abs(z), 1e-3 * sizes)[..., None] * np.eye(len(start))  # a row for each variable
-        columns = [
-            (at(z + change[..., i, :]) - at(z - change[..., i, :])) / (2 * change[..., i, i, None])
-            for i in range(len(start))
-        ]
-        return at(z), np.stack(columns, -1)
-
-    def divide(slopes: Any, g: Any) -> Any:
-        if g.shape[-1] == 1:
-            return g / slopes[..., 0]
-        try:
-            return np.linalg.solve(slopes, g[..., None])[..., 0]
-        except np.linalg.LinAlgError:
-            return np.full(g.shape, np.nan)
+        if derived:
+            g, slopes = getattr(equations, derived)(math, *rest, quiet, (*known, *np.moveaxis(z, -1, 0)))
+            return g, slopes.reshape(*slopes.shape[:-1], n, n)
+        change = 6e-6 * np.maximum(np.abs(z), 1e-3 * sizes)[..., None] * np.eye(n)  # a row for each variable
+        sides = [(left(z + change[..., i, :]), left(z - change[..., i, :])) for i in range(n)]
+        columns = [(a - b) / (2 * change[..., i, i, None]) for i, (a, b) in enumerate(sides)]
+        return left(z), np.stack(columns, -1)
 
     with np.errstate(all="ignore"):
-        shape = at(np.broadcast_to(start, (*np.shape(given[1])[:-1], len(start)))).shape
-        found, slopes, point = _newton(np, linear, divide, np.broadcast_to(start, shape) + 0.0, (low, high, sizes))
-        if last:
-            return point
-        found = found - divide(slopes, residual(math, *given, (*known, *np.moveaxis(found, -1, 0))))
-        return found - divide(slopes, at(found))
+        shape = left(np.broadcast_to(start, (*np.shape(given[1])[:-1], n))).shape
+        found, slopes, point = _newton(
+            np, linear, _numpy_divided, np.broadcast_to(start, shape) + 0.0, (low, high, sizes)
+        )
+        for _ in range(2):
+            found = found - _numpy_divided(slopes, left(found))
+    return found, slopes, point
 
 
-def _casadi_root(residual: Any, math: Any, given: Any, known: Any, variables: Any) -> Any:
+def _casadi_root(equations: Any, block: Any, math: Any, given: Any, known: Any) -> Any:
     """A block's variables, a column, with derivatives up to the third order."""
     import casadi as ca
 
     *rest, networks = given
+    residual, variables = getattr(equations, block[0]), block[3]
     parts = [ca.vertcat(*part) if isinstance(part, tuple) else part for part in (*rest, known)]
     values = [ca.MX(part) for part in parts]
     inner = [ca.MX.sym(f"p{i}", *part.shape) for i, part in enumerate(values)]
