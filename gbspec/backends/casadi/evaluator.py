@@ -240,7 +240,22 @@ class Evaluator:
 
     @cached_property
     def _integrator(self) -> Integrator:
-        return Integrator(self.rhs, tuple(self.instance.states))
+        solves = hasattr(self.instance.equations, "blocks")
+        return Integrator(self.rhs, tuple(self.instance.states), self._unsolved if solves else None)
+
+    def _unsolved(self, t: float, x: Array, inputs: Array, problem: InitialValueProblem) -> str:
+        """Which algebraic equations have no solution at a state or shortly after it, in words; empty for none."""
+        m, networks = self.instance.arithmetic("numpy"), self.instance.numpy_networks()
+        constants = self._tuple(problem.constants)
+        slope = np.array(self.rhs(t, x, problem.condition, inputs, problem.constants)).ravel()
+        steepest = float(np.abs(slope).max(initial=0.0))
+        reach = float(problem.scales.max()) / steepest if 0.0 < steepest < np.inf else 0.0
+        for share in (0.0, 1e-6, 1e-4, 1e-2):
+            at = x + share * reach * slope if share else x
+            given = (t, at, problem.condition, inputs, constants, networks)
+            if text := self.instance.equations.unsolved(m, *given):
+                return text
+        return ""
 
     @property
     def has_events(self) -> bool:

@@ -228,6 +228,7 @@ def _casadi_root(equations: Any, block: Any, math: Any, given: Any, known: Any) 
     z = ca.MX.sym("z", len(variables))
     left = residual(math, *inner[:4], math.unpack(inner[4]), networks, (*math.unpack(inner[5]), *math.unpack(z)))
     both = ca.Function("both", [z, *inner], [ca.densify(left), ca.densify(ca.jacobian(left, z))])
+    both = both.expand() if block[1] else both  # without products of matrices several times as fast
     search = _casadi_search(both, inner, variables)
     found, slopes = search(*values)
     for _ in range(3):
@@ -271,6 +272,7 @@ def _casadi_search(both: Any, inner: Any, variables: Any) -> Any:
     better = ca.mmax(ca.fabs(g) * weights) <= (1.0 - _ENOUGH * size) * merit
     shorter = ca.vertcat(z, step, weights, merit, 0.5 * size, ca.if_else(0.5 * size >= _SHORTEST, 0.0, -1.0))
     going = ca.Function("going", [state, *inner], [ca.if_else(better, accepted(trial, g, slopes), shorter)])
+    going = going.expand() if both.is_a("SXFunction") else going
     resting = ca.Function("resting", [state, *inner], [state])
     tick = ca.Function.if_else("tick", going, resting)
     now = accepted(start, *both(start, *inner))
