@@ -250,7 +250,7 @@ class Evaluator:
         slope = np.array(self.rhs(t, x, problem.condition, inputs, problem.constants)).ravel()
         steepest = float(np.abs(slope).max(initial=0.0))
         reach = float(problem.scales.max()) / steepest if 0.0 < steepest < np.inf else 0.0
-        for share in (0.0, 1e-6, 1e-4, 1e-2):
+        for share in (0.0, 1e-4, 1e-2, 0.1, 0.3, 1.0, 3.0):
             at = x + share * reach * slope if share else x
             given = (t, at, problem.condition, inputs, constants, networks)
             if text := self.instance.equations.unsolved(m, *given):

@@ -17,8 +17,8 @@ from gbspec.backends.module.template.arithmetic import _numpy_arithmetic
 # nothing leaves the range. The solution is found without derivatives; corrections with its
 # Jacobian as a constant, of which each adds an order, then give it those of the implicit function, and round it off.
 
-_TICKS = 200  # most evaluations of a block's residuals and their derivatives
-_SHORTEST = 1e-10  # a shorter share of Newton's step is not tried
+_TICKS = 60  # most evaluations of a block's residuals and their derivatives
+_LEAST = 1e-8  # a smaller change, in sizes of the variables, is not tried
 _ENOUGH = 1e-4  # of the fall of residuals that Newton's step promises
 _INSIDE = 0.9  # of the way to an end of the range
 
@@ -81,7 +81,7 @@ def _newton(lib: Any, linear: Callable[[Any], Any], divide: Callable[[Any, Any],
         room = lib.amin(room, -1)
         longest = lib.where(room >= 1.0, 1.0 + 0.0 * room, _INSIDE * room)
         size = lib.where(taken, longest, 0.5 * size)
-        if (done | ~(size >= _SHORTEST)).all():
+        if (done | ~(size * lib.amax(lib.abs(step) / scale, -1) >= _LEAST)).all():
             break
         trial = lib.where(done[..., None], z, z + size[..., None] * step)
         new, its = linear(trial)
@@ -264,13 +264,14 @@ def _casadi_search(both: Any, inner: Any, variables: Any) -> Any:
         room = ca.mmin(ca.if_else(ahead > 0, high - at, at - low) / (ca.fabs(ahead) + 1e-300))
         share = ca.if_else(room >= 1.0, 1.0, _INSIDE * room)
         done = ca.mmax(ca.fabs(ahead) / (ca.fabs(at) + sizes)) <= np.finfo(np.float64).eps ** 0.45
-        done = ca.if_else(done, 1.0, ca.if_else(share >= _SHORTEST, 0.0, -1.0))
+        done = ca.if_else(done, 1.0, ca.if_else(share * ca.mmax(ca.fabs(ahead) / sizes) >= _LEAST, 0.0, -1.0))
         return ca.vertcat(at, ahead, new, ca.mmax(ca.fabs(g) * new), share, done)
 
     trial = z + size * step
     g, slopes = both(trial, *inner)
     better = ca.mmax(ca.fabs(g) * weights) <= (1.0 - _ENOUGH * size) * merit
-    shorter = ca.vertcat(z, step, weights, merit, 0.5 * size, ca.if_else(0.5 * size >= _SHORTEST, 0.0, -1.0))
+    least = ca.if_else(0.5 * size * ca.mmax(ca.fabs(step) / sizes) >= _LEAST, 0.0, -1.0)
+    shorter = ca.vertcat(z, step, weights, merit, 0.5 * size, least)
     going = ca.Function("going", [state, *inner], [ca.if_else(better, accepted(trial, g, slopes), shorter)])
     going = going.expand() if both.is_a("SXFunction") else going
     resting = ca.Function("resting", [state, *inner], [state])
