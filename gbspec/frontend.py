@@ -1,6 +1,6 @@
 """The pipeline from the text of a model to its Model, shared by commands, runs and the editor.
 
-    text ──ast──▶ File ──checked──▶ Checked ──lowered──▶ Model ──claims──▶ Model ──contracts──▶ Model
+    text ──ast──▶ File ──checked──▶ Checked ──lowered──▶ Model, ──structure──▶, ──claims──▶ and ──contracts──▶ Model
 
 `STAGES` has all its stages. The Model is verified after lowering and after each pass that changes it. `gbspec compile
 --emit` writes the result of a stage. A stage imports its modules when it runs: a model without claims or contracts
@@ -146,6 +146,14 @@ def _lower(state: State) -> State:
     return replace(state, model=lower(state.checked, state.findings))
 
 
+def _structure(model: Model, findings: Findings) -> Model:
+    if model.algebraics or model.constraints:
+        from gbspec.passes import with_structure
+
+        return with_structure(model, findings)
+    return model
+
+
 def _claims(model: Model, findings: Findings) -> Model:
     if model.claims:
         from gbspec.passes import check_claims
@@ -195,6 +203,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("ast", "the syntax tree", _parse, _file_text, collects=True),
     Stage("checked", "names, constants and statements after the checks", _check, _checked_text),
     Stage("lowered", "the Model before any pass", _lower, _model_text),
+    model_pass("structure", "after algebraic equations were put in the order of their solution", _structure),
     model_pass("claims", "after the proof of `conserve` claims", _claims, collects=True),
     model_pass("contracts", "after the proof of contracts", _contracts),
 )

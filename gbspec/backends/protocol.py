@@ -99,6 +99,37 @@ class Equations(Protocol):
     ) -> Value:
         """The state after each event."""
 
+    @property
+    def blocks(self) -> Sequence[tuple[Value, ...]]:
+        """The blocks of algebraic equations, in models that have any: the method of their residuals, that of their
+        derivatives, the names of the equations, and name, start and range of each variable."""
+
+    def algebraic(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
+        """The algebraic variables, in models that have any."""
+
+    def unsolved(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> str:
+        """Which algebraic equations have no solution at a point, in words; empty where all have one."""
+
     def cutting(self, given: Value, quiet: Value, band: float, strict: bool, /) -> Value:
         """Steps of a batch that are cut where events happen, torch; in models that have any."""
 

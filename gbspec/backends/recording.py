@@ -22,6 +22,11 @@ class _Recorded:
         found: tuple[Array, ...] = self.network(*arguments)
         return found
 
+    @property
+    def quiet(self) -> Network:
+        """The network itself, for calls that are not recorded: those of a search for algebraic variables."""
+        return self.network
+
     def __getattr__(self, name: str) -> object:
         return getattr(self.network, name)
 

@@ -34,6 +34,8 @@ class Programs:
     def __init__(self, model: Model) -> None:
         if model.events:
             raise NotCoveredError("it has events, which no exported program carries out yet")
+        if model.algebraics:
+            raise NotCoveredError("it has algebraic variables, for which no exported program solves equations yet")
         self.model = model
 
     @cached_property

@@ -1,5 +1,8 @@
 from . import model as model
 from .affinity import is_affine as is_affine
+from .algebra import Algebraic as Algebraic
+from .algebra import Equation as Equation
+from .algebra import EquationBlock as EquationBlock
 from .arrays import Element as Element
 from .arrays import Family as Family
 from .arrays import StateArray as StateArray
@@ -18,6 +21,10 @@ from .dumping import dump as dump
 from .dumping import guarantee as guarantee
 from .dumping import in_language as in_language
 from .dumping import written as written
+from .evaluated import named as named
+from .evaluated import right_sides as right_sides
+from .evaluated import unknowns_in_equations as unknowns_in_equations
+from .evaluated import used_by_balances as used_by_balances
 from .events import Event as Event
 from .events import Timing as Timing
 from .forms import Block as Block
@@ -58,6 +65,7 @@ from .model import Dose as Dose
 from .model import Expr as Expr
 from .model import Initial as Initial
 from .model import Input as Input
+from .model import Intermediate as Intermediate
 from .model import Learnable as Learnable
 from .model import Model as Model
 from .model import Network as Network

@@ -37,7 +37,7 @@ def is_affine(model: Model) -> bool:
     """Whether all balances are affine in states, inputs and calls of networks, whose arguments are affine in states and
     inputs, every factor being shared by all trajectories. Arrays of states, and networks without a hidden layer, do not
     count."""
-    if model.arrays or any(not network.hidden for network in model.networks):
+    if model.arrays or model.algebraics or any(not network.hidden for network in model.networks):
         return False
     try:
         reader = _Reader(model)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from sympy.core.numbers import Float
 from sympy.printing.str import StrPrinter
 
+from gbspec.ir.algebra import EquationBlock
 from gbspec.ir.arrays import Family, StateArray
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event, Timing
@@ -119,6 +120,10 @@ def _declarations(model: Model) -> list[str]:
             for u in model.inputs
         ),
     )
+    lines += _section(
+        "algebraics",
+        (f"{_head(a)}{_range(a.range)}{_default(a.start)}" for a in model.algebraics),
+    )
     lines += _section("constants", (f"{_head(c)} = {c.value!r}" for c in model.constants))
     lines += _section(
         "learnables",
@@ -158,6 +163,8 @@ def _mathematics(model: Model) -> list[str]:
     lines += _section(
         "balances", (f"{s.name}' = {written(b)}" for s, b in zip(model.states, model.balances, strict=True))
     )
+    lines += _section("equations", (f"{e.name}: {written(e.left)} = {written(e.right)}" for e in model.constraints))
+    lines += _section("blocks", map(_block, model.blocks))
     lines += _section(
         "channels",
         (
@@ -182,6 +189,11 @@ def _mathematics(model: Model) -> list[str]:
     lines += _section("families", map(_family, model.families))
     claims = (f"{_head(c)} = {written(c.value)} rate {written(c.rate)}" for c in model.claims)
     return lines + _section("claims", claims)
+
+
+def _block(block: EquationBlock) -> str:
+    how = " by a formula" if block.explicit else ""
+    return f"{', '.join(block.equations)} for {', '.join(block.variables)}{how}"
 
 
 def _distribution(found: Distribution) -> str:

@@ -18,7 +18,11 @@ from typing import Literal, TypeAlias
 import sympy
 
 from gbspec.diagnostics import Span
+from gbspec.ir.algebra import Algebraic, Equation, EquationBlock
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
+from gbspec.ir.declared import UNBOUNDED
+from gbspec.ir.declared import Declared as Declared
+from gbspec.ir.declared import Range as Range
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
@@ -27,46 +31,6 @@ from gbspec.ir.symbols import unknown_function as unknown_function
 from gbspec.ir.tables import Curve
 
 Expr: TypeAlias = sympy.Expr
-
-
-LOGARITHMIC_FROM = 100.0
-"""Ratio of two bounds of the same sign from which logarithms are the scale of a constant, as for default starting
-values."""
-
-
-@dataclass(frozen=True)
-class Range:
-    """A closed interval; either end may be infinite."""
-
-    low: float = -math.inf
-    high: float = math.inf
-
-    @property
-    def bounded(self) -> bool:
-        """Whether both ends are finite."""
-        return math.isfinite(self.low) and math.isfinite(self.high)
-
-    @property
-    def logarithmic(self) -> bool:
-        """Whether the bounds say that an order of magnitude is unknown: two of one sign, far apart."""
-        if not self.bounded or self.low * self.high <= 0:
-            return False
-        return max(self.low / self.high, self.high / self.low) >= LOGARITHMIC_FROM
-
-
-@dataclass(frozen=True)
-class Declared:
-    """The attributes of every declared name. `unit` is the text of its unit (canonical form), None without one."""
-
-    name: str
-    unit: str | None = field(default=None, kw_only=True)
-    description: str = field(default="", kw_only=True)
-    span: Span | None = field(default=None, kw_only=True, compare=False, repr=False)
-
-    @property
-    def symbol(self) -> sympy.Symbol:
-        """The symbol of the name."""
-        return symbol(self.name)
 
 
 @dataclass(frozen=True)
@@ -146,7 +110,7 @@ class Learnable(Declared):
     """
 
     start: float = 1.0
-    range: Range = Range()
+    range: Range = UNBOUNDED
     prior: Prior | None = None
     per_trajectory: bool = False
     distribution: Distribution | None = None
@@ -348,6 +312,9 @@ class Model:
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
     events: tuple[Event, ...] = ()  # in the order in which they happen at one time
+    algebraics: tuple[Algebraic, ...] = ()  # in the order of the blocks, without those that are intermediates
+    constraints: tuple[Equation, ...] = ()
+    blocks: tuple[EquationBlock, ...] = ()
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()
     truth_functions: tuple[TruthFunction, ...] = ()

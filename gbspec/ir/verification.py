@@ -35,7 +35,7 @@ def _require(condition: bool, what: str) -> None:
 
 def _names(model: Model) -> None:
     names = [model.time.name, *model.constant_names]
-    for group in (model.states, model.conditions, model.inputs, model.intermediates):
+    for group in (model.states, model.conditions, model.inputs, model.intermediates, model.algebraics):
         names.extend(item.name for item in group)
     names.extend(item.name for item in (*model.unknowns, *model.tables))
     twice = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
@@ -63,6 +63,7 @@ def _expressions(model: Model) -> None:
     conditions = {item.symbol for item in model.conditions}
     states = {item.symbol for item in model.states}
     known = constants | conditions | states | {item.symbol for item in model.inputs} | {model.time.symbol}
+    known |= {item.symbol for item in model.algebraics}
     tables = {table.name: table.curve for table in model.tables}
     arity = {u.name: len(model.networks[u.network].arguments) for u in model.unknowns}
 
@@ -79,6 +80,9 @@ def _expressions(model: Model) -> None:
     for item in model.intermediates:
         check(f"`{item.name}`", item.value, known)
         known.add(item.symbol)
+    for equation in model.constraints:
+        check(f"the equation `{equation.name}`", equation.left, known)
+        check(f"the equation `{equation.name}`", equation.right, known)
     for state, balance in zip(model.states, model.balances, strict=True):
         check(f"the balance of `{state.name}`", balance, known)
         if state.initial.value is not None:
@@ -140,7 +144,7 @@ def _families(model: Model) -> None:
         names = [state.name for state in model.states[array.position : array.position + array.count]]
         _require(tuple(names) == array.names, f"the array `{array.name}`")
     known = {symbol(n) for n in (model.time.name, *model.constant_names)} | set(arrays)
-    for group in (model.states, model.conditions, model.inputs, model.intermediates):
+    for group in (model.states, model.conditions, model.inputs, model.intermediates, model.algebraics):
         known |= {item.symbol for item in group}
     values = [(f"a family of {f.vector}", f.value, {f.index}) for f in model.families]
     values += [(f"an end of `{a.name}`", value, set()) for a in model.arrays for _, value in a.ends]

@@ -107,6 +107,8 @@ class ShortForms:
             if vector != "starts":
                 yield from self._single(vector, name, value, places)
             return
+        if array.row:
+            raise NotShort
         running = sympy.Symbol(loop or "i", integer=True)
         if value is None:
             expression: Expr = Element(symbol(array.name), running)

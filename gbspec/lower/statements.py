@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import PREDICTION as PREDICTED
 from gbspec.ir import Expr, Noise, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.lower import events, populations, tables
+from gbspec.lower import algebraic, events, populations, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
@@ -178,6 +178,7 @@ class _Lowering:
             text=tables.text_of(self._checked),
             allowed=self._checked.allowed,
         )
+        model = algebraic.lowered(model, self._checked, self._expression)
         model = events.lowered(model, self._checked, self._expression, self._fixed, self._findings)
         model = populations.completed(infused(model, self._checked, self._findings), self._checked)
         refuse_together(model, self._findings)

@@ -128,7 +128,10 @@ def _lent(files: Sequence[ast.File]) -> dict[str, frozenset[str]]:
     unknowns: dict[str, ast.UnknownStatement] = {}
     for statement in (s for file in files for s in file.statements):
         match statement:
-            case ast.StateStatement(declarator=ast.Declarator(name=name, first=first), range=range):
+            case (
+                ast.StateStatement(declarator=ast.Declarator(name=name, first=first), range=range)
+                | ast.AlgebraicStatement(declarator=ast.Declarator(name=name, first=first), range=range)
+            ):
                 if first is None:
                     ranged.setdefault(name.text, range is not None)
             case ast.ConditionStatement(name=name, range=range) | ast.InputStatement(name=name, range=range):

@@ -31,6 +31,8 @@ _NAMES: dict[Kind, tuple[str, tuple[str, ...]]] = {
     Kind.CHANNEL: ("variable", ()),
     Kind.CLAIM: ("variable", ()),
     Kind.EVENT: ("event", ()),
+    Kind.ALGEBRAIC: ("variable", ()),
+    Kind.EQUATION: ("variable", ()),
 }
 _WORDS = {"function": "function", "value": "variable", "option": "property", "activation": "enumMember"}
 """Types of the words of the language by their kinds; the others (networks, distributions) are types."""

@@ -145,7 +145,8 @@ def _same_equations(first: Run, second: Run) -> bool:
     def equations(run: Run) -> tuple[object, ...]:
         model = run.model
         starts = tuple(state.initial.value for state in model.states)
-        return model.inlined(model.balances), starts, model.inlined([c.value for c in model.channels])
+        left = model.inlined([equation.residual for equation in model.constraints])
+        return model.inlined(model.balances), left, starts, model.inlined([c.value for c in model.channels])
 
     return equations(first) == equations(second)
 

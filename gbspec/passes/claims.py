@@ -73,16 +73,21 @@ def check_claims(model: Model, findings: Findings) -> None:
 def decide(model: Model, claim: Claim) -> Decision:
     """Whether the claim holds for every state, time, constant and unknown function."""
     free = _difference(model, claim, uninfused(model), claim.value, claim.rate)
-    if free is not None and _vanishes(model, free) is Verdict.HOLDS:
+    solved = {item.symbol for item in model.algebraics}
+    if free is not None and not claim.value.free_symbols & solved and _vanishes(model, free) is Verdict.HOLDS:
         return Decision(claim, Verdict.HOLDS)
     *balances, value, rate = model.inlined([*uninfused(model), claim.value, claim.rate])
     whole = _difference(model, claim, balances, value, rate)
     assert whole is not None
     verdict = _vanishes(model, whole)
+    if value.free_symbols & solved:  # how these change is not known
+        return Decision(claim, Verdict.UNDECIDED, whole)
     if verdict is not Verdict.HOLDS:
         numbers = {c.symbol: sympy.Rational(repr(c.value)) for c in model.constants}
         if numbers and _vanishes(model, whole, numbers) is Verdict.HOLDS:
             verdict = Verdict.HOLDS
+    if verdict is Verdict.FAILS and whole.free_symbols & solved:  # the equations may make it zero all the same
+        verdict = Verdict.UNDECIDED
     return Decision(claim, verdict, whole)
 
 

@@ -130,6 +130,7 @@ def _boxes(model: Model, network: Network) -> tuple[Box, Box]:
     # Training keeps a learnable strictly inside its bounds.
     constants |= {k.symbol: of_range(k.range, strict=True) for k in model.learnables}
     named: dict[str, Range | None] = {item.name: item.range for item in model.states}
+    named |= {item.name: item.range for item in model.algebraics}
     named |= {item.name: item.range for item in model.conditions} | {item.name: item.range for item in model.inputs}
     formals = {a.symbol: of_range(a.range or named.get(a.name)) for a in network.arguments}
     return {s: i for s, i in constants.items() if s not in formals}, formals

@@ -33,6 +33,7 @@ def exact(expression: Expr) -> Expr:
 def larger_than(model: Model, most: int) -> bool:
     """Whether balances and intermediates have more than `most` nodes together (sympy's own count is slow)."""
     waiting: list[sympy.Basic] = [*model.balances, *(item.value for item in model.intermediates)]
+    waiting += [equation.residual for equation in model.constraints]
     for _ in range(most):
         if not waiting:
             return False

@@ -50,6 +50,7 @@ def with_truth(model: Model) -> Model:
         unknowns=(),
         intermediates=tuple(dataclasses.replace(i, value=put(i.value)) for i in model.intermediates),
         balances=tuple(put(b) for b in model.balances),
+        constraints=tuple(dataclasses.replace(e, left=put(e.left), right=put(e.right)) for e in model.constraints),
         channels=tuple(dataclasses.replace(c, value=put(c.value)) for c in model.channels),
         events=tuple(
             dataclasses.replace(

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gbspec.ir import Family, Initial, Learnable, Model, Range, State
+    from gbspec.ir import EquationBlock, Family, Initial, Learnable, Model, Range, State
     from gbspec.runs import MemberRecord, ProfileRecord, Run
 
 
@@ -47,6 +47,7 @@ def model_summary(model: Model) -> str:
     lines = [f"{model.name}" + (f': "{model.title}"' if model.title else "")]
     rows = [(name, begin, _range(s.range), s.unit or "-", s.description or "-") for name, begin, s in _states(model)]
     lines.append(_left(("state", "starts", "range", "unit", "description"), rows))
+    lines += [_block(model, block) for block in model.blocks]
     for network in model.networks:
         arguments = ", ".join(argument.name for argument in network.arguments)
         layers = "-".join(str(n) for n in network.sizes)
@@ -84,6 +85,19 @@ def _states(model: Model) -> Iterator[tuple[str, str, State]]:
         else:
             yield state.name, start(state.initial), state
             place += 1
+
+
+def _block(model: Model, block: EquationBlock) -> str:
+    """Which equations determine which algebraic variables, and from where these are sought."""
+    sought = {item.name: item for item in model.algebraics}
+    variables = [
+        name + (f" in {_range(sought[name].range)}" if name in sought and sought[name].range is not None else "")
+        for name in block.variables
+    ]
+    found = f"algebraic {', '.join(variables)} by {', '.join(block.equations)}"
+    if block.explicit:
+        return f"{found}, a formula"
+    return found + (f", {len(variables)} equations together" if len(variables) > 1 else "")
 
 
 def _measured(model: Model) -> list[str]:

@@ -13,7 +13,17 @@ from typing import assert_never
 
 from gbspec.diagnostics import Findings, Label, Span, UserError
 from gbspec.semantics.constants import Evaluator
-from gbspec.semantics.declared_arrays import Declared, DeclaredArray, declarations
+from gbspec.semantics.declared_arrays import (
+    Declared,
+    DeclaredArray,
+    constant_values,
+    declarations,
+    element_name,
+    indexed_by,
+    is_place,
+    mentions_index,
+    summed,
+)
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item, Merged
 from gbspec.semantics.rewriting import rebuilt, with_expressions
@@ -21,14 +31,12 @@ from gbspec.syntax import MOST_PARTS, MOST_WRITTEN_OUT, Kind, Place, ast, childr
 
 LARGEST = 2000
 """The most elements that an array may have."""
-MOST_ROUNDS = 20
-"""How often constants that depend on branches of an `if` that are not taken are tried again."""
 
 
 def expand(merged: Merged, findings: Findings) -> tuple[Merged, dict[str, DeclaredArray]]:
     """The statements with arrays expanded, and the arrays; without arrays the statements are returned unchanged."""
     indexed = list(declarations(merged.items))
-    if not indexed and not any(_mentions_index(item.statement) for item in merged.items):
+    if not indexed and not any(mentions_index(item.statement) for item in merged.items):
         return merged, {}
     return _Expansion(merged, findings).run(indexed)
 
@@ -38,22 +46,6 @@ def running_index(target: ast.Name | ast.Index, constants: Container[str]) -> st
     if isinstance(target, ast.Index) and isinstance(target.index, ast.Name) and target.index.text not in constants:
         return target.index.text
     return None
-
-
-def _mentions_index(statement: ast.Statement) -> bool:
-    return any(
-        isinstance(part, ast.Index | ast.ClosureStatement) or _is_sum(part)
-        for root in (statement, *children(statement))
-        for part in (walk(root) if isinstance(root, ast.Expression) else (root,))
-    )
-
-
-def _is_sum(node: ast.Node) -> bool:
-    return isinstance(node, ast.Call) and node.function.text == "sum"
-
-
-def _is_place(node: ast.Expression) -> bool:
-    return isinstance(node, ast.Name | ast.Index | ast.RateOf) or _is_sum(node)
 
 
 def _variables(statement: ast.Statement) -> tuple[ast.Name, ...]:
@@ -72,7 +64,7 @@ class _Expansion:
         self._functions = {
             i.statement.name.text: i.statement for i in merged.items if isinstance(i.statement, ast.FunctionStatement)
         }
-        self._values = self._constants()
+        self._values = constant_values(merged.items, self._functions)
         self._declared = {n.text: n for i in merged.items for n in _variables(i.statement)}
 
     def run(self, indexed: list[Declared]) -> tuple[Merged, dict[str, DeclaredArray]]:
@@ -105,8 +97,13 @@ class _Expansion:
     def _copies(self, statement: ast.Statement) -> int:
         """For how many elements a statement is written out."""
         match statement:
-            case ast.StateStatement(declarator=ast.Declarator(name=name, first=first)) if first is not None:
+            case (
+                ast.StateStatement(declarator=ast.Declarator(name=name, first=first))
+                | ast.AlgebraicStatement(declarator=ast.Declarator(name=name, first=first))
+            ) if first is not None:
                 array = self._arrays.get(name.text)
+            case ast.EquationStatement(target=ast.Index() as target):
+                array = indexed_by(statement, running_index(target, self._values), self._arrays)
             case ast.LearnStatement(name=name):
                 array = self._arrays.get(name.text)
             case ast.About(target=ast.Name(text=text)):
@@ -120,41 +117,9 @@ class _Expansion:
     def _weight(self, statement: ast.Statement) -> int:
         """The parts of a statement's expressions, `sum(c)` counted as the sum of all elements."""
         parts = [p for root in children(statement) if isinstance(root, ast.Expression) for p in walk(root)]
-        summed = [name for part in parts for name in _summed(part)]
-        arrays = [self._arrays[name] for name in summed if name in self._arrays]
+        arrays_summed = [name for part in parts for name in summed(part)]
+        arrays = [self._arrays[name] for name in arrays_summed if name in self._arrays]
         return len(parts) + sum(2 * (array.last - array.first + 1) for array in arrays)
-
-    def _constants(self) -> dict[str, float]:
-        """The values of the constants that can be evaluated; errors in the others are reported later."""
-        statements = [i.statement for i in self._merged.items if isinstance(i.statement, ast.ConstStatement)]
-        declared = {statement.name.text for statement in statements}
-        values: dict[str, float] = {}
-        evaluate = Evaluator(values, self._functions)
-        users: dict[str, list[int]] = {}
-        lacking: list[int] = []  # of each statement: how many of the constants in it are not known yet
-        for number, statement in enumerate(statements):
-            names = {n.text for n in walk(statement.value) if isinstance(n, ast.Name)} & declared
-            lacking.append(len(names))
-            for name in names:
-                users.setdefault(name, []).append(number)
-        ready = [number for number, count in enumerate(lacking) if not count]
-        while ready:  # each is evaluated once, so that a long chain takes linear time
-            statement = statements[ready.pop()]
-            if statement.name.text in values or (value := evaluate(statement.value)) is None:
-                continue
-            values[statement.name.text] = value
-            for user in users.get(statement.name.text, ()):
-                lacking[user] -= 1
-                if not lacking[user]:
-                    ready.append(user)
-        for _ in range(MOST_ROUNDS):  # an `if` may have a value though one of its branches has none
-            before = len(values)
-            for statement in statements:
-                if statement.name.text not in values and (value := evaluate(statement.value)) is not None:
-                    values[statement.name.text] = value
-            if len(values) == before:
-                break
-        return values
 
     # --------------------------------------------------------------------------------------------------- declarations
 
@@ -191,7 +156,7 @@ class _Expansion:
                 declared.span,
             )
             return
-        self._arrays[name.text] = DeclaredArray(name.text, declared.span, first, last, declared.row)
+        self._arrays[name.text] = DeclaredArray(name.text, declared.span, first, last, declared.row, declared.algebraic)
 
     def _close(self, statement: ast.ClosureStatement) -> None:
         array = self._arrays.get(statement.target.array.text)
@@ -204,6 +169,9 @@ class _Expansion:
         if array.row:
             what = f"`{array.name}` is a row of constants to be learned, which have no equations"
             help_ = "a known value is a `const`; a start and bounds stand in the declaration of the row"
+            if array.algebraic:
+                what = f"`{array.name}` is an array of algebraic variables, whose equations have names"
+                help_ = f"write `equation NAME: {statement.target.span.text} = …`"
             self._findings.error("GB254", what, statement.target.span, help=help_)
             return
         if array.first <= index <= array.last:
@@ -236,7 +204,9 @@ class _Expansion:
         match statement:
             case ast.ClosureStatement():
                 return []
-            case ast.StateStatement(declarator=declarator) if declarator.first is not None:
+            case ast.StateStatement(declarator=declarator) | ast.AlgebraicStatement(declarator=declarator) if (
+                declarator.first is not None
+            ):
                 array = self._arrays.get(declarator.name.text)
                 names = array.elements if array is not None else ()
                 one = self._rewritten(self._item(item, declarator=ast.Declarator(declarator.span, declarator.name)), {})
@@ -244,6 +214,8 @@ class _Expansion:
                     self._item(one, declarator=ast.Declarator(declarator.span, self._at(declarator.name, n)))
                     for n in names
                 ]
+            case ast.EquationStatement(target=ast.Index() as target):
+                return self._equations(item, statement, target)
             case (
                 ast.BalanceStatement(target=target)
                 | ast.InitialStatement(target=target)
@@ -263,8 +235,27 @@ class _Expansion:
                 return [self._rewritten(item, {})]
             case ast.StateStatement() | ast.ConditionStatement() | ast.InputStatement() | ast.TimeStatement():
                 return [self._rewritten(item, {})]
+            case ast.AlgebraicStatement():
+                return [self._rewritten(item, {})]
             case _:
                 assert_never(statement)
+
+    def _equations(self, item: Item, statement: ast.EquationStatement, target: ast.Index) -> list[Item]:
+        """An equation for an element, or one for each element of the array that has its running index."""
+        loop = running_index(target, self._values)
+        if loop is None:
+            index = self._whole(target.index, "an index")
+            found = {} if index is None else {index: dict[str, int]()}
+        elif (array := indexed_by(statement, loop, self._arrays)) is not None:
+            found = {i: {loop: i} for i in range(array.first, array.last + 1)}
+        else:
+            what = (
+                f"no array in the equation `{target.array.text}` has the index `{loop}`, so that its elements are open"
+            )
+            self._findings.error("GB354", what, target.span, help=f"index an algebraic variable by it: `c[{loop}]`")
+            return []
+        names = {i: ast.Name(target.span, element_name(target.array.text, i)) for i in found}
+        return [self._rewritten(self._item(item, target=names[i]), values) for i, values in found.items()]
 
     def _truth(self, item: Item, statement: ast.TruthStatement) -> list[Item]:
         """The truth of an element of a row, or of all with the same value."""
@@ -383,7 +374,7 @@ class _Expansion:
                 case _:
                     assert_never(node)
 
-        return rebuilt(root, put, _is_place)
+        return rebuilt(root, put, is_place)
 
     def _index(
         self,
@@ -439,10 +430,3 @@ class _Expansion:
         for i in range(array.first + 1, array.last + 1):
             total = ast.Binary(node.span, "+", total, ast.Name(node.span, array.element(i)))
         return ast.Group(node.span, total)
-
-
-def _summed(node: ast.Node) -> tuple[str, ...]:
-    """The array of `sum(c)`."""
-    if isinstance(node, ast.Call) and _is_sum(node):
-        return tuple(argument.text for argument in node.arguments if isinstance(argument, ast.Name))
-    return ()

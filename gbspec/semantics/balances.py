@@ -19,10 +19,11 @@ _TWICE = {
     "observe": ("GB202", "`{0}` is observed twice", "delete one of them, or give one another name: `observe y = …`"),
     "dose": ("GB202", "doses into `{0}` are declared twice", "delete one of them"),
     "diffusion": ("GB341", "`{0}` has two diffusions", "write one, for example the root of the sum of their squares"),
+    "equation": ("GB202", "the equation `{0}` is written twice", "delete one of them, or give one another name"),
     "truth": ("GB202", "the truth of `{0}` is given twice", "delete one of them"),
 }
 
-MEASURABLE = frozenset({Kind.STATE, Kind.LET, Kind.PROCESS})
+MEASURABLE = frozenset({Kind.STATE, Kind.LET, Kind.PROCESS, Kind.ALGEBRAIC})
 """The kinds that `observe NAME` can measure without an expression."""
 
 
@@ -48,8 +49,9 @@ def once(items: Iterable[Item], findings: Findings) -> None:
 
 
 def _both_declare(a: ast.About, b: ast.About) -> bool:
-    """Whether both declare a channel: then the name is declared twice, which `table.build` reports."""
-    return all(isinstance(s, ast.ObserveStatement) and s.value is not None for s in (a, b))
+    """Whether both declare a name: then it is declared twice, which `table.build` reports."""
+    channels = all(isinstance(s, ast.ObserveStatement) and s.value is not None for s in (a, b))
+    return channels or isinstance(b, ast.EquationStatement)
 
 
 def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Merged) -> None:
@@ -69,8 +71,8 @@ def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Mer
             case ast.ObserveStatement(target=target, value=value):
                 if value is None and isinstance(target, ast.Name):
                     _measurable(target, table, findings, merged)
-            case ast.TruthStatement():
-                pass  # see truths.py
+            case ast.TruthStatement() | ast.EquationStatement():
+                pass  # see truths.py; an equation declares its name
             case _:
                 assert_never(statement)
 

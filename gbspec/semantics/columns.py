@@ -42,7 +42,7 @@ def _columns(items: Iterable[Item]) -> Iterator[tuple[str, str, Span]]:
                 yield f"dose_{name.text}", f"the dose into `{name.text}`", name.span
                 if duration is not None:
                     yield f"infusion_{name.text}", f"the rate of infusion into `{name.text}`", name.span
-            case ast.Remark() | ast.Formula() | ast.TimeStatement() | ast.StateStatement():
+            case ast.Remark() | ast.Formula() | ast.TimeStatement() | ast.StateStatement() | ast.AlgebraicStatement():
                 pass
             case ast.LearnStatement() | ast.UnknownStatement():
                 pass

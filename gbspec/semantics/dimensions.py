@@ -19,7 +19,17 @@ _SAME = frozenset({"abs", "min", "max"})
 _HALF = Fraction(1, 2)
 
 NEEDS_UNIT = frozenset(
-    {Kind.TIME, Kind.STATE, Kind.CONDITION, Kind.INPUT, Kind.CONST, Kind.LEARN, Kind.TABLE, Kind.UNKNOWN}
+    {
+        Kind.TIME,
+        Kind.STATE,
+        Kind.ALGEBRAIC,
+        Kind.CONDITION,
+        Kind.INPUT,
+        Kind.CONST,
+        Kind.LEARN,
+        Kind.TABLE,
+        Kind.UNKNOWN,
+    }
 )
 """The kinds that should declare a unit in a model with units; the units of `let`s and rates follow from them."""
 

@@ -66,7 +66,10 @@ class Subject:
         found: dict[str, tuple[float, float] | None] = {}
         for item in self.items:
             match item.statement:
-                case ast.StateStatement(declarator=declarator, range=interval):
+                case (
+                    ast.StateStatement(declarator=declarator, range=interval)
+                    | ast.AlgebraicStatement(declarator=declarator, range=interval)
+                ):
                     found[declarator.name.text] = self.numbers.interval(interval)
                 case ast.ConditionStatement(name=name, range=interval) | ast.InputStatement(name=name, range=interval):
                     found[name.text] = self.numbers.interval(interval)
@@ -160,6 +163,9 @@ def _roots(items: Iterable[Item]) -> Iterator[tuple[str, ast.Expression]]:
                 yield name.text, value
             case ast.BalanceStatement(target=ast.Name(text=text), value=value):
                 yield text, value
+            case ast.EquationStatement(target=ast.Name(text=text), left=left, right=right):
+                yield text, left
+                yield text, right
             case ast.ObserveStatement(target=ast.Name(text=text), value=value) if value is not None:
                 yield text, value
             case _:
@@ -231,7 +237,7 @@ def _leaves(order: list[str], named: Mapping[str, ast.Expression]) -> set[str]:
 def _points(leaves: list[str], subject: Subject, count: int) -> Iterator[dict[str, float]]:
     """Values of states, conditions, inputs and learnables: ends, middles, and points between them, always the same."""
     ranges = subject.ranges
-    kinds = (Kind.STATE, Kind.CONDITION, Kind.INPUT, Kind.LEARN)
+    kinds = (Kind.STATE, Kind.ALGEBRAIC, Kind.CONDITION, Kind.INPUT, Kind.LEARN)
     names = [n for n in leaves if n in subject.table and subject.table[n].kind in kinds]
     draw = random.Random(0)
     for number in range(count):
@@ -317,7 +323,10 @@ def _starting(subject: Subject) -> dict[str, float]:
     values = dict(subject.values)
     for item in subject.items:
         match item.statement:
-            case ast.StateStatement(declarator=declarator, start=start):
+            case (
+                ast.StateStatement(declarator=declarator, start=start)
+                | ast.AlgebraicStatement(declarator=declarator, start=start)
+            ):
                 _put(values, declarator.name.text, subject.numbers.value(start))
             case ast.ConditionStatement(name=name, default=start) | ast.InputStatement(name=name, default=start):
                 _put(values, name.text, subject.numbers.value(start))

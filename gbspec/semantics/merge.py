@@ -231,6 +231,8 @@ def _remove(base: list[Item], removal: ast.WithoutStatement) -> list[Item] | Non
             hit = True
             if len(own) > 1:
                 kept.append(_cut_outputs(item, {name}))
+        elif isinstance(statement, ast.EquationStatement):
+            hit = kind is None and about
         elif isinstance(statement, ast.UnitStatement):
             hit = kind == "unit" and statement.name.text == name
         else:

@@ -83,7 +83,10 @@ class Numbers:
         """Checks that ranges are ordered and contain starting values and defaults, and checks noise and priors."""
         for item in items:
             match item.statement:
-                case ast.StateStatement(range=interval, start=start):
+                case (
+                    ast.StateStatement(range=interval, start=start)
+                    | ast.AlgebraicStatement(range=interval, start=start)
+                ):
                     self._in_range(interval, start, "the start")
                 case ast.ConditionStatement(range=interval, default=default):
                     self._in_range(interval, default, "the default")

@@ -73,7 +73,10 @@ class _Rules:
         """Reads the declared units of a statement."""
         units = self._units
         match statement:
-            case ast.StateStatement(declarator=declarator, unit=unit):
+            case (
+                ast.StateStatement(declarator=declarator, unit=unit)
+                | ast.AlgebraicStatement(declarator=declarator, unit=unit)
+            ):
                 units.declared[declarator.name.text] = units.read(unit, declarator.name.text)
             case (
                 ast.TimeStatement(name=name, unit=unit)
@@ -151,7 +154,12 @@ class _Rules:
                 self._claim(value, rate)
             case ast.EventStatement():
                 self._event(statement)
-            case ast.StateStatement(declarator=declarator, range=interval, start=start):
+            case ast.EquationStatement(left=left, right=right):
+                self._equation(target_name(statement.target), left, right)
+            case (
+                ast.StateStatement(declarator=declarator, range=interval, start=start)
+                | ast.AlgebraicStatement(declarator=declarator, range=interval, start=start)
+            ):
                 self._ranged(declarator.name, interval, start)
             case (
                 ast.ConditionStatement(name=name, range=interval, default=default)
@@ -268,6 +276,13 @@ class _Rules:
             wanted = units.of(name.text).times(self._time(), Fraction(-1, 2))
             units.carries(value, wanted, f"the diffusion of `{name.text}`", name.span)
 
+    def _equation(self, name: ast.Name, left: ast.Expression, right: ast.Expression) -> None:
+        """Checks that both sides of an equation have one unit; `0` fits anywhere."""
+        if self._usable(left) and self._usable(right):
+            both = self._units.solution.fresh()
+            for side in (left, right):
+                self._units.agrees(side, both, f"the other side of `{name.text}`", name.span)
+
     def _event(self, statement: ast.EventStatement) -> None:
         """Checks the condition of an event, its times, and that each value has the unit of what it sets."""
         units = self._units
@@ -369,7 +384,13 @@ def _first_place(units: Units) -> Span | None:
 
 
 def _how(name: str, kind: Kind) -> str:
-    word = {Kind.TIME: "time", Kind.STATE: "state", Kind.CONDITION: "condition", Kind.INPUT: "input"}.get(kind)
+    word = {
+        Kind.TIME: "time",
+        Kind.STATE: "state",
+        Kind.ALGEBRAIC: "algebraic",
+        Kind.CONDITION: "condition",
+        Kind.INPUT: "input",
+    }.get(kind)
     word = (
         word
         or {

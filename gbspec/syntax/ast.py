@@ -50,6 +50,7 @@ from gbspec.syntax.nodes import (
 )
 from gbspec.syntax.statements import (
     About,
+    AlgebraicStatement,
     AllowStatement,
     BalanceStatement,
     ClosureStatement,
@@ -61,6 +62,7 @@ from gbspec.syntax.statements import (
     DiscreteStatement,
     DoseStatement,
     EffectStatement,
+    EquationStatement,
     EventStatement,
     Formula,
     FunctionStatement,
@@ -88,6 +90,7 @@ __all__ = [
     "STATEMENTS",
     "WORDS",
     "About",
+    "AlgebraicStatement",
     "AllowStatement",
     "Argument",
     "Assignment",
@@ -109,6 +112,7 @@ __all__ = [
     "Distribution",
     "DoseStatement",
     "EffectStatement",
+    "EquationStatement",
     "EventStatement",
     "Expression",
     "File",
@@ -179,6 +183,8 @@ Statement = (
     | DiffusionStatement
     | DiscreteStatement
     | EventStatement
+    | AlgebraicStatement
+    | EquationStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

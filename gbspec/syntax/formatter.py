@@ -23,7 +23,7 @@ from gbspec.syntax.walking import same
 WIDTH = 100
 _INDENT = 4
 _ORDER = (
-    *("unit", "from", "consumed", "produced", "contracts", "range", "bound", "postulates", "value", "learned"),
+    *("unit", "from", "consumed", "produced", "left", "contracts", "range", "bound", "postulates", "value", "learned"),
     *(
         "file",
         "points",
@@ -142,7 +142,7 @@ def _groups(found: list[Piece]) -> list[list[Piece]]:
 
 def _ordered(groups: list[list[Piece]], clauses: Sequence[Clause], statement: ast.Statement) -> list[list[Piece]]:
     """The groups in canonical order, contracts joined by commas; the sides of a process stay with its head."""
-    fixed = sum(clause.kind in ("consumed", "produced") for clause in clauses)
+    fixed = sum(clause.kind in ("consumed", "produced", "left") for clause in clauses)
     if fixed:
         groups = [[piece for group in groups[: fixed + 1] for piece in group], *groups[fixed + 1 :]]
     head, rest = groups[0], groups[1:]
@@ -201,7 +201,13 @@ def _lines(ordered: Sequence[Piece], clauses: Sequence[Clause], clause_lines: bo
 
 def _starts_line(piece: Piece, clauses: Sequence[Clause]) -> bool:
     """Whether a token begins a clause that gets its own line when the statement is broken into clauses."""
-    return piece.first and clauses[piece.clause or 0].kind not in ("unit", "consumed", "produced", "assignments")
+    return piece.first and clauses[piece.clause or 0].kind not in (
+        "unit",
+        "consumed",
+        "produced",
+        "left",
+        "assignments",
+    )
 
 
 def _filled(line: Sequence[Piece], indent: int, hanging: int) -> list[str]:

@@ -22,7 +22,9 @@ class Kind(Enum):
     CHANNEL = "a measured channel"
     CLAIM = "a `conserve` claim"
     EVENT = "an event"
+    ALGEBRAIC = "an algebraic variable"
+    EQUATION = "an equation"
 
 
-VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM, Kind.EVENT}
+VALUES = frozenset(Kind) - {Kind.CHANNEL, Kind.CLAIM, Kind.EVENT, Kind.EQUATION}
 """The kinds that may occur in an expression."""

@@ -117,7 +117,7 @@ def test_random_steps_agree(model: Model, seed: int, method: str) -> None:
     check_step(model, point(model, seed), seed, METHODS[method])
 
 
-@pytest.mark.parametrize("name", sorted(shipped_models()))
+@pytest.mark.parametrize("name", sorted(set(shipped_models()) - {"buffered_tank"}))  # see tests/algebraic
 def test_bundled_models_agree(name: str) -> None:
     model = load_model(shipped_models()[name], Findings())
     at = _plausible(model)

@@ -101,7 +101,9 @@ def quick(kernels: Path) -> Iterator[None]:
 
 
 # The stiff ones overflow in explicit steps; tests/training/test_adaptive_steps.py compares their own. Events cut steps.
-SHIPPED = sorted(name for name, path in shipped_models().items() if path.parent.name not in ("robertson", "switching"))
+SHIPPED = sorted(
+    name for name, path in shipped_models().items() if path.parent.name not in ("robertson", "switching", "chemistry")
+)
 
 
 @pytest.mark.usefixtures("quick")

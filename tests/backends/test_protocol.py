@@ -46,6 +46,7 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
             assert parameters(getattr(module, method)) == parameters(getattr(GeneratedModule, method)), method
     optional = {"events"} if model.diffusions else {"events", "diffusions"}
     optional |= set() if model.events else {"guards", "happen", "cutting"}
+    optional |= {"blocks"} if model.algebraics else {"blocks", "algebraic", "unsolved"}
     optional |= set() if any(event.timing is not None for event in model.events) else {"timing"}
     for method in set(offered(Equations)) - optional:
         expected = [(model.time.name if key == "t" and method != "grid" else key, default)

@@ -11,7 +11,7 @@ from gbspec.diagnostics.catalogue import Entry, entries
 from gbspec.frontend import load_model
 from gbspec.passes.examination import examine
 
-TOPICS = {"names", "balances", "events", "learning", "conservation", "units"}
+TOPICS = {"names", "balances", "algebraic", "events", "learning", "conservation", "units"}
 ENTRIES = [entry for entry in entries().values() if entry.topic in TOPICS]
 
 

@@ -229,9 +229,11 @@ def trained_ranges(model: Model, module: GeneratedModule) -> dict[str, Box]:
     """The ranges of the training data, stored with the weights, for each name that is an argument of an unknown."""
     import sympy
 
+    from gbspec.ir import right_sides
+
     applications = {
         one.func.__name__: one
-        for expression in model.inlined((*model.balances, *(channel.value for channel in model.channels)))
+        for expression in right_sides(model)
         for one in expression.atoms(sympy.core.function.AppliedUndef)
     }
     ranges: dict[str, Box] = {}

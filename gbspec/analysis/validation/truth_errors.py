@@ -13,7 +13,7 @@ from gbspec.analysis.validation.comparison_points import RhsPoints, Sampler, Sol
 from gbspec.analysis.validation.metrics import Norms, norms, relative_errors
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.ir import symbol, unknown_function
+from gbspec.ir import right_sides, symbol, unknown_function
 
 if TYPE_CHECKING:
     from gbspec.backends import Evaluator
@@ -194,7 +194,7 @@ def _norms_of(names: Sequence[str], pairs: Sequence[tuple[Array, Array]]) -> Nor
 
 def _arguments(model: Model, truth: Evaluator, at: RhsPoints) -> dict[str, list[Array]]:
     """For every unknown that is applied, the arguments [N, a] of each application at the true points."""
-    expressions = model.inlined([*model.balances, *(channel.value for channel in model.channels)])
+    expressions = right_sides(model)
     applied = {one for expression in expressions for one in expression.atoms(sympy.core.function.AppliedUndef)}
     functions = {unknown.name: unknown_function(unknown.name) for unknown in model.unknowns}
     found = {
@@ -217,6 +217,9 @@ def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Evaluator, a
         *(item.symbol for item in model.learnables),
     ]
     numbers = [at.times, *at.states.T, *at.conditions.T, *at.inputs.T, *map(float, truth.constants)]
+    if model.algebraics:
+        names += [item.symbol for item in model.algebraics]
+        numbers += [*truth.algebraics_many(at.times, at.states, at.conditions, at.inputs).T]
     bodies = {item.name: item for item in model.truth_functions}
 
     def known(expression: sympy.Expr) -> sympy.Expr:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -39,6 +39,9 @@ class InitialValueProblem:
     atol: float
 
 
+Explain = Callable[[float, Array, Array, InitialValueProblem], str]
+
+
 class _Stopped(Exception):  # noqa: N818 - an event, not an error
     """CVODES could not reach the end of a segment."""
 
@@ -47,11 +50,12 @@ class Integrator:
     """Integrates one right-hand side: casadi.Function (t, x, condition, inputs, constants) -> dx.
 
     Within a segment, time runs from 0 to 1 and states are divided by their scales, so that one integrator serves all
-    segments with the same relative output times, and one absolute tolerance serves all states.
+    segments with the same relative output times, and one absolute tolerance serves all states. `explain` says in words
+    what has no value at a time, a state and inputs.
     """
 
-    def __init__(self, rhs: Casadi, names: Sequence[str]) -> None:
-        self._names = tuple(names)
+    def __init__(self, rhs: Casadi, names: Sequence[str], explain: Explain | None = None) -> None:
+        self._names, self._explain = tuple(names), explain
         self._system = _scaled(rhs)
         self._kept: OrderedDict[tuple[tuple[float, ...], float, float, bool], Casadi] = OrderedDict()
         self._stiff = False
@@ -138,8 +142,10 @@ class Integrator:
             except _Stopped:
                 break
             last = float(time)
+        why = "" if self._explain is None else self._explain(last, x, _inputs_at(piece, last), problem)
         return ComputationError(
-            "the trajectory cannot be integrated further: it blows up, or the right-hand side is not finite there",
+            "the trajectory cannot be integrated further: "
+            + (why or "it blows up, or the right-hand side is not finite there"),
             where=f"after t = {last:.6g}, where {self._state(x)}",
             remedy="change the initial state, shorten the span, or exclude the region (simulate: --reject, --initial)",
         )

@@ -108,6 +108,15 @@ class Evaluator:
         """Channels [N, n_channels]; arguments as for `rhs_many`."""
         return self._many("observe", self.observe, self._points(t, x, condition, inputs, constants))
 
+    def algebraics_many(self, t: ArrayLike, x: ArrayLike, condition: ArrayLike = (), inputs: ArrayLike = ()) -> Array:
+        """Algebraic variables [N, n]; arguments as for `rhs_many`."""
+        columns = self._points(t, x, condition, inputs, None)[:-1]
+        count = max(len(column) for column in columns)
+        time, state, known, given = (np.broadcast_to(column, (count, column.shape[1])) for column in columns)
+        m, networks = self.instance.arithmetic("numpy"), self.instance.numpy_networks()
+        found = self.instance.equations.algebraic(m, time[:, 0], state, known, given, self._tuple(None), networks)
+        return np.asarray(found, dtype=np.float64)
+
     def functions_many(self, name: str, arguments: ArrayLike, constants: ArrayLike | None = None) -> Array:
         """Values [N] of an unknown at arguments [N, n_arguments]."""
         table = np.atleast_2d(np.asarray(arguments, dtype=np.float64))
@@ -231,7 +240,22 @@ class Evaluator:
 
     @cached_property
     def _integrator(self) -> Integrator:
-        return Integrator(self.rhs, tuple(self.instance.states))
+        solves = hasattr(self.instance.equations, "blocks")
+        return Integrator(self.rhs, tuple(self.instance.states), self._unsolved if solves else None)
+
+    def _unsolved(self, t: float, x: Array, inputs: Array, problem: InitialValueProblem) -> str:
+        """Which algebraic equations have no solution at a state or shortly after it, in words; empty for none."""
+        m, networks = self.instance.arithmetic("numpy"), self.instance.numpy_networks()
+        constants = self._tuple(problem.constants)
+        slope = np.array(self.rhs(t, x, problem.condition, inputs, problem.constants)).ravel()
+        steepest = float(np.abs(slope).max(initial=0.0))
+        reach = float(problem.scales.max()) / steepest if 0.0 < steepest < np.inf else 0.0
+        for share in (0.0, 1e-4, 1e-2, 0.1, 0.3, 1.0, 3.0):
+            at = x + share * reach * slope if share else x
+            given = (t, at, problem.condition, inputs, constants, networks)
+            if text := self.instance.equations.unsolved(m, *given):
+                return text
+        return ""
 
     @property
     def has_events(self) -> bool:

@@ -103,7 +103,7 @@ class Stepper:
 
 def _step_function(instance: GeneratedModule) -> Casadi:
     """casadi.Function (x, t, h, u0, u1, ..., jump, condition, constants) -> x one step later; inputs at the nodes."""
-    kind: Casadi = ca.MX if instance.networks else ca.SX
+    kind: Casadi = ca.MX if instance.networks or hasattr(instance.equations, "blocks") else ca.SX
     n_states = len(instance.states)
     sizes = {
         "x": n_states,

@@ -9,7 +9,7 @@ import unicodedata
 import sympy
 from sympy.printing.latex import LatexPrinter
 
-from gbspec.ir import NN, Expr, Lookup, Model, Unknown
+from gbspec.ir import NN, Expr, Lookup, Model, Unknown, named
 
 GREEK = frozenset(
     (
@@ -96,6 +96,11 @@ def balances(model: Model) -> list[tuple[str, str]]:
     return found + [(expression(left), expression(value)) for left, value in model.equations("closures")]
 
 
+def algebraic(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each algebraic equation."""
+    return [(expression(equation.left), expression(equation.right)) for equation in model.constraints]
+
+
 def disturbances(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each random disturbance: what it adds to the increment of its state."""
     return [
@@ -107,7 +112,7 @@ def disturbances(model: Model) -> list[tuple[str, str]]:
 
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
-    return [(expression(left), expression(value)) for left, value in model.equations("intermediates")]
+    return [(expression(left), expression(value)) for left, value in named(model)]
 
 
 def observations(model: Model) -> list[tuple[str, str]]:

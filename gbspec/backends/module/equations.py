@@ -32,13 +32,16 @@ from gbspec.ir import NN, Expr, Model, Network, Unknown, Vector
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
 
-def scope(model: Model) -> Names:
-    """The identifiers in a method of the whole model: time, states, conditions, inputs and constants."""
-    names = Names(PARAMETERS)
+def scope(model: Model, *more: str) -> Names:
+    """The identifiers in a method of the whole model: time, states, conditions, inputs and constants; `more` are other
+    parameters."""
+    names = Names((*PARAMETERS, *more))
     names.fix(STATE, "state")
     names.claim(model.time.symbol)
     for item in (*model.states, *model.conditions, *model.inputs, *model.constants, *model.learnables):
         names.claim(item.symbol)
+    for variable in model.algebraics:
+        names.claim(variable.symbol)
     return names
 
 
@@ -264,12 +267,21 @@ def diffusions_method(model: Model) -> list[str]:
 
 
 # ---------------------------------------------------------------------- parts of a method
-def body_of(model: Model, outputs: Sequence[Assignment], names: Names, read: Iterable[sympy.Symbol] = ()) -> list[str]:
-    """Lines that unpack what is used, and compute the outputs; `read` is unpacked as well."""
-    program = Program(model, outputs)
-    return _unpacked(model, names, _used(program.statements) | set(read)) + _statements(
-        program.statements, names, model
-    )
+def body_of(
+    model: Model,
+    outputs: Sequence[Assignment],
+    names: Names,
+    read: Iterable[sympy.Symbol] = (),
+    definitions: Sequence[Assignment] | None = None,
+    solved: bool = True,
+) -> list[str]:
+    """Lines that unpack what is used, and compute the outputs; `read` is unpacked as well. `solved`: algebraic
+    variables are solved for where they are used."""
+    program = Program(model, outputs, definitions)
+    used = _used(program.statements) | set(read)
+    if not solved:
+        used -= {item.symbol for item in model.algebraics}
+    return _unpacked(model, names, used) + _statements(program.statements, names, model)
 
 
 def _statements(program: Iterable[Statement], names: Names, model: Model) -> list[str]:
@@ -311,6 +323,10 @@ def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symb
         if any(wanted):
             targets = [names[item.symbol] if want else "_" for item, want in zip(items, wanted, strict=True)]
             lines.append(f"{left_side(targets)} = math.unpack({vector})")
+    variables = [names[item.symbol] if item.symbol in used else "_" for item in model.algebraics]
+    if any(name != "_" for name in variables):
+        call = f"cls.algebraic(math, {names[model.time.symbol]}, {', '.join(PARAMETERS[1:])})"
+        lines.append(f"{left_side(variables)} = math.unpack({call})")
     return lines + _unpacked_constants(model, names, used)
 
 

@@ -20,16 +20,17 @@ PLACE = re.compile(
 )
 
 
-WITH_EVENTS = re.compile(r"^[ ]*\# \[events\n(.*?)^[ ]*\# events\]\n", flags=re.M | re.S)
-"""What only modules of models with events have."""
+OPTIONAL = re.compile(r"^[ ]*\# \[(events|algebraic)\n(.*?)^[ ]*\# \1\]\n", flags=re.M | re.S)
+"""What only modules of models with events, or with algebraic variables, have."""
 
 
 @cache
-def template(*more: str, events: bool = False) -> str:
+def template(*more: str) -> str:
     """The files joined, with those that only some models need, without comments for type checkers and linters."""
-    parts = (*PARTS[:2], "events", *PARTS[2:]) if events else PARTS
-    text = "\n\n\n".join(map(_part, (*parts, *more))) + "\n"
-    text = WITH_EVENTS.sub(r"\1" if events else "", text)
+    early = [part for part in more if part == "events"]
+    parts = (*PARTS[:2], *early, *PARTS[2:], *(part for part in more if part not in early))
+    text = "\n\n\n".join(map(_part, parts)) + "\n"
+    text = OPTIONAL.sub(lambda match: match[2] if match[1] in more else "", text)
     return re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text)
 
 

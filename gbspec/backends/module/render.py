@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import attributes, equations, events, stepping
+from gbspec.backends.module import algebraic, attributes, equations, events, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -23,8 +23,8 @@ def generate(model: Model, method: Method = RK4) -> str:
     """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
     training runs."""
     name = class_name(model)
-    more = ("lookups",) if model.tables else ()
-    text = template(*more, events=bool(model.events))
+    parts = {"events": model.events, "lookups": model.tables, "algebraic": model.algebraics}
+    text = template(*(part for part, needed in parts.items() if needed))
     return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
@@ -47,6 +47,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.doses_method(model),
         *equations.diffusions_method(model),
         *events.methods(model),
+        *algebraic.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]
@@ -74,6 +75,7 @@ def _module_document(model: Model, method: Method) -> str:
     learned = {learnable.name for learnable in model.learnables}
     sections: list[tuple[str, Iterable[Declared]]] = [
         ("States", model.states),
+        ("Algebraic", model.algebraics),
         ("Conditions", model.conditions),
         ("Inputs", model.inputs),
         ("Constants", (*model.constants, *model.learnables)),
@@ -132,6 +134,7 @@ def _class_document(model: Model) -> str:
     )
     for vector, form in vectors:
         lines += [form.format(printer.print(left), printer.print(right)) for left, right in model.equations(vector)]
+    lines += [f"{e.name}: {printer.print(e.left)} = {printer.print(e.right)}" for e in model.constraints]
     postulated = [unknown for unknown in model.unknowns if unknown.postulate != NN]
     lines += [f"{unknown.name} = {printer.print(unknown.postulate)}" for unknown in postulated]
     return "\n".join([*lines, "", *_shapes(model)])

@@ -99,6 +99,8 @@ def _check(model: Model) -> None:
         raise NotCoveredError("it has no states")
     if model.events:
         raise NotCoveredError("it has events, which cut the steps at times of their own")
+    if model.algebraics:
+        raise NotCoveredError("it has algebraic variables, which a search finds in every step")
 
 
 def _timed(model: Model) -> bool:

@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import sympy
 from sympy.printing.mathml import MathMLPresentationPrinter
 
-from gbspec.ir import NN, Expr, Lookup, Model, Unknown
+from gbspec.ir import NN, Expr, Lookup, Model, Unknown, named
 
 _ENTITIES = {"&InvisibleTimes;": "&#x22C5;", "&ExponentialE;": "e", "&ApplyFunction;": "&#x2061;"}
 """The printer's named entities as numbers, so that the page is well formed as XML too."""
@@ -115,9 +115,14 @@ def balances(model: Model) -> list[tuple[str, str]]:
     return found + [(expression(left), expression(right)) for left, right in model.equations("closures")]
 
 
+def algebraic(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each algebraic equation."""
+    return [(expression(equation.left), expression(equation.right)) for equation in model.constraints]
+
+
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
-    return [(expression(left), expression(right)) for left, right in model.equations("intermediates")]
+    return [(expression(left), expression(right)) for left, right in named(model)]
 
 
 def observations(model: Model) -> list[tuple[str, str]]:

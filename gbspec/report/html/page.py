@@ -248,6 +248,7 @@ def _equations(model: Model) -> list[tuple[str, str]]:
 
     blocks = (
         ("Balances", mathml.balances(model)),
+        ("Algebraic equations", mathml.algebraic(model)),
         ("Rates and intermediates", mathml.intermediates(model)),
         ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns]),
         ("Measured", mathml.observations(model)),

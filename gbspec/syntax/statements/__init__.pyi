@@ -1,3 +1,4 @@
+from .algebraic import AlgebraicStatement as AlgebraicStatement
 from .allow import AllowStatement as AllowStatement
 from .balance import BalanceStatement as BalanceStatement
 from .base import About as About
@@ -13,6 +14,7 @@ from .diffusion import DiffusionStatement as DiffusionStatement
 from .discrete import DiscreteStatement as DiscreteStatement
 from .dose import DoseStatement as DoseStatement
 from .effect import EffectStatement as EffectStatement
+from .equation import EquationStatement as EquationStatement
 from .event import EventStatement as EventStatement
 from .function import FunctionStatement as FunctionStatement
 from .initial import InitialStatement as InitialStatement

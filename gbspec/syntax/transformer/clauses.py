@@ -189,6 +189,9 @@ class ClauseRules(ExpressionRules):
     def produced(self, children: Children) -> Clause:
         return self._number("produced", children)
 
+    def left(self, children: Children) -> Clause:
+        return self._number("left", children)
+
     def target(self, children: Children) -> ast.Name | ast.Index:
         (child,) = children
         return self.name_at(child) if isinstance(child, Token) else cast(ast.Index, child)

@@ -14,7 +14,7 @@ from sympy.core.function import AppliedUndef
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
 from gbspec.data import Trajectories, Trajectory
-from gbspec.ir import Model
+from gbspec.ir import Model, used_by_balances
 from gbspec.training.starts.slopes import Points, evaluate_rhs, inputs_at
 from gbspec.training.starts.splines import Curves, StateCurve, curve_of, smoothed
 
@@ -46,13 +46,14 @@ def determined(model: Model, curves: Curves) -> tuple[int, int] | None:
     none."""
     hidden = {s.symbol: i for i, s in enumerate(model.states) if not curves.covers(i)}
     learned = {k.symbol for k in model.learnables}
-    for index, balance in enumerate(model.inlined(model.balances) if hidden else ()):
-        contained = balance.free_symbols & hidden.keys()
+    used = used_by_balances(model) if hidden else []
+    for index, (balance, symbols) in enumerate(zip(model.inlined(model.balances), used, strict=False)):
+        contained = symbols & hidden.keys()
         if len(contained) != 1 or not curves.covers(index):
             continue
         (symbol,) = contained
         slope = balance.diff(symbol)
-        if not (balance.free_symbols & learned or balance.atoms(AppliedUndef) or slope.free_symbols or slope == 0):
+        if not (symbols & learned or balance.atoms(AppliedUndef) or slope.free_symbols or slope == 0):
             return index, hidden[symbol]
     return None
 
@@ -66,7 +67,7 @@ def _derived(
     state: int,
 ) -> StateCurve | None:
     """The curve of `state` of a trajectory; None if the states that the balance needs have no curves there."""
-    needed = model.inlined(model.balances)[balance].free_symbols
+    needed = used_by_balances(model)[balance]
     own = curves[balance]
     others = [curves[i] for i, s in enumerate(model.states) if s.symbol in needed and i != state]
     if own is None or any(curve is None for curve in others):

@@ -12,7 +12,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule, Network, Networks
 from gbspec.data import Signal, Trajectories, evaluate
-from gbspec.ir import Model
+from gbspec.ir import Model, unknowns_in_equations, used_by_balances
 from gbspec.training.engines import torch_arithmetic
 from gbspec.training.problem import Integers
 from gbspec.training.starts.splines import Curves
@@ -56,10 +56,10 @@ class Points:
 def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
     """Balances in which every state, including that on the left side, has curves."""
     hidden = {s.symbol for i, s in enumerate(model.states) if not curves.covers(i)}
-    balances = model.inlined(model.balances)
-    return tuple(
-        i for i, s in enumerate(model.states) if s.symbol not in hidden and not (balances[i].free_symbols & hidden)
-    )
+    if unknowns_in_equations(model):  # their values cannot be free numbers while equations are solved
+        return ()
+    used = used_by_balances(model)
+    return tuple(i for i, s in enumerate(model.states) if s.symbol not in hidden and not used[i] & hidden)
 
 
 def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: Array) -> Points:

@@ -436,6 +436,9 @@ class Template:  # {{class}}
 
         # Networks are products of matrices, which casadi keeps whole in MX; in SX each multiplication is a node.
         kind: Any = ca.MX if self.networks else ca.SX
+        # [algebraic
+        kind = ca.MX  # in which functions are called, such as the search for algebraic variables
+        # algebraic]
         sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
         arguments = {key: kind.sym(key, size) for key, size in sizes.items()}
         values, k = [*arguments.values()], kind(ca.DM(self.weights["constants"]))

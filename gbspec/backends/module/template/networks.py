@@ -152,6 +152,12 @@ def _torch_network(network: dict[str, Any], weights: Any, index: int, tape: list
         return (z if raw else output_center + output_scale * z).unbind(-1)
 
     call = taped if tape is not None else _TorchNetwork(_folded(network, layers, scales), activations, together)
+    # [algebraic
+    if tape is not None:  # the search for algebraic variables records nothing
+        made: Any = _Raw(call, output_center, output_scale, scale) if raw else call
+        made.quiet = _torch_network(network, weights, index, None)
+        return made
+    # algebraic]
     return _Raw(call, output_center, output_scale, scale) if raw else call
 
 

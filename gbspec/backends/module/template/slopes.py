@@ -48,6 +48,16 @@ def _rhs_slopes(module: Any, x: Any, by: Any, t: float, condition: Any, inputs: 
         own = varied["constants"].unbind()
         return (module.equations.rhs(_torch_arithmetic(), time, state, given, held, own, networks) * direction).sum()
 
+    # [algebraic
+    # A search for algebraic variables cannot be mapped over points.
+    leaves = {key: each.clone().requires_grad_() for key, each in {**trained, "constants": known}.items()}
+    rows = [
+        torch.autograd.grad(value(leaves, *point), [*leaves.values()], allow_unused=True, materialize_grads=True)
+        for point in zip(states, directions, strict=True)
+    ]
+    if rows:
+        return {key: torch.stack(each).numpy() for key, each in zip(leaves, zip(*rows, strict=True), strict=True)}
+    # algebraic]
     slopes = torch.func.vmap(torch.func.grad(value), in_dims=(None, 0, 0))
     found = slopes({**trained, "constants": known}, states, directions)
     return {key: each.numpy() for key, each in found.items()}

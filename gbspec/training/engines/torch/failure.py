@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.backends import Value
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
@@ -68,6 +69,9 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
                 i = int(torch.nonzero(bad.any(-1))[0, 0])
                 slope = module.equations.rhs(m, step.t, x, c, step.nodes[0], k, networks)[i]
                 why = events.trouble if events is not None and events.trouble else _blame(names, slope, bad[i])
+                own = [value[i] if value.ndim else value for value in k]
+                given = (step.t[i], c[i], step.nodes[0][i], tuple(own), networks)
+                why = _unsolved(problem, given, x[i], x[i] + step.h[i] * slope) or why
                 return i, float(packed.t[s - 1, i]), why, x[i].numpy()
             x = new
         here = np.flatnonzero(packed.row_step == s)
@@ -76,6 +80,16 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
         value[packed.row_trajectory[here]] = torch.from_numpy(problem.forcing.value[here])
         x = x - weight * (x - value)
     return None
+
+
+def _unsolved(problem: Problem, given: tuple[Value, ...], *states: Tensor) -> str:
+    """The algebraic equations without a solution at the first of these states where that is so; else empty."""
+    if not problem.model.algebraics:
+        return ""
+    m, (t, condition, inputs, constants, networks) = torch_arithmetic(problem.module), given
+    equations = problem.module.equations
+    found = (equations.unsolved(m, t, x, condition, inputs, constants, networks) for x in states)
+    return next((text for text in found if text), "")
 
 
 def _blame(names: list[str], rhs: Tensor, bad: Tensor) -> str:
