@@ -19,6 +19,7 @@ import sympy
 
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
+from gbspec.ir.delays import Delay
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
@@ -94,12 +95,14 @@ class Initial:
 @dataclass(frozen=True)
 class State(Declared):
     """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value.
-    `discrete`: only events change it, and its balance is zero."""
+    `discrete`: only events change it, and its balance is zero. `history`: what it was before the start, an expression
+    of constants, conditions and the time; None: what it is at the start."""
 
     range: Range | None = None
     start: float | None = None
     initial: Initial = Initial("measured")
     discrete: bool = False
+    history: Expr | None = None
 
 
 @dataclass(frozen=True)
@@ -347,6 +350,7 @@ class Model:
     channels: tuple[Channel, ...] = ()
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
+    delays: tuple[Delay, ...] = ()
     events: tuple[Event, ...] = ()  # in the order in which they happen at one time
     claims: tuple[Claim, ...] = ()
     truth_constants: tuple[TruthConstant, ...] = ()

@@ -63,6 +63,7 @@ def _expressions(model: Model) -> None:
     conditions = {item.symbol for item in model.conditions}
     states = {item.symbol for item in model.states}
     known = constants | conditions | states | {item.symbol for item in model.inputs} | {model.time.symbol}
+    known |= {delay.symbol for delay in model.delays}
     tables = {table.name: table.curve for table in model.tables}
     arity = {u.name: len(model.networks[u.network].arguments) for u in model.unknowns}
 
@@ -112,6 +113,13 @@ def _expressions(model: Model) -> None:
         check(what, diffusion.value, given | {symbol(diffusion.state)}, applies=False)
         if diffusion.relative is not None:
             check(what, diffusion.relative, given, applies=False)
+    for delay in model.delays:
+        _require(delay.value in known, f"`{delay.name}` delays something else")
+        check(f"`{delay.name}`", delay.lag, constants | conditions, applies=False)
+    for state in model.states:
+        if state.history is not None:
+            allowed = constants | conditions | {model.time.symbol}
+            check(f"the history of `{state.name}`", state.history, allowed, applies=False)
     _events(model, check, known, constants | conditions)
     disturbed = [diffusion.state for diffusion in model.diffusions]
     _require(len(set(disturbed)) == len(disturbed), "two diffusions of a state")

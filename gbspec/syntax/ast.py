@@ -64,6 +64,7 @@ from gbspec.syntax.statements import (
     EventStatement,
     Formula,
     FunctionStatement,
+    HistoryStatement,
     InitialStatement,
     InputStatement,
     LearnStatement,
@@ -116,6 +117,7 @@ __all__ = [
     "FunctionStatement",
     "Group",
     "Grouping",
+    "HistoryStatement",
     "Index",
     "InitialStatement",
     "InputStatement",
@@ -179,6 +181,7 @@ Statement = (
     | DiffusionStatement
     | DiscreteStatement
     | EventStatement
+    | HistoryStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
+from gbspec.backends.casadi.delays import DelaySolver, at_rest, linear_parts
 from gbspec.backends.casadi.events import EventSolver
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
@@ -138,13 +139,14 @@ class Evaluator:
     ) -> list[Array]:
         state = np.asarray(x, dtype=np.float64).reshape(-1, self.n_states)
         time = np.asarray(t, dtype=np.float64).reshape(-1, 1)
+        width = self.n_inputs + (len(self.instance.equations.delays) if self.has_delays else 0)
         return [
             time,
             state,
             np.asarray(condition, dtype=np.float64).reshape(-1, self.n_conditions)
             if self.n_conditions
             else np.zeros((1, 0)),
-            np.asarray(inputs, dtype=np.float64).reshape(-1, self.n_inputs) if self.n_inputs else np.zeros((1, 0)),
+            np.asarray(inputs, dtype=np.float64).reshape(-1, width) if width else np.zeros((1, 0)),
             self._constants(constants),
         ]
 
@@ -190,6 +192,26 @@ class Evaluator:
 
         Raises ComputationError, with time and state, if the solution cannot be continued or is not finite.
         """
+        return self.followed(
+            x0, times, condition, inputs, start, doses=doses, constants=constants, rtol=rtol, atol=atol, scales=scales
+        )[0]
+
+    def followed(
+        self,
+        x0: ArrayLike,
+        times: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: Sequence[Course] = (),
+        start: float | None = None,
+        *,
+        doses: Sequence[Events] = (),
+        constants: ArrayLike | None = None,
+        rtol: float = 1e-10,
+        atol: float = 1e-10,
+        scales: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """States as from `integrate`, and the delayed values [n_times, n_delays], which `rhs` and `observe` take behind
+        the inputs."""
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
@@ -197,9 +219,18 @@ class Evaluator:
         problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
         )
+        if self.has_delays:
+            solver = DelaySolver(self.instance, self.rhs)
+            return solver.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
+        none = np.zeros((len(outputs), 0))
+        return self._followed(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem), none
+
+    def _followed(
+        self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: InitialValueProblem
+    ) -> Array:
         if self.has_events:
-            return self._event_solver.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
-        return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
+            return self._event_solver.run(x0, begin, outputs, pieces, problem)
+        return self._integrator.run(x0, begin, outputs, pieces, problem)
 
     def integrate_fixed(
         self,
@@ -217,9 +248,10 @@ class Evaluator:
         """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
         and kinks, each divided into `parts`.
 
-        States may be infinite or NaN: the fixed step is not checked. With events the steps are adaptive here too.
+        States may be infinite or NaN: the fixed step is not checked. With events or delays the steps are adaptive here
+        too.
         """
-        if self.has_events:
+        if self.has_events or self.has_delays:
             return self.integrate(x0, times, condition, inputs, start, doses=doses, constants=constants)
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
@@ -237,6 +269,21 @@ class Evaluator:
     def has_events(self) -> bool:
         """Whether its model has events."""
         return hasattr(self.instance.equations, "events")
+
+    @property
+    def has_delays(self) -> bool:
+        """Whether its model has delays."""
+        return hasattr(self.instance.equations, "delays")
+
+    @cached_property
+    def at_rest(self) -> Casadi:
+        """`rhs` of declared inputs alone: of a model with delays, where nothing changes."""
+        return at_rest(self.instance, self.rhs) if self.has_delays else self.rhs
+
+    @cached_property
+    def linear_parts(self) -> Casadi | None:
+        """What characteristic roots at rest are computed from (`delays.linear_parts`); None without delays."""
+        return linear_parts(self.instance, self.rhs) if self.has_delays else None
 
     @cached_property
     def _event_solver(self) -> EventSolver:

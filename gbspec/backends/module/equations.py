@@ -27,7 +27,7 @@ from gbspec.backends.printing import (
     temporary,
 )
 from gbspec.diagnostics import Defect
-from gbspec.ir import NN, Expr, Model, Network, Unknown, Vector
+from gbspec.ir import NN, Declared, Delay, Expr, Input, Model, Network, Unknown, Vector
 
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
@@ -39,6 +39,8 @@ def scope(model: Model) -> Names:
     names.claim(model.time.symbol)
     for item in (*model.states, *model.conditions, *model.inputs, *model.constants, *model.learnables):
         names.claim(item.symbol)
+    for delay in model.delays:
+        names.claim(delay.symbol, f"{delay.source}_delayed")
     return names
 
 
@@ -306,7 +308,9 @@ def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symb
     """Lines that unpack the used quantities."""
     lines = []
     states = () if model.arrays else model.states  # with arrays, states are entries of the vector, and so statements
-    for vector, items in (("state", states), ("condition", model.conditions), ("inputs", model.inputs)):
+    external: tuple[Input | Delay, ...] = (*model.inputs, *model.delays)
+    vectors: list[tuple[str, Sequence[Declared | Delay]]] = [("state", states), ("condition", model.conditions)]
+    for vector, items in (*vectors, ("inputs", external)):
         wanted = [item.symbol in (given if given is not None and vector == "state" else used) for item in items]
         if any(wanted):
             targets = [names[item.symbol] if want else "_" for item, want in zip(items, wanted, strict=True)]

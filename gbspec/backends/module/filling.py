@@ -20,16 +20,17 @@ PLACE = re.compile(
 )
 
 
-WITH_EVENTS = re.compile(r"^[ ]*\# \[events\n(.*?)^[ ]*\# events\]\n", flags=re.M | re.S)
-"""What only modules of models with events have."""
+SOME = re.compile(r"^[ ]*\# \[(?P<what>events|delays)\n(?P<text>.*?)^[ ]*\# (?P=what)\]\n", flags=re.M | re.S)
+"""What only modules of models with events, or with delays, have."""
 
 
 @cache
-def template(*more: str, events: bool = False) -> str:
+def template(*more: str, events: bool = False, delays: bool = False) -> str:
     """The files joined, with those that only some models need, without comments for type checkers and linters."""
-    parts = (*PARTS[:2], "events", *PARTS[2:]) if events else PARTS
-    text = "\n\n\n".join(map(_part, (*parts, *more))) + "\n"
-    text = WITH_EVENTS.sub(r"\1" if events else "", text)
+    kept = {"events": events, "delays": delays}
+    own = [name for name, wanted in kept.items() if wanted]
+    text = "\n\n\n".join(map(_part, (*PARTS[:2], *own, *PARTS[2:], *more))) + "\n"
+    text = SOME.sub(lambda found: found["text"] if kept[found["what"]] else "", text)
     return re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text)
 
 

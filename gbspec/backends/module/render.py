@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import attributes, equations, events, stepping
+from gbspec.backends.module import attributes, delays, equations, events, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -24,7 +24,7 @@ def generate(model: Model, method: Method = RK4) -> str:
     training runs."""
     name = class_name(model)
     more = ("lookups",) if model.tables else ()
-    text = template(*more, events=bool(model.events))
+    text = template(*more, events=bool(model.events), delays=bool(model.delays))
     return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
 
@@ -47,6 +47,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.doses_method(model),
         *equations.diffusions_method(model),
         *events.methods(model),
+        *delays.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]

@@ -15,6 +15,7 @@ from .dose import DoseStatement as DoseStatement
 from .effect import EffectStatement as EffectStatement
 from .event import EventStatement as EventStatement
 from .function import FunctionStatement as FunctionStatement
+from .history import HistoryStatement as HistoryStatement
 from .initial import InitialStatement as InitialStatement
 from .input import InputStatement as InputStatement
 from .learn import LearnStatement as LearnStatement

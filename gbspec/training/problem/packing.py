@@ -22,6 +22,7 @@ from gbspec.data import Limits, Trajectories, Trajectory, evaluate
 from gbspec.data import weights as weights_of
 from gbspec.ir import RK4, Method, Model
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
+from gbspec.training.problem.delays import largest_steps
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,9 @@ def pack(
     """
     lags = known_lags(trajectories, model)
     nodes = tuple(map(float, method.nodes))
-    plans = [_plan(item, model, max_step, nodes, rng, own) for item, own in zip(trajectories.items, lags, strict=True)]
+    limits = largest_steps(trajectories, model, max_step)
+    each = zip(trajectories.items, lags, limits, strict=True)
+    plans = [_plan(item, model, limit, nodes, rng, own) for item, own, limit in each]
     depth = max((len(plan.h) for plan in plans), default=0)
     count, n_inputs = len(plans), len(model.inputs)
     t, h = np.zeros((depth, count)), np.zeros((depth, count))

@@ -49,9 +49,9 @@ def chosen_solver(
 ) -> tuple[str, str | None]:
     """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
 
-    Likelihoods (of innovations, or of a population) and models with events are computed with the explicit one.
+    Likelihoods (of innovations, or of a population) and models with events or delays have the explicit one.
     """
-    if model.diffusions or model.marginal or model.events:
+    if model.diffusions or model.marginal or model.events or model.delays:
         return solver_of(options), None
     step = options.max_step if options.max_step is not None else default_max_step(trajectories)
     steps, rows = _fixed_steps(trajectories, step)

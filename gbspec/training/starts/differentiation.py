@@ -46,7 +46,7 @@ def determined(model: Model, curves: Curves) -> tuple[int, int] | None:
     none."""
     hidden = {s.symbol: i for i, s in enumerate(model.states) if not curves.covers(i)}
     learned = {k.symbol for k in model.learnables}
-    for index, balance in enumerate(model.inlined(model.balances) if hidden else ()):
+    for index, balance in enumerate(model.inlined(model.balances) if hidden and not model.delays else ()):
         contained = balance.free_symbols & hidden.keys()
         if len(contained) != 1 or not curves.covers(index):
             continue
