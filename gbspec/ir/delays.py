@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import sympy
 
 from gbspec.diagnostics import Span
-from gbspec.ir.symbols import symbol
+from gbspec.ir.symbols import symbol, unknown_function
 
 
 @dataclass(frozen=True)
@@ -33,3 +34,9 @@ class Delay:
     def value(self) -> sympy.Symbol:
         """The symbol of what is delayed."""
         return symbol(self.source)
+
+
+def timed(expression: sympy.Expr, delays: Iterable[Delay], time: sympy.Symbol) -> sympy.Expr:
+    """The expression with delayed values as their quantities at an earlier time, for display."""
+    times = {d: sympy.Add(time, -d.lag, evaluate=False) for d in delays}
+    return expression.xreplace({d.symbol: unknown_function(d.source)(at) for d, at in times.items()})

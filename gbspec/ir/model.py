@@ -19,7 +19,7 @@ import sympy
 
 from gbspec.diagnostics import Span
 from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
-from gbspec.ir.delays import Delay
+from gbspec.ir.delays import Delay, timed
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
@@ -436,6 +436,10 @@ class Model:
     def accepts(self, code: str, name: str | None = None) -> bool:
         """Whether an `allow` accepts the warning `code` about `name`."""
         return any(allowed == code and about in (None, name) for allowed, about in self.allowed)
+
+    def timed(self, expression: Expr) -> Expr:
+        """The expression for display, with each delayed value as its quantity at an earlier time, `x(t - tau)`."""
+        return timed(expression, self.delays, self.time.symbol)
 
     def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
         """The expressions with every intermediate substituted."""

@@ -61,7 +61,8 @@ def _delayed(what: ast.Expression, site: Site, table: Table, findings: Findings)
     if declaration is None or declaration.kind in _DELAYED:
         return True
     named = declaration.kind in (Kind.UNKNOWN, Kind.PROCESS, Kind.FUNCTION, Kind.TABLE)
-    help = f"name it: `let a = {what.text}…`, and write `delay(a, …)`" if named else "leave out the delay"
+    applied = "" if declaration.kind is Kind.PROCESS else "(…)"
+    help = f"name it: `let a = {what.text}{applied}`, and write `delay(a, …)`" if named else "leave out the delay"
     if declaration.kind is Kind.TIME:
         help = f"write `{what.text} - tau`"
     message = f"`delay` takes a state, an input or a `let`, and `{what.text}` is {declaration.kind.value}"

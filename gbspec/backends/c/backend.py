@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gbspec.backends import Backend
+from gbspec.backends import Backend, Refusal
 
 if TYPE_CHECKING:
     from gbspec.backends.protocol import GeneratedModule
     from gbspec.ir import Method, Model
 
 
-def make(model: Model, instance: GeneratedModule, method: Method) -> str:
-    """C source with the instance's numbers in it."""
+def make(model: Model, instance: GeneratedModule, method: Method) -> str | Refusal:
+    """C source with the instance's numbers in it, or a refusal of a model with delays."""
     from gbspec.backends.c.source import c_code
+
+    if model.delays:
+        return Refusal(
+            "its delays look at the solution before, which the program would have to keep", "`module` has it"
+        )
 
     return c_code(instance)
 

@@ -34,6 +34,7 @@ class _Past:
         self.condition = self.condition if isinstance(self.condition, tuple) else self.condition.unbind(-1)
         lags = equations.lags(_torch_arithmetic(), self.condition, self.constants)
         self.lags = torch.stack([_tensor(lag, start).expand(start.shape[:1]) for lag in lags])
+        self.shortest = self.lags.detach().amin(0).cpu().numpy()
         self.group = [lag for _, lag in equations.delays]
         self.pieces: list[Any] = []
         self.begins = start.new_full((64, len(start)), _math.inf)
@@ -45,13 +46,13 @@ class _Past:
 
     def values(self, times: Any, middle: Any) -> Any:
         """The delayed quantities [K, B, n_delays] at times [K, B]; where these meet an end of an earlier step, the side
-        towards `middle` [B] counts."""
+        towards `middle` ([K, B] or [B]) counts."""
         import torch
 
         count = times.shape[1]
         lags = self.lags[:, :count]
         s = (times.unsqueeze(1) - lags).flatten(0, 1)  # [K * lags, B]
-        toward = (middle - lags).repeat(len(times), 1)
+        toward = (middle.expand(times.shape).unsqueeze(1) - lags).flatten(0, 1)
         with torch.no_grad():
             near = s + (1e-7 if s.dtype == torch.float64 else 1e-3) * (toward - s)
             index = (self.begins[: len(self.pieces), :count].unsqueeze(1) <= near).sum(0) - 1
@@ -101,16 +102,18 @@ class _Past:
         x = x0 + share * whole + share * (1 - share) * bend
         return x, (u0 + share * (u1 - u0)).expand(*s.shape, -1)
 
-    def across(self, t: Any, h: Any, grid: Any, x: Any, u: Any, rhs: Any, smooth: bool) -> tuple[Any, Any]:
+    def across(
+        self, t: Any, h: Any, grid: Any, x: Any, u: Any, rhs: Any, smooth: bool, late: Any = None
+    ) -> tuple[Any, Any]:
         """The state after a step from t [B] of size h [B] with inputs `u` at its nodes, and the delayed values there.
 
-        `smooth`: nothing happened between the step before and this one.
+        `smooth`: nothing happened between the step before and this one; `late`: the delayed values at the nodes
+        [nodes, B, n_delays], if they are known.
         """
         import torch
 
-        m = _torch_arithmetic()
-        times = torch.stack([_tensor(node, x).expand(len(x)) for node in grid[0]])
-        late = self.values(times, t + h / 2)
+        m, times = _torch_arithmetic(), [_tensor(node, x).expand(len(x)) for node in grid[0]]
+        late = self.values(torch.stack(times), t + h / 2) if late is None else late
         nodes = tuple(torch.cat([a, b], -1) for a, b in zip(u, late.unbind(0), strict=True))
         rate = self.rate[: len(x)] if smooth and self.rate is not None else rhs(times[0], x, nodes[0])
 

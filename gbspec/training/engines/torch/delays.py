@@ -8,6 +8,7 @@ at the ends of intervals do not suffice, as they do in `jacobian`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -26,15 +27,17 @@ BYTES = 64 * 1024**2
 
 
 class Past(Protocol):
-    """The solution so far of a batch (`_Past` of the module's template)."""
+    """The solution so far of a batch (`_Past` of the module's template); `shortest`: the shortest delays [B]."""
+
+    shortest: Array
 
     def across(
-        self, t: Tensor, h: Tensor, grid: Value, x: Tensor, u: Value, rhs: Field, smooth: bool
+        self, t: Tensor, h: Tensor, grid: Value, x: Tensor, u: Value, rhs: Field, smooth: bool, late: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The states after a step, and the delayed values there."""
 
     def values(self, times: Tensor, middle: Tensor) -> Tensor:
-        """The delayed values at times [K, B]."""
+        """The delayed values at times [K, B], on the side of others."""
 
 
 def past_of(
@@ -56,30 +59,82 @@ def follow(
 ) -> tuple[list[Tensor], list[Tensor]]:
     """States and delayed values of the live rows at their starts and at the end of each sub-step; `rhs` gives the
     right-hand side of the first rows."""
-    begin = steps[0].t.detach()[None] if steps else x.new_zeros((1, len(x)))
-    states, late = [x], [past.values(begin, begin[0])[0]]
-    for reset, step in zip(resets, steps, strict=False):
+    ready = [_Step.of(step, deliveries) for step in steps]
+    begin = steps[0].t.detach()[None]
+    states, ends = [x], [past.values(begin, begin[0])[0]]
+    known: list[Tensor] = []
+    for number, (reset, step) in enumerate(zip(resets, steps, strict=False)):
+        if not known:
+            known = looked_ahead(past, ready[number : number + _reach(past, ready, number)])
         if reset is not None:
             given, kept = reset
             x = torch.addcmul(given, kept, x)
         live = len(step.t)
-        x, values = advance(x[:live], step, past, deliveries, rhs(live), reset is None)
+        x, late = advance(x[:live], step, ready[number], past, deliveries, rhs(live), reset is None, known.pop(0))
         states.append(x)
-        late.append(values)
-    return states, late
+        ends.append(late)
+    return states, ends
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A sub-step with the derivatives of its ends: start and length [B], grid and inputs at the nodes; `begin` and
+    `end` [B] are its ends as numbers."""
+
+    t: Tensor
+    h: Tensor
+    grid: Value
+    nodes: tuple[Tensor, ...]
+    begin: Array
+    end: Array
+
+    @classmethod
+    def of(cls, step: SubStep, deliveries: Deliveries) -> _Step:
+        t, h = deliveries.ends(step)
+        moved = None if step.arrivals is None else deliveries.moved(step, step.arrivals)
+        grid, nodes = (step.grid, step.nodes) if moved is None else moved
+        begin, length = step.t.detach().cpu().numpy(), step.h.detach().cpu().numpy()
+        return cls(t, h, grid, nodes, begin, begin + length)
+
+
+def _reach(past: Past, steps: Sequence[_Step], number: int) -> int:
+    """How many steps from `number` on look only at times before it; their delayed values are computed together."""
+    first = steps[number]
+    rows = len(first.begin)
+    seen = first.begin + past.shortest[:rows]
+    seen = seen + 1e-12 * np.abs(seen)
+    count = 1
+    while number + count < len(steps) and len(steps[number + count].end) == rows:
+        if not bool((steps[number + count].end <= seen).all()):
+            break
+        count += 1
+    return count
+
+
+def looked_ahead(past: Past, steps: Sequence[_Step]) -> list[Tensor]:
+    """The delayed values at the nodes of some steps [nodes, B, n_delays]."""
+    rows = len(steps[0].t)
+    times = torch.stack([node.expand(rows) for step in steps for node in step.grid[0]])
+    nodes = len(times) // len(steps)
+    middle = torch.stack([step.t + step.h / 2 for step in steps]).repeat_interleave(nodes, 0)
+    return list(past.values(times, middle).unflatten(0, (len(steps), nodes)).unbind(0))
 
 
 def advance(
-    x: Tensor, step: SubStep, past: Past, deliveries: Deliveries, rhs: Field, smooth: bool
+    x: Tensor,
+    step: SubStep,
+    ready: _Step,
+    past: Past,
+    deliveries: Deliveries,
+    rhs: Field,
+    smooth: bool,
+    late: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """The states at the end of a sub-step, and the delayed values there; `smooth`: no state was reset before it."""
-    grid, nodes = step.grid, step.nodes
     if step.arrivals is not None:
         x = deliveries.added(x, step.arrivals)
-        grid, nodes = deliveries.moved(step, step.arrivals)
-    t, h = deliveries.ends(step)
     smooth = smooth and step.arrivals is None and not deliveries.problem.model.inputs
-    return past.across(t, h, grid, x, nodes, rhs, smooth)
+    return past.across(ready.t, ready.h, ready.grid, x, ready.nodes, rhs, smooth, late)
 
 
 def jacobian(
