@@ -155,6 +155,9 @@ def _shapes(model: Model) -> list[str]:
         ]
         if parts:
             lines.append(f"{name} [..., {len(items)}]: {', '.join(parts)}")
+    if model.delays:
+        names = ", ".join(delay.name for delay in model.delays)
+        lines.append(f"delayed values, behind the inputs of rhs, observe and step [..., {len(model.delays)}]: {names}")
     constants = [item.name + _unit(item) for item in (*model.constants, *model.learnables)]
     units = {item.name: _unit(item) for item in model.unknowns}
     functions = [
