@@ -140,7 +140,7 @@ def _plausible(model: Model) -> Point:
         0.3,
         np.array([inside(state) for state in model.states]),
         np.array([inside(condition) for condition in model.conditions]),
-        np.array([inside(item) for item in model.inputs]),
+        np.array([*(inside(item) for item in model.inputs), *generator.uniform(0.5, 1.0, len(model.delays))]),
         np.array(values, dtype=np.float64),
     )
 

@@ -11,6 +11,7 @@ from gbspec.backends.module import load_module
 from gbspec.data.trajectories import Trajectories
 from gbspec.training.engines.choice import torch_engine
 from gbspec.training.engines.objective import half_squares
+from gbspec.training.engines.torch.failure import explain_failure
 from gbspec.training.problem.parameters import Parameters
 from gbspec.training.problem.problem import Problem
 from tests.delays.models import EVERYTHING, MACKEY_GLASS, everything_data, mackey_glass
@@ -97,3 +98,12 @@ def test_single_precision_and_second_derivatives() -> None:
     single = torch_engine(problem, parameters, precision="float32")
     assert np.allclose(single.moments(theta, path).mean, engine.moments(theta, path).mean, rtol=1e-4)
     assert torch.get_default_dtype() == torch.float32
+
+
+def test_a_solution_that_grows_without_bound_is_explained() -> None:
+    text = "model m\ntime t from 0\nstate x\nlearn tau = 1 in [0.5, 2]\nx' = delay(x, tau)^2\ninitial x = 30\nobserve x"
+    data = Trajectories((trajectory("0", 0.0, np.arange(1.0, 9.0), np.ones((8, 1)), []),), ("x",))
+    problem, parameters, _ = problem_of(model_of(text), data, 0.5, blend=0.0)
+    theta = parameters.vector({}, np.array([0.5]))
+    found = explain_failure(problem, parameters, theta, "search")
+    assert "not finite" in found.what and "x = " in found.where

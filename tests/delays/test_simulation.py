@@ -42,8 +42,9 @@ def test_engine_and_evaluator_agree_with_everything() -> None:
     for i, item in enumerate(data.items):
         constants = natural["constants"].copy()
         constants[list(module.constants).index("r")] = natural["per_trajectory.r"][i]
-        more = {"doses": item.doses, "constants": constants}
-        states, late = evaluator.followed(moments.initial[i], item.times, item.condition, item.inputs, 0.0, **more)
+        states, late = evaluator.followed(
+            moments.initial[i], item.times, item.condition, item.inputs, 0.0, doses=item.doses, constants=constants
+        )
         signal: Signal = item.inputs[0]
         inputs = np.interp(item.times, signal.times, signal.values)[:, None]
         seen = evaluator.observe_many(item.times, states, item.condition, np.hstack([inputs, late]), constants)
@@ -51,3 +52,12 @@ def test_engine_and_evaluator_agree_with_everything() -> None:
         assert np.allclose(moments.before[mine], states, atol=2e-6)
         assert np.allclose(moments.mean[mine], seen, atol=2e-6)
         assert isinstance(item.doses[0], DoseEvents)
+
+
+def test_fixed_steps_of_the_evaluator_are_those_of_the_module() -> None:
+    module = load_module(model_of(MACKEY_GLASS))({"constants": np.array([17.0, 0.2, 0.1])})
+    times = [0.0, 8.0, 17.0, 30.0]
+    fixed, halved = (Evaluator(module).integrate_fixed([0.5], times, max_step=1.0, parts=n) for n in (1, 2))
+    own = module.simulate([0.5], times, max_step=1.0).numpy()
+    assert np.allclose(fixed, own, atol=1e-13)
+    assert 1e-10 < np.abs(fixed - halved).max() < 1e-5

@@ -72,10 +72,10 @@ def _modes(now: Array, late: Sequence[Array], lags: Array, count: int, kept: int
     values, vectors = np.linalg.eig(generator)
     size = float(np.abs(values[np.argsort(-values.real)[:kept]]).max()) or 1.0
     order = np.lexsort((-values.imag, -np.round(values.real / size, 11)))[:kept]
-    present = vectors[:n, order].astype(complex)
+    present = np.asarray(vectors[:n, order], dtype=np.complex128)
     lengths = np.linalg.norm(present, axis=0)
-    unit: ComplexArray = present / np.where(lengths > 0, lengths, 1.0)
-    return values[order].astype(complex), unit
+    unit = present / np.where(lengths > 0, lengths, 1.0)
+    return np.asarray(values[order], dtype=np.complex128), np.asarray(unit, dtype=np.complex128)
 
 
 def _chebyshev(count: int) -> tuple[Array, Array, Array]:

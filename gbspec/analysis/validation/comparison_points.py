@@ -120,8 +120,10 @@ class Sampler:
         """The delayed values [1, n_delays] at a time of a plan."""
         x0 = self.evaluator.initial(drawn.x0, drawn.condition)
         times = np.array([time])
-        more = {"doses": drawn.doses, "rtol": DRAWN, "atol": DRAWN}
-        return self.evaluator.followed(x0, times, drawn.condition, drawn.inputs, drawn.start, **more)[1]
+        found = self.evaluator.followed(
+            x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=DRAWN, atol=DRAWN
+        )
+        return found[1]
 
     def inputs_at(self, signals: tuple[Signal, ...], times: Array) -> Array:
         """The inputs [T, m] at times."""

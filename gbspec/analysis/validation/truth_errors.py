@@ -214,7 +214,8 @@ def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Evaluator, a
     names = [
         model.time.symbol,
         *(item.symbol for item in (*model.states, *model.conditions, *model.inputs)),
-        *(item.symbol for item in (*model.delays, *model.constants)),
+        *(delay.symbol for delay in model.delays),
+        *(item.symbol for item in model.constants),
         *(item.symbol for item in model.learnables),
     ]
     numbers = [at.times, *at.states.T, *at.conditions.T, *at.inputs.T, *map(float, truth.constants)]

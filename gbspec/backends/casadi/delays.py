@@ -8,6 +8,7 @@ equations, so that tests compare both.
 from __future__ import annotations
 
 import bisect
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,6 +21,7 @@ from gbspec.backends.casadi.cvodes import FINEST, LOCAL, InitialValueProblem
 from gbspec.backends.casadi.timeline import Segment
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import METHODS
 
 ECHOES, MOST = 6, 400
 """So many delays after a jump steps still end where it shows again; most such times of a trajectory."""
@@ -34,15 +36,24 @@ class DelaySolver:
 
     def __init__(self, instance: GeneratedModule, rhs: Casadi) -> None:
         self.rhs, self.equations, self.math = rhs, instance.equations, instance.arithmetic("numpy")
+        self.solver = instance.solver
         self.networks = instance.numpy_networks()
         self.groups = np.array([lag for _, lag in instance.equations.delays])
 
     def run(
-        self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: InitialValueProblem
+        self,
+        x0: Array,
+        begin: float,
+        outputs: Array,
+        pieces: Sequence[Segment],
+        problem: InitialValueProblem,
+        step: float | None = None,
+        parts: int = 1,
     ) -> tuple[Array, Array]:
         """States [n_times, n_states] at `outputs`, each before what arrives at that time, and the delayed values
-        [n_times, n_delays]; the segments cover [begin, outputs[-1]]. Raises ComputationError."""
-        return _Trajectory(self, x0, begin, outputs, pieces, problem).run()
+        [n_times, n_delays]; the segments cover [begin, outputs[-1]]. With `step` by the module's own method in equal
+        steps of at most `step`, each divided into `parts`, unchecked. Raises ComputationError."""
+        return _Trajectory(self, x0, begin, outputs, pieces, problem, step, parts).run()
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,10 @@ class _Trajectory:
         outputs: Array,
         pieces: Sequence[Segment],
         problem: InitialValueProblem,
+        step: float | None,
+        parts: int,
     ) -> None:
+        self.step, self.parts = step, parts
         self.solver, self.x0, self.begin, self.outputs, self.problem = solver, x0, begin, outputs, problem
         self.segments = list(pieces)
         self.starts = [piece.begin for piece in self.segments]
@@ -149,13 +163,14 @@ class _Trajectory:
 
     def _stretch(self, x: Array, a: float, b: float) -> Array:
         """The state at the end of a stretch without jumps; its steps are added to the past."""
+        if self.step is not None:
+            return self._fixed(x, a, b, self.step)
         from scipy.integrate import DOP853
 
-        middle, problem = 0.5 * (a + b), self.problem
+        middle = 0.5 * (a + b)
 
         def rate(time: float, state: Array) -> Array:
-            inputs = np.concatenate([self.inputs(time, middle), self.late(time, middle)])
-            return np.array(self.solver.rhs(time, state, problem.condition, inputs, problem.constants)).ravel()
+            return self._rate(time, state, middle)
 
         rtol, atol = self.tolerance
         with np.errstate(all="ignore"):
@@ -172,6 +187,33 @@ class _Trajectory:
                 self.past.append(_Piece(begin, solver.dense_output()))
                 self.begins.append(begin)
         return np.asarray(solver.y, dtype=np.float64)
+
+    def _rate(self, time: float, state: Array, toward: float) -> Array:
+        """The rate of change at a time, seen from the side of another."""
+        problem, inputs = self.problem, np.concatenate([self.inputs(time, toward), self.late(time, toward)])
+        return np.array(self.solver.rhs(time, state, problem.condition, inputs, problem.constants)).ravel()
+
+    def _fixed(self, x: Array, a: float, b: float, longest: float) -> Array:
+        """The state at the end of a stretch by equal steps of the module's own method."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        method = METHODS[self.solver.solver]
+        count = self.parts * max(1, math.ceil((b - a) / min(longest, float(self.lags.min())) - 1e-9))
+        h = (b - a) / count
+        with np.errstate(all="ignore"):
+            for number in range(count):
+                begin = a + number * h
+                slopes: list[Array] = []
+                middle = begin + h / 2
+                for row, c in zip(method.a[: method.advancing], method.c, strict=False):
+                    ahead = sum((float(w) * k for w, k in zip(row, slopes, strict=False)), np.zeros(len(x)))
+                    slopes.append(self._rate(begin + float(c) * h, x + h * ahead, middle))
+                end = x + h * sum((float(w) * k for w, k in zip(method.b, slopes, strict=False)), np.zeros(len(x)))
+                last = self._rate(begin + h, end, middle)
+                self.past.append(_Piece(begin, CubicHermiteSpline([begin, begin + h], [x, end], [slopes[0], last])))
+                self.begins.append(begin)
+                x = end
+        return x
 
 
 def at_rest(instance: GeneratedModule, rhs: Casadi) -> Casadi:

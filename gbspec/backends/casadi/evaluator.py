@@ -248,14 +248,18 @@ class Evaluator:
         """States as from `integrate`, by the module's own method in equal steps of at most `max_step` between outputs
         and kinks, each divided into `parts`.
 
-        States may be infinite or NaN: the fixed step is not checked. With events or delays the steps are adaptive here
-        too.
+        States may be infinite or NaN: the fixed step is not checked. With events the steps are adaptive here too.
         """
-        if self.has_events or self.has_delays:
+        if self.has_events:
             return self.integrate(x0, times, condition, inputs, start, doses=doses, constants=constants)
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
+        if self.has_delays:
+            given, nominal = np.asarray(condition, dtype=np.float64).ravel(), np.ones(self.n_states)
+            problem = InitialValueProblem(given, self._constants(constants), nominal, 0.0, 0.0)
+            solver, start_state = DelaySolver(self.instance, self.rhs), np.asarray(x0, dtype=np.float64)
+            return solver.run(start_state, begin, outputs, pieces, problem, max_step, parts)[0]
         sizes = (self.n_states, self.n_inputs)
         plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
         condition = np.asarray(condition, dtype=np.float64).ravel()

@@ -27,7 +27,7 @@ from gbspec.backends.module.template.networks import _casadi_name, _casadi_netwo
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.stepping import _Adaptive
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
-from gbspec.backends.module.template.vectors import _by_name, _signal, _tensor, _vector
+from gbspec.backends.module.template.vectors import _by_name, _signal, _spread, _tensor, _vector
 from gbspec.backends.module.template.weights import _array, _described, _misfits, _random_weights, _required_shapes
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
@@ -289,10 +289,7 @@ class Template:  # {{class}}
         if limit is not None and not limit > 0:
             raise ValueError(f"max_step must be positive, not {limit}")
         signal = _signal(self, inputs, grid, x)
-        batch = np.broadcast_shapes(
-            x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1], *(value.shape for value in k)
-        )
-        x = x.expand(*batch, x.shape[-1])
+        x = _spread(x, condition, signal(0, grid[0]), k)
         # [delays
         if "delays" in vars(self.equations):
             return _delayed_solution(self, x, grid, condition, k, f, signal, limit)

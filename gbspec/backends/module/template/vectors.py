@@ -65,3 +65,10 @@ def _signal(module: Any, inputs: Any, grid: list[float], x: Any) -> Callable[[in
         return table[..., i, :] + share * (table[..., i + 1, :] - table[..., i, :])
 
     return value
+
+
+def _spread(x: Any, condition: Any, inputs: Any, constants: Any) -> Any:
+    """States [..., n_states] for the batch of all of these."""
+    shapes = [vector.shape[:-1] for vector in (x, condition, inputs)]
+    batch = np.broadcast_shapes(*shapes, *(value.shape for value in constants))
+    return x.expand(*batch, x.shape[-1])

@@ -117,7 +117,7 @@ def looked_ahead(past: Past, steps: Sequence[_Step]) -> list[Tensor]:
     times = torch.stack([node.expand(rows) for step in steps for node in step.grid[0]])
     nodes = len(times) // len(steps)
     middle = torch.stack([step.t + step.h / 2 for step in steps]).repeat_interleave(nodes, 0)
-    return list(past.values(times, middle).unflatten(0, (len(steps), nodes)).unbind(0))
+    return list(past.values(times, middle).split(nodes))
 
 
 def advance(
