@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from gbspec.arrays import Array
+from gbspec.ir import Model
 
 TEXT = """model mackey_glass
 time t from 0
@@ -49,17 +50,15 @@ def orders(tau: float = 17.3) -> str:
     return "\n".join(lines)
 
 
-def _solved(model: object, tau: float, step: float, cut: bool) -> Array:
+def _solved(model: Model, tau: float, step: float, cut: bool) -> Array:
     """The solution of the torch engine at `TIMES`."""
     from dataclasses import replace
 
     from gbspec.backends import load_module
     from gbspec.data import Trajectories, Trajectory
-    from gbspec.ir import Model
     from gbspec.training.engines import Choice
     from gbspec.training.problem import Parameters, Problem, pack, scaling_of, teacher_forcing
 
-    assert isinstance(model, Model)
     values = np.full((len(TIMES), 1), 0.5)
     item = Trajectory("1", 0.0, TIMES, values, np.ones_like(values), np.full_like(values, np.nan), np.zeros(0))
     data = Trajectories((item,), ("P",))
@@ -75,7 +74,7 @@ def _solved(model: object, tau: float, step: float, cut: bool) -> Array:
     return engine.moments(theta, engine.plan(theta)).mean
 
 
-def _model(folder: Path, tau: float) -> object:
+def _model(folder: Path, tau: float) -> Model:
     from gbspec.diagnostics import Findings
     from gbspec.frontend import load_model
 

@@ -117,7 +117,8 @@ def looked_ahead(past: Past, steps: Sequence[_Step]) -> list[Tensor]:
     times = torch.stack([node.expand(rows) for step in steps for node in step.grid[0]])
     nodes = len(times) // len(steps)
     middle = torch.stack([step.t + step.h / 2 for step in steps]).repeat_interleave(nodes, 0)
-    return list(past.values(times, middle).split(nodes))
+    found = past.values(times, middle)
+    return [found[i * nodes : (i + 1) * nodes] for i in range(len(steps))]
 
 
 def advance(
