@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 import gbspec
+from gbspec.data import MetricsOptions
 from gbspec.diagnostics import UserError
 from gbspec.frontend import load_model
+from tests import quick
 from tests.delays.models import MACKEY_GLASS
 
 UNKNOWN = """model released
@@ -38,13 +40,16 @@ def test_a_delay_is_recovered_from_data_without_noise(tmp_path: Path) -> None:
     assert run.constants["beta"] == pytest.approx(0.2, rel=1e-3)
 
 
-def test_a_network_behind_a_delay_is_trained_and_predicts(tmp_path: Path) -> None:
+def test_a_network_behind_a_delay_is_trained_and_predicts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     specification = gbspec.load(written(tmp_path, UNKNOWN))
-    data = specification.simulate(trajectories=2, span=12, dt=1, sampling="regular")
-    run = specification.train(data, tmp_path / "run", stages="teacher forcing", max_step=1.0, effort="low")
+    data = specification.simulate(trajectories=1, span=8, dt=1, sampling="regular")
+    with quick.warm_start(30):
+        run = specification.train(data, tmp_path / "run", stages="teacher forcing", max_step=1.0, effort="low")
     assert 2 < run.constants["tau"] < 8
+    few = MetricsOptions(conditions=2, points=2, rhs_points=4)
+    monkeypatch.setattr("gbspec.analysis.validation.validate._few", lambda: few)
     found = run.validate(data)
-    assert found.channels["P"].r2 > 0.5
+    assert found.channels["P"].rmse < 0.5
     assert found.step_check.half_step is not None
     assert run.eigen(at=[{"P": 0.7}]).points[0].eigenvalues.shape == (8,)
 
