@@ -8,7 +8,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends.module import load_module
-from gbspec.data.trajectories import Trajectories
+from gbspec.data.trajectories import Signal, Trajectories
 from gbspec.training.engines.choice import torch_engine
 from gbspec.training.engines.objective import half_squares
 from gbspec.training.engines.torch.failure import explain_failure
@@ -107,3 +107,21 @@ def test_a_solution_that_grows_without_bound_is_explained() -> None:
     theta = parameters.vector({}, np.array([0.5]))
     found = explain_failure(problem, parameters, theta, "search")
     assert "not finite" in found.what and "x = " in found.where
+
+
+def test_a_jump_of_an_input_arrives_a_learned_delay_later() -> None:
+    """x' = F(t - tau), F from 0 to 2 at 1 and to 0.5 at 2: the solution is exact, and so is its derivative by tau."""
+    text = "model m\ntime t from 0\nstate x\ninput F held\nlearn tau = 1 in [0.3, 2]\n"
+    text += "x' = delay(F, tau)\ninitial x = 0\nobserve x"
+    held = Signal(np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 0.5]))
+    times = np.array([1.5, 2.0, 4.0])
+    data = Trajectories((trajectory("0", 0.0, times, np.ones((3, 1)), [], inputs=(held,)),), ("x",))
+    problem, parameters, _ = problem_of(model_of(text), data, 0.25, blend=0.0)
+    theta = parameters.vector({}, np.array([0.73]))
+    engine = torch_engine(problem, parameters)
+    path = engine.plan(theta)
+    moments = engine.moments(theta, path)
+    assert np.allclose(moments.mean[:, 0], [0, 2 * 0.27, 2 + 0.5 * 1.27], atol=1e-12)
+    slope = float(parameters.bijections(parameters.shared).derivative(theta[parameters.places])[0])
+    found = whole_jacobian(engine.jacobian(theta, path, moments, np.ones((3, 1))), parameters).numpy()
+    assert np.allclose(found[:, parameters.places.start] / slope, [0.0, -2.0, -0.5], atol=1e-12)

@@ -16,6 +16,7 @@ from gbspec.backends.casadi.delays import DelaySolver, at_rest, linear_parts
 from gbspec.backends.casadi.events import EventSolver
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
+from gbspec.diagnostics import ComputationError
 from gbspec.ir import METHODS
 
 
@@ -123,6 +124,7 @@ class Evaluator:
         constants: ArrayLike | None = None,
     ) -> Array:
         """d(dx/dt)/dx [n_states, n_states] at one point."""
+        self._require_past(inputs)
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
 
     def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: ArrayLike | None = None) -> Array:
@@ -139,6 +141,7 @@ class Evaluator:
     ) -> list[Array]:
         state = np.asarray(x, dtype=np.float64).reshape(-1, self.n_states)
         time = np.asarray(t, dtype=np.float64).reshape(-1, 1)
+        self._require_past(inputs)
         width = self.n_inputs + (len(self.instance.equations.delays) if self.has_delays else 0)
         return [
             time,
@@ -149,6 +152,13 @@ class Evaluator:
             np.asarray(inputs, dtype=np.float64).reshape(-1, width) if width else np.zeros((1, 0)),
             self._constants(constants),
         ]
+
+    def _require_past(self, inputs: ArrayLike) -> None:
+        """Raises ComputationError if a model with delays gets declared inputs alone."""
+        width = self.n_inputs + (len(self.instance.equations.delays) if self.has_delays else 0)
+        if self.has_delays and np.shape(inputs)[-1:] != (width,):
+            what = "the equations of a model with delays depend on the past, not on a state alone"
+            raise ComputationError(what, where="a point without a past", remedy="compare solutions instead")
 
     def _many(self, key: str, function: Casadi, columns: Sequence[Array]) -> Array:
         """A function at N points, in one call; a single row is used for all points."""
