@@ -72,3 +72,16 @@ def test_a_name_of_the_model_keeps_its_meaning(tmp_path: Path) -> None:
     assert not load_model(written(tmp_path, text), Findings()).delays
     called = "model m\nstate x\nunknown delay(x)\nx' = -delay(x)\nobserve x"
     assert not load_model(written(tmp_path, called), Findings()).delays
+
+
+def test_the_editor_explains_delay_unless_the_model_declares_it(tmp_path: Path) -> None:
+    from gbspec.lsp.hover import hover
+    from gbspec.lsp.workspace import Workspace
+
+    for text, expected in (
+        (MACKEY_GLASS, "delay(X, tau)"),
+        ("model m\nstate x\nunknown delay(x)\nx' = delay(x)", "x)"),
+    ):
+        path = written(tmp_path, text)
+        found = hover(Workspace(roots=(tmp_path,)), path, text.rindex("delay("), {})
+        assert found is not None and expected in found.markdown
