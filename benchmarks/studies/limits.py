@@ -271,8 +271,15 @@ model (GB778), its export and its LaTeX page (GB808). Its identifiability is und
 balances without the events. Second derivatives through the time of an event are not computed.
 
 Algebraic variables that need a search (`equation` without a formula for them): events, disturbances, populations and
-learned noises are not offered together with them yet (GB361), nor `export` and C code (GB808); fits use the torch graph.
+learned noises are not offered together with them yet (GB361), nor `export` and C code (GB808); fits use torch.
 Identifiability is undecided. An index above 1 is refused with the derivative that helps (GB360), not reduced.
+
+Delays of elements of arrays, and delays together with `diffusion`, events, populations and learned noises are not
+offered yet (GB372), nor delays of something delayed (GB368) or whose time varies within a trajectory (GB366). Models
+with delays have no stiff solvers and no tolerances (GB768), no cycles and no plane of two parameters (GB769), no export
+and no C code (GB808); the kernel does not cover them. Their identifiability is undecided. No
+covariance of their Hopf points is computed. A learned delay whose lower bound is far below the time between
+measurements makes fits slow, since no step is longer than it.
 
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.

@@ -36,7 +36,7 @@ from .systems.bands import function_bands as function_bands
 from .systems.fence import extrapolation_of as extrapolation_of
 from .systems.fence import fences as fences
 from .systems.individuals import Individuals as Individuals
-from .systems.steady import ordered_eigenvalues as ordered_eigenvalues
+from .systems.roots import ordered_eigenvalues as ordered_eigenvalues
 from .systems.system import Box as Box
 from .systems.system import System as System
 from .systems.system import system_of as system_of

@@ -133,6 +133,32 @@ class Equations(Protocol):
     def cutting(self, given: Value, quiet: Value, band: float, strict: bool, /) -> Value:
         """Steps of a batch that are cut where events happen, torch; in models that have any."""
 
+    @property
+    def delays(self) -> Sequence[tuple[str, int]]:
+        """Name and index of the lag of each delay, whose values follow the inputs; in models that have any."""
+
+    def lags(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
+        """The times of delays, each once."""
+
+    def delayed(
+        self,
+        math: Arithmetic,
+        t: Value,
+        state: Value,
+        condition: Value,
+        inputs: Value,
+        constants: Value,
+        networks: Networks,
+        /,
+    ) -> Value:
+        """What is delayed, from the state and the inputs of an earlier time."""
+
+    def history(self, math: Arithmetic, t: Value, state: Value, condition: Value, constants: Value, /) -> Value:
+        """The state at a time before the start, where it was `state`."""
+
+    def past(self, given: Value, begin: Value, start: Value, inputs: Value, /) -> Value:
+        """The solution so far of a batch, torch."""
+
     def grid(self, math: Arithmetic, t: Value, h: Value, /) -> Value:
         """The times at which a step of size h from t needs inputs, and the fractions of h that it uses."""
 

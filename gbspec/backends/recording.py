@@ -36,12 +36,17 @@ def network_arguments(
 ) -> list[list[Array]]:
     """For each network the arguments [R, n_arguments] of each of its calls at R points: times [R], states [R, n],
     conditions, inputs [R, m] and constants [R, k]. A call for a whole array of states counts as one for each element;
-    calls at a point of a contract (`zero at`) are left out."""
+    calls at a point of a contract (`zero at`) are left out. Delayed values are those of the same points, which lie on
+    the same trajectories."""
     networks = [_Recorded(network) for network in member.numpy_networks()]
     own: Sequence[Array] = tuple(np.asarray(constants, dtype=np.float64).T)
+    math = member.arithmetic("numpy")
     with np.errstate(all="ignore"):
+        if hasattr(member.equations, "delays"):
+            late = member.equations.delayed(math, t, states, condition, inputs, own, member.numpy_networks())
+            inputs = np.concatenate([inputs, np.broadcast_to(late, (len(states), late.shape[-1]))], axis=-1)
         for method in (member.equations.rhs, member.equations.observe):
-            method(member.arithmetic("numpy"), t, states, condition, inputs, own, tuple(networks))
+            method(math, t, states, condition, inputs, own, tuple(networks))
     return [[one for call in network.calls for one in _at_points(call, len(states))] for network in networks]
 
 

@@ -32,6 +32,8 @@ class Programs:
     """The functions of a model, each flattened once. Raises NotCoveredError for what no export can express."""
 
     def __init__(self, model: Model) -> None:
+        if model.delays:
+            raise NotCoveredError("it has delays, for which an exported program would have to keep its past")
         if model.events:
             raise NotCoveredError("it has events, which no exported program carries out yet")
         if model.algebraics:

@@ -9,6 +9,7 @@ from .arrays import StateArray as StateArray
 from .arrays import Total as Total
 from .arrays import Vector as Vector
 from .censoring import Censored as Censored
+from .delays import Delay as Delay
 from .derivatives import derivative as derivative
 from .derivatives import has_rule as has_rule
 from .derivatives import ordered as ordered

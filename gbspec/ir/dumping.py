@@ -184,6 +184,7 @@ def _mathematics(model: Model) -> list[str]:
             for d in model.diffusions
         ),
     )
+    lines += _section("delays", (f"{d.name}: {d.source} by {written(d.lag)} >= {d.least!r}" for d in model.delays))
     lines += _section("events", map(_event, model.events))
     lines += _section("arrays", (line for array in model.arrays for line in _array(array)))
     lines += _section("families", map(_family, model.families))
@@ -285,4 +286,5 @@ def _state(model: Model, index: int) -> str:
     state = model.states[index]
     initial = state.initial.kind if state.initial.value is None else written(state.initial.value)
     kind = " discrete" if state.discrete else ""
-    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}{kind}"
+    before = "" if state.history is None else f" history {written(state.history)}"
+    return f"{_head(state)}{_range(state.range)}{_default(state.start)} initial {initial}{kind}{before}"

@@ -23,6 +23,7 @@ from gbspec.ir.arrays import Element, Family, StateArray, Vector, runs
 from gbspec.ir.declared import UNBOUNDED
 from gbspec.ir.declared import Declared as Declared
 from gbspec.ir.declared import Range as Range
+from gbspec.ir.delays import Delay, timed
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
@@ -58,12 +59,14 @@ class Initial:
 @dataclass(frozen=True)
 class State(Declared):
     """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value.
-    `discrete`: only events change it, and its balance is zero."""
+    `discrete`: only events change it, and its balance is zero. `history`: what it was before the start, an expression
+    of constants, conditions and the time; None: what it is at the start."""
 
     range: Range | None = None
     start: float | None = None
     initial: Initial = Initial("measured")
     discrete: bool = False
+    history: Expr | None = None
 
 
 @dataclass(frozen=True)
@@ -311,6 +314,7 @@ class Model:
     channels: tuple[Channel, ...] = ()
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
+    delays: tuple[Delay, ...] = ()
     events: tuple[Event, ...] = ()  # in the order in which they happen at one time
     algebraics: tuple[Algebraic, ...] = ()  # in the order of the blocks, without those that are intermediates
     constraints: tuple[Equation, ...] = ()
@@ -399,6 +403,10 @@ class Model:
     def accepts(self, code: str, name: str | None = None) -> bool:
         """Whether an `allow` accepts the warning `code` about `name`."""
         return any(allowed == code and about in (None, name) for allowed, about in self.allowed)
+
+    def timed(self, expression: Expr) -> Expr:
+        """The expression for display, with each delayed value as its quantity at an earlier time, `x(t - tau)`."""
+        return timed(expression, self.delays, self.time.symbol)
 
     def inlined(self, expressions: Iterable[Expr]) -> tuple[Expr, ...]:
         """The expressions with every intermediate substituted."""

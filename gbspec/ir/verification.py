@@ -64,6 +64,7 @@ def _expressions(model: Model) -> None:
     states = {item.symbol for item in model.states}
     known = constants | conditions | states | {item.symbol for item in model.inputs} | {model.time.symbol}
     known |= {item.symbol for item in model.algebraics}
+    known |= {delay.symbol for delay in model.delays}
     tables = {table.name: table.curve for table in model.tables}
     arity = {u.name: len(model.networks[u.network].arguments) for u in model.unknowns}
 
@@ -116,9 +117,20 @@ def _expressions(model: Model) -> None:
         check(what, diffusion.value, given | {symbol(diffusion.state)}, applies=False)
         if diffusion.relative is not None:
             check(what, diffusion.relative, given, applies=False)
+    _delays(model, check, known, constants | conditions)
     _events(model, check, known, constants | conditions)
     disturbed = [diffusion.state for diffusion in model.diffusions]
     _require(len(set(disturbed)) == len(disturbed), "two diffusions of a state")
+
+
+def _delays(model: Model, check: Callable[..., None], known: set[sympy.Symbol], fixed: set[sympy.Symbol]) -> None:
+    """Checks what is delayed and by what, and what states were before the start."""
+    for delay in model.delays:
+        _require(delay.value in known, f"`{delay.name}` delays something else")
+        check(f"`{delay.name}`", delay.lag, fixed, applies=False)
+    for state in model.states:
+        if state.history is not None:
+            check(f"the history of `{state.name}`", state.history, fixed | {model.time.symbol}, applies=False)
 
 
 def _events(model: Model, check: Callable[..., None], known: set[sympy.Symbol], fixed: set[sympy.Symbol]) -> None:

@@ -18,12 +18,21 @@ from gbspec.ir import Expr, Noise, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
 from gbspec.lower import algebraic, events, populations, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
+from gbspec.lower.delays import Delays
 from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.infusions import infused, refuse_elements
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
-from gbspec.semantics import Checked, Term, default_start, network_activation, network_widths, truth_parameters
+from gbspec.semantics import (
+    Checked,
+    Term,
+    default_start,
+    is_delay,
+    network_activation,
+    network_widths,
+    truth_parameters,
+)
 from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
 
@@ -43,6 +52,7 @@ class _Lowering:
         self._inlined_calls: dict[tuple[str, tuple[Expr, ...]], Expr] = {}
         self._nets: dict[str, Expr] = {}
         self._stoichiometry: dict[str, tuple[tuple[str, Expr], ...]] = {}
+        self._delays = Delays(findings)
         self._fixed_lets: dict[sympy.Symbol, Expr] = {}
         self._short = ShortForms(checked, self._build)
         self._tables = {table.name: table for table in tables.lowered(checked)}
@@ -89,6 +99,8 @@ class _Lowering:
             return self._net(state.text if isinstance(state, ast.Name) else "")
         if name == "sum":
             return self._short.total(call)
+        if is_delay(call, self._table):
+            return self._delays.symbol(call, *arguments)
         statement = self._table[name].statement
         if isinstance(statement, ast.TableStatement):
             return lookup(name, self._tables[name].curve)(*arguments)
@@ -181,6 +193,7 @@ class _Lowering:
         model = algebraic.lowered(model, self._checked, self._expression)
         model = events.lowered(model, self._checked, self._expression, self._fixed, self._findings)
         model = populations.completed(infused(model, self._checked, self._findings), self._checked)
+        model = self._delays.completed(model, self._checked, self._fixed)
         refuse_together(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 

@@ -283,7 +283,7 @@ class _Statement:
         self._add(known or Symbol("name", name.text), name.span)
 
     def _called(self, function: ast.Name, scope: Scope) -> None:
-        word = function.text in FUNCTIONS or function.text in ("net", "sum")
+        word = function.text in FUNCTIONS or function.text in ("net", "sum", "delay")
         if word and function.text not in self.names.declared:
             self._add(Symbol("word", function.text, "function"), function.span)
         else:

@@ -74,6 +74,10 @@ FUNCTIONS: dict[str, tuple[str, str]] = {
     "max": ("max(a, b, …)", "the largest of its arguments"),
     "sign": ("sign(x)", "-1, 0 or 1 as x is negative, zero or positive"),
     "net": ("net(X)", "the sum of all processes' contributions to the rate of change of the state X"),
+    "delay": (
+        "delay(X, tau)",
+        "what a state, an input or a `let` was a time tau ago, unless the model declares `delay`",
+    ),
     "sum": ("sum(c)", "the sum of all elements of an array of states"),
 }
 """The functions of the language: how each is called, and its meaning."""

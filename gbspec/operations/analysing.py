@@ -95,6 +95,8 @@ def bifurcate(
     if source.run is None or source.member is None:
         return found
     covariance = source.run.certainties(source.member).covariance
+    if source.model.delays:  # roots of equations with delays are not differentiated by what was learned
+        return found
     shared = [record for record in source.run.fit.constants.values() if record.per_trajectory is None]
     if covariance is None or (shared and all(record.interval is None for record in shared)):
         return found
@@ -122,6 +124,10 @@ def bifurcation_plane(source: Subject, names: tuple[str, str], boxes: tuple[Box,
     from gbspec.analysis import bifurcation_plane as run
 
     _without_events(source, "bifurcate")
+    if source.model.delays:
+        message = "the plane of two parameters is not offered for a model with delays"
+        help = "give one parameter: its steady states, their roots and Hopf points are computed"
+        raise UserError([Diagnostic("GB769", message, None, help=help)])
     return run(system(source), names, boxes)
 
 

@@ -22,5 +22,5 @@ class Examination:
 
 def examine(model: Model, findings: Findings) -> Examination:
     """Finds both; parameters that cannot be separated are recorded as warnings (GB401, GB402)."""
-    laws = () if model.events else linear_laws(model)  # an event may change any of them
+    laws = () if model.events else linear_laws(model)  # an event may change any of them; delayed values are like inputs
     return Examination(laws, identifiability(model, findings), bool(model.diffusions))

@@ -2,6 +2,7 @@ from .arrays import running_index as running_index
 from .checked import Checked as Checked
 from .checking import check as check
 from .contracts import outputs_of as outputs_of
+from .delays import is_delay as is_delay
 from .dumping import dump as dump
 from .expressions import chain as chain
 from .expressions import fold as fold

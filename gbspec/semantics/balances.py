@@ -20,6 +20,7 @@ _TWICE = {
     "dose": ("GB202", "doses into `{0}` are declared twice", "delete one of them"),
     "diffusion": ("GB341", "`{0}` has two diffusions", "write one, for example the root of the sum of their squares"),
     "equation": ("GB202", "the equation `{0}` is written twice", "delete one of them, or give one another name"),
+    "history": ("GB371", "the history of `{0}` is given twice", "delete one of them"),
     "truth": ("GB202", "the truth of `{0}` is given twice", "delete one of them"),
 }
 
@@ -68,6 +69,8 @@ def targets(items: Iterable[Item], table: Table, findings: Findings, merged: Mer
                 _state(target, table, findings, "GB313", "a dose adds to a state", merged)
             case ast.DiffusionStatement(target=target):
                 _state(target, table, findings, "GB342", "only a state has a diffusion", merged)
+            case ast.HistoryStatement(target=target):
+                _state(target, table, findings, "GB371", "only a state has a history", merged)
             case ast.ObserveStatement(target=target, value=value):
                 if value is None and isinstance(target, ast.Name):
                     _measurable(target, table, findings, merged)

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics.constants import Evaluator
+from gbspec.semantics.delays import is_delay
 from gbspec.semantics.expressions import chain, fold, operands, walk
 from gbspec.semantics.table import Table
 from gbspec.semantics.unification import Solution, factor_between
@@ -168,6 +169,8 @@ class Units:
 
     def _elementary(self, node: ast.Call, units: Sequence[Unit]) -> Unit:
         name = node.function.text
+        if is_delay(node, self.table) and len(units) == 2:
+            return self._delayed(node, units)
         if name not in FUNCTIONS:
             return self.solution.fresh()
         if name in _SAME:
@@ -179,6 +182,15 @@ class Units:
         elif name != "sign":
             self.pure(node.arguments[0], units[0], f"the argument of `{name}`")
         return ONE
+
+    def _delayed(self, node: ast.Call, units: Sequence[Unit]) -> Unit:
+        """The unit of what is delayed; a pure number is a time in the model's unit."""
+        lag = node.arguments[1]
+        time = self.of(next((d.name for d in self.table.values() if d.kind is Kind.TIME), "t"))
+        named = any(isinstance(part, ast.Name) and part.text != "pi" for part in walk(lag))
+        if named and not self.solution.equal(time, units[1], lag.span) and self._once(lag.span, node.span):
+            self._mismatch("a delay", lag.span, time, lag, units[1])
+        return units[0]
 
     def _written_out(self, function: ast.FunctionStatement, units: Sequence[Unit], place: Span) -> Unit:
         key = (function.name.text, tuple(self.solution.resolved(u) for u in units))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from gbspec.diagnostics import Findings, Label, Span
+from gbspec.semantics import delays
 from gbspec.semantics.expressions import operands
 from gbspec.semantics.merge import Merged
 from gbspec.semantics.sites import Site
@@ -14,7 +15,7 @@ from gbspec.syntax import FUNCTIONS, Kind, ast
 
 _WHOLE = "no function rounds, since none has a useful derivative; `if(cond, a, b)` chooses between values"
 _NOT_OFFERED = {
-    **dict.fromkeys(("delay", "lag"), "there are no delays; a chain of states approximates one: `a' = (x - a)*n/tau`"),
+    "lag": "write `delay(X, tau)`: what X was a time tau ago",
     **dict.fromkeys(("floor", "ceil", "ceiling", "round", "trunc", "int", "mod", "fmod"), _WHOLE),
     **dict.fromkeys(("integral", "integrate"), "an integral is a state: `state y`, `y' = …`, `initial y = 0`"),
 }
@@ -58,6 +59,8 @@ class Resolver:
                 case ast.Call(function=ast.Name(text="net")):
                     self._net(node, site)
                     continue
+                case ast.Call() if delays.is_delay(node, self.table) and delays.DELAY not in site.formals:
+                    delays.check(node, site, self.table, self.findings)
                 case ast.Call():
                     self._call(node, site, smooth)
                 case _:

@@ -138,7 +138,7 @@ class _Rules:
                 name = target_name(target)
                 if self._usable(value):
                     units.agrees(value, units.rate_of(name.text), f"the rate of change of `{name.text}`", name.span)
-            case ast.InitialStatement(target=target, value=start):
+            case ast.InitialStatement(target=target, value=start) | ast.HistoryStatement(target=target, value=start):
                 self._ranged(target_name(target), None, start)
             case ast.ProcessStatement(name=name):
                 self._process(name)

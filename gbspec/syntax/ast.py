@@ -66,6 +66,7 @@ from gbspec.syntax.statements import (
     EventStatement,
     Formula,
     FunctionStatement,
+    HistoryStatement,
     InitialStatement,
     InputStatement,
     LearnStatement,
@@ -120,6 +121,7 @@ __all__ = [
     "FunctionStatement",
     "Group",
     "Grouping",
+    "HistoryStatement",
     "Index",
     "InitialStatement",
     "InputStatement",
@@ -185,6 +187,7 @@ Statement = (
     | EventStatement
     | AlgebraicStatement
     | EquationStatement
+    | HistoryStatement
     | ConserveStatement
     | TruthStatement
     | AllowStatement

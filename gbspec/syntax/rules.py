@@ -80,6 +80,12 @@ TIMING = Rule(
     "constants, learnable constants and conditions",
     "GB352",
 )
+HISTORY = Rule(
+    "a history",
+    _FIXED | {Kind.CONDITION, Kind.TIME},
+    "constants, learnable constants, conditions and the time",
+    "GB370",
+)
 CLAIM = Rule(
     "a `conserve` claim",
     VALUES - {Kind.UNKNOWN},

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gbspec.analysis.systems.points import quasirandom_points
-from gbspec.analysis.systems.steady import distinct, ordered_eigenvalues, steady_states
+from gbspec.analysis.systems.roots import ordered_eigenvalues
+from gbspec.analysis.systems.steady import distinct, steady_states
 from gbspec.diagnostics import UserError
 from tests.analysis.textbook import baltzis_fredrickson, brusselator, cusp, lorenz, urp
 

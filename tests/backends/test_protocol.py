@@ -45,6 +45,7 @@ def test_the_class_of_every_bundled_model_conforms(name: str) -> None:
             assert isinstance(there, type(declared)), f"{method} is of a class on one side alone"
             assert parameters(getattr(module, method)) == parameters(getattr(GeneratedModule, method)), method
     optional = {"events"} if model.diffusions else {"events", "diffusions"}
+    optional |= {"delays"} if model.delays else {"delays", "lags", "delayed", "history", "past"}
     optional |= set() if model.events else {"guards", "happen", "cutting"}
     optional |= {"blocks"} if model.algebraics else {"blocks", "algebraic", "unsolved"}
     optional |= set() if any(event.timing is not None for event in model.events) else {"timing"}

@@ -94,7 +94,8 @@ class Truth:
 
     def _evaluate(self, expressions: Sequence[Expr], point: Point) -> list[Any]:
         model = self.model
-        names = [model.time, *model.states, *model.conditions, *model.inputs, *model.constants, *model.learnables]
+        external = [*model.conditions, *model.inputs, *model.delays]
+        names = [model.time, *model.states, *external, *model.constants, *model.learnables]
         values = [point.t, *point.x, *point.condition, *point.inputs, *point.constants]
         self.table = {
             item.symbol: mpmath.mpf(value)

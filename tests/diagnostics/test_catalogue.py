@@ -16,7 +16,7 @@ CODE = re.compile(r'"(GB\d{3})"')
 SYNTAX = [
     code for code, entry in entries().items() if entry.topic == "syntax" and not entry.wrong.startswith("gbspec ")
 ]
-GB_TOPICS = ("syntax", "names", "balances", "learning", "units", "contracts", "events")
+GB_TOPICS = ("syntax", "names", "balances", "learning", "units", "contracts", "events", "delays")
 
 
 def used_codes() -> dict[str, str]:

@@ -10,10 +10,12 @@ from gbspec.frontend import load_model
 from gbspec.ir import METHODS, RK4, Explicit, Method, Model
 
 BUNDLED = sorted(
-    name for name, path in shipped_models().items() if path.parent.name not in ("robertson", "switching", "chemistry")
+    name
+    for name, path in shipped_models().items()
+    if path.parent.name not in ("robertson", "switching", "chemistry", "delayed")
 )
 """The names of the bundled models but the stiff ones, where explicit steps multiply rounding errors, and those with
-events, which no export carries out."""
+events or delays, which no export carries out."""
 EXPLICIT = sorted(name for name, method in METHODS.items() if isinstance(method, Explicit))
 """The methods whose steps can be exported."""
 

@@ -25,13 +25,13 @@ def test_every_keyword_of_the_grammar_is_explained() -> None:
 
 
 def test_every_function_is_explained_and_written_with_its_arguments() -> None:
-    assert set(words.FUNCTIONS) == {*names.FUNCTIONS, "net", "sum"}
+    assert set(words.FUNCTIONS) == {*names.FUNCTIONS, "net", "sum", "delay"}
     for function, (usage, meaning) in words.FUNCTIONS.items():
         assert meaning
         inside = re.fullmatch(rf"{function}\((.*)\)", usage)
         assert inside is not None
         given = [a for a in inside[1].split(", ") if a != "…"]
-        assert len(given) == names.FUNCTIONS.get(function, 1)
+        assert len(given) == names.FUNCTIONS.get(function, 2 if function == "delay" else 1)
 
 
 def test_the_code_that_is_shown_faded_is_that_of_unused_names() -> None:

@@ -57,7 +57,7 @@ def bifurcate(
     family = Family(system, over)
     explorer = _Explorer(SteadyCurve(family, low, high, options.steps), options, progress or (lambda text: None))
     explorer.steady()
-    if options.cycles:
+    if options.cycles and system.delayed is None:  # cycles are collocated without a past
         explorer.cycles_from_hopf()
         explorer.cycles_from_flow()
     bounds = system.trained.get(over, system.range(over))
@@ -164,12 +164,21 @@ class _Explorer:
         scaled = [(other.kind, self.curve.scaled(other.state, other.value)) for other in self.special]
         if any(other == kind and np.max(np.abs(y - point.y)) < 1e-5 for other, y in scaled):
             return
-        if kind == "hopf":
+        if kind == "hopf" and self.curve.family.system.delayed is not None:
+            frequency = self._frequency(point)
+            special = SpecialPoint("hopf", value, state, branch, frequency, period=2 * np.pi / frequency)
+        elif kind == "hopf":
             hopf = analyse_hopf(self.curve.family, state, value)
             special = SpecialPoint("hopf", value, state, branch, hopf.frequency, hopf.l1, hopf.criticality, hopf.period)
         else:
             special = SpecialPoint("fold" if kind == "fold" else "branch", value, state, branch)
         self.special.append(special)
+
+    def _frequency(self, point: CurvePoint) -> float:
+        """The imaginary part of the characteristic root that is nearest to the imaginary axis."""
+        roots = self.curve.eigenvalues(point.y)
+        roots = roots[roots.imag > 0]
+        return float(roots[np.argmin(np.abs(roots.real))].imag)
 
     # ------------------------------------------------------------------ cycles
     def cycles_from_hopf(self) -> None:

@@ -118,9 +118,11 @@ class SteadyCurve:
         return np.asarray(np.append(state, value) / self.scale)
 
     def eigenvalues(self, y: Array) -> ComplexArray:
-        """Eigenvalues of the Jacobian, by decreasing real part."""
+        """Eigenvalues of the Jacobian (with delays characteristic roots), by decreasing real part."""
         state, value = self.unscaled(y)
         n = self.family.size
+        if self.family.system.delayed is not None:
+            return self.family.at(value).spectrum(state)
         return ordered_eigenvalues(self.family.linear(state, value)[1].reshape(n, n))
 
     def steady_point(self, y: Array) -> SteadyPoint:

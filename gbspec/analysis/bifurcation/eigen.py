@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gbspec.analysis.systems import System, ordered_eigenvalues, ordered_modes, state_at, steady_states
+from gbspec.analysis.systems import System, state_at, steady_states
 from gbspec.arrays import Array, ComplexArray
 from gbspec.diagnostics import Findings
 from gbspec.frames import Tabled, of_rows
@@ -188,13 +188,10 @@ class Eigen(Tabled):
 
 def eigen_at(system: System, x: Array, truth: System | None = None, time: float | None = None) -> EigenPoint:
     """The eigenvalues at state `x` [n], conditions and inputs at the system's values; the truth's at the same ones."""
-    f, jacobian = system.linearise(x, time)
+    f, _ = system.linearise(x, time)
     shared = {name: system.values[name] for name in (*system.conditions, *system.inputs)}
-    values, vectors = ordered_modes(jacobian * system.scale / system.scale[:, None])
-    true = None
-    if truth is not None:
-        _, true_jacobian = truth.with_values(shared).linearise(x, time)
-        true = ordered_eigenvalues(true_jacobian)
+    values, vectors = system.modes(x, time)
+    true = None if truth is None else truth.with_values(shared).spectrum(x, time)
     return EigenPoint(
         state=dict(zip(system.states, map(float, x), strict=True)),
         condition=shared,

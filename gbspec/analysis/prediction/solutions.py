@@ -125,7 +125,7 @@ def predict(
     if start.origin == "failed" or rows == 0:
         return Prediction(item.label, start, item.times, *empty, start.failure)
     try:
-        states = evaluator.integrate(
+        states, late = evaluator.followed(
             start.state,
             item.times,
             item.condition,
@@ -139,9 +139,8 @@ def predict(
         )
     except ComputationError as error:
         return Prediction(item.label, start, item.times, *empty, f"{error.what} ({error.where})")
-    channels = evaluator.observe_many(
-        item.times, states, item.condition, input_values(model, item, item.times), start.constants
-    )
+    inputs = np.hstack([input_values(model, item, item.times), late])
+    channels = evaluator.observe_many(item.times, states, item.condition, inputs, start.constants)
     if not np.isfinite(channels).all():
         return Prediction(item.label, start, item.times, states, channels, "a channel is not finite")
     return Prediction(item.label, start, item.times, states, channels)

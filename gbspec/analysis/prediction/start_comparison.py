@@ -19,7 +19,7 @@ from gbspec.analysis.prediction.solutions import learned_positions, learned_star
 from gbspec.analysis.systems import System, ordered_modes
 from gbspec.arrays import Array, ComplexArray
 from gbspec.data import scales_of
-from gbspec.diagnostics import Findings
+from gbspec.diagnostics import Diagnostic, Findings, UserError
 from gbspec.frames import Shown, of_rows
 
 if TYPE_CHECKING:
@@ -143,6 +143,9 @@ def initial_states(
     `evaluator` and `truth` are those of a member and of the model's truth, `system` is that of the member, `trained_on`
     the entry of `fit.json` about the data. Raises UserError (GB876) if there is nothing to compare.
     """
+    if model.delays:
+        message = "initial states of a model with delays are not compared: its solutions depend on the past as well"
+        raise UserError([Diagnostic("GB876", message, None, help="compare solutions: `gbspec plot fit RUN`")])
     chosen = range(len(data)) if indices is None else indices
     positions = learned_positions(evaluator.instance, data, trained_on)
     scales = scales_of(model, data)

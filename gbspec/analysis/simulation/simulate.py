@@ -57,8 +57,21 @@ class Solver(Protocol):
     ) -> Array:
         """States [T, n] at `times` from `x0` at `start`; raises ComputationError."""
 
+    def followed(
+        self,
+        x0: Array,
+        times: Array,
+        condition: Array,
+        inputs: tuple[Signal, ...],
+        start: float,
+        *,
+        doses: tuple[DoseEvents, ...],
+        rtol: float,
+    ) -> tuple[Array, Array]:
+        """The same, and the delayed values [T, n_delays]."""
+
     def observe_many(self, t: Array, x: Array, condition: Array, inputs: Array) -> Array:
-        """Channels [T, C] at times [T], states [T, n] and inputs [T, m]."""
+        """Channels [T, C] at times [T], states [T, n], and inputs with the delayed values behind them [T, m]."""
 
 
 @dataclass(frozen=True)
@@ -214,9 +227,9 @@ def solve(
     times = np.unique(np.concatenate([drawn.times, grid]))
     x0 = evaluator.initial(drawn.x0, drawn.condition)
     if model.diffusions and random is not None:
-        states = disturbed_path(evaluator.instance, model, drawn, x0, times, random)
+        states, late = disturbed_path(evaluator.instance, model, drawn, x0, times, random), np.zeros((len(times), 0))
     else:
-        states = evaluator.integrate(
+        states, late = evaluator.followed(
             x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=TOLERANCE
         )
     if not np.isfinite(states).all():
@@ -226,7 +239,7 @@ def solve(
         if region.entered(times, states, drawn.condition, inputs, evaluator.constants):
             return region
     at = np.searchsorted(times, drawn.times)
-    values = evaluator.observe_many(drawn.times, states[at], drawn.condition, inputs[at])
+    values = evaluator.observe_many(drawn.times, states[at], drawn.condition, np.hstack([inputs, late])[at])
     if not np.isfinite(values).all():
         raise ComputationError("a channel is not finite", where=f"trajectory {drawn.label}")
     return Solved(drawn, values)

@@ -9,9 +9,9 @@ from .fence import fence_of as fence_of
 from .fence import fences as fences
 from .individuals import Individuals as Individuals
 from .points import quasirandom_points as quasirandom_points
+from .roots import ordered_eigenvalues as ordered_eigenvalues
+from .roots import ordered_modes as ordered_modes
 from .steady import axis_width as axis_width
-from .steady import ordered_eigenvalues as ordered_eigenvalues
-from .steady import ordered_modes as ordered_modes
 from .steady import steady_states as steady_states
 from .system import Box as Box
 from .system import System as System

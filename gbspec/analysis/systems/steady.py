@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gbspec.analysis.systems.points import quasirandom_points
 from gbspec.analysis.systems.system import System, require_autonomous
@@ -47,25 +46,6 @@ class SteadyState:
 def axis_width(eigenvalues: ComplexArray) -> float:
     """The size of real parts that are rounding: eigenvalues with such a real part lie on the imaginary axis."""
     return 1e-13 * float(np.max(np.abs(eigenvalues), initial=0.0))
-
-
-def ordered_eigenvalues(jacobian: Array) -> ComplexArray:
-    """Eigenvalues by decreasing real part; in a pair, the positive imaginary part first."""
-    values = np.linalg.eigvals(jacobian).astype(complex)
-    return values[_order(values)]
-
-
-def ordered_modes(jacobian: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues [n] in the order of `eigenvalues`, and unit eigenvectors, the columns of [n, n]."""
-    values, vectors = np.linalg.eig(jacobian)
-    order = _order(values)
-    return values[order].astype(complex), vectors[:, order].astype(complex)
-
-
-def _order(values: ComplexArray) -> NDArray[np.intp]:
-    # Rounding the key keeps pairs together, whose real parts may differ in the last bit.
-    size = float(np.abs(values).max()) or 1.0
-    return np.lexsort((-values.imag, -np.round(values.real / size, 12)))
 
 
 def batch_solve(matrices: Array, right: Array) -> Array:
@@ -166,5 +146,5 @@ def steady_states(
 
 def describe(system: System, x: Array) -> SteadyState:
     """A state with its residual and eigenvalues."""
-    f, jacobian = system.linearise(x)
-    return SteadyState(x, float(np.linalg.norm(f)), ordered_eigenvalues(jacobian), system.outside(x))
+    f, _ = system.linearise(x)
+    return SteadyState(x, float(np.linalg.norm(f)), system.spectrum(x), system.outside(x))

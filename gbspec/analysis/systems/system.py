@@ -17,7 +17,8 @@ import numpy as np
 
 from gbspec.analysis.systems.compiled import Compiled
 from gbspec.analysis.systems.fence import Extrapolation
-from gbspec.arrays import Array
+from gbspec.analysis.systems.roots import characteristic_modes, ordered_eigenvalues, ordered_modes
+from gbspec.arrays import Array, ComplexArray
 from gbspec.backends import Casadi
 from gbspec.data import Interpolation, Signal, evaluate
 from gbspec.diagnostics import Findings
@@ -38,7 +39,8 @@ class System:
     constants (others must be given with a point), `ranges` the plausible or trained ranges of states, conditions and
     inputs, of which those in `declared` are the user's; `trained` the ranges of the training data, and `starts` guesses
     of initial values. `interpolation` is that of each input; `extrapolation` says where functions are far from their
-    data, None if that is not known.
+    data, None if that is not known. With delays `rhs` is that at rest, and `delayed` what characteristic roots are
+    computed from (`Evaluator.linear_parts`).
     """
 
     name: str
@@ -55,6 +57,7 @@ class System:
     starts: Mapping[str, float] = field(default_factory=dict)
     time: float = 0.0
     extrapolation: Extrapolation | None = field(default=None, repr=False)
+    delayed: Casadi | None = field(default=None, repr=False)
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -185,6 +188,27 @@ class System:
         )
         return f, jacobian.reshape(self.size, self.size)
 
+    @cached_property
+    def _delayed(self) -> Compiled:
+        return Compiled(self.delayed)
+
+    def modes(self, x: Array, time: float | None = None) -> tuple[ComplexArray, ComplexArray]:
+        """The eigenvalues at state `x` [n], by decreasing real part, and the eigenvectors with states in units of their
+        scales, unit columns; with delays the rightmost characteristic roots, where `x` is at rest."""
+        scale = self.scale
+        if self.delayed is None:
+            return ordered_modes(self.linearise(x, time)[1] * scale / scale[:, None])
+        arguments = (self.vector(names) for names in (self.conditions, self.inputs, self.constants))
+        _, now, late, lags = self._delayed(self.time if time is None else time, x, *arguments)
+        n = self.size
+        parts = [now.reshape(n, n), *np.split(late.reshape(n, -1), len(lags), axis=1)]
+        first, *others = (part * scale / scale[:, None] for part in parts)
+        return characteristic_modes(first, others, lags)
+
+    def spectrum(self, x: Array, time: float | None = None) -> ComplexArray:
+        """The eigenvalues at state `x` [n], by decreasing real part; with delays as in `modes`."""
+        return ordered_eigenvalues(self.linearise(x, time)[1]) if self.delayed is None else self.modes(x, time)[0]
+
 
 def system_of(evaluator: Evaluator, model: Model, extrapolation: Extrapolation | None = None) -> System:
     """The system of an evaluator: constants from its module, ranges as declared, else as trained."""
@@ -199,7 +223,7 @@ def system_of(evaluator: Evaluator, model: Model, extrapolation: Extrapolation |
     return System(
         name=model.name,
         states=tuple(state.name for state in model.states),
-        rhs=evaluator.rhs,
+        rhs=evaluator.at_rest,
         conditions=tuple(condition.name for condition in model.conditions),
         inputs=tuple(item.name for item in model.inputs),
         interpolation=tuple(item.interpolation for item in model.inputs),
@@ -211,6 +235,7 @@ def system_of(evaluator: Evaluator, model: Model, extrapolation: Extrapolation |
         starts={state.name: float(state.start) for state in model.states if state.start is not None},
         time=model.time.start or 0.0,
         extrapolation=extrapolation,
+        delayed=evaluator.linear_parts,
     )
 
 

@@ -37,7 +37,8 @@ CHECKS = 32
 
 @dataclass(frozen=True)
 class RhsPoints:
-    """Points of the truth: times [N], states [N, n], conditions [N, c], inputs [N, u], signals of each."""
+    """Points of the truth: times [N], states [N, n], conditions [N, c], inputs (and delayed values) [N, u],
+    signals of each."""
 
     times: Array
     states: Array
@@ -115,6 +116,15 @@ class Sampler:
                 return None
         return np.asarray(states[-1], dtype=float)
 
+    def _late(self, drawn: Plan, time: float) -> Array:
+        """The delayed values [1, n_delays] at a time of a plan."""
+        x0 = self.evaluator.initial(drawn.x0, drawn.condition)
+        times = np.array([time])
+        found = self.evaluator.followed(
+            x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=DRAWN, atol=DRAWN
+        )
+        return found[1]
+
     def inputs_at(self, signals: tuple[Signal, ...], times: Array) -> Array:
         """The inputs [T, m] at times."""
         from gbspec.data import evaluate
@@ -130,11 +140,14 @@ class Sampler:
             random = np.random.default_rng([self.options.seed, i, 2])
             found.append(self.reach(random, lambda random=random: random.uniform(*self.window)))  # type: ignore[misc]  # a default binds the loop's value
         drawn = [one for one, _, _ in found]
+        inputs = np.concatenate([self.inputs_at(one.inputs, np.array([time])) for one, time, _ in found])
+        if self.model.delays:
+            inputs = np.hstack([inputs, np.concatenate([self._late(one, time) for one, time, _ in found])])
         return RhsPoints(
             times=np.array([time for _, time, _ in found]),
             states=np.array([state for _, _, state in found]),
             conditions=np.array([one.condition for one in drawn]).reshape(len(found), -1),
-            inputs=np.concatenate([self.inputs_at(one.inputs, np.array([time])) for one, time, _ in found]),
+            inputs=inputs,
             signals=tuple(one.inputs for one in drawn),
         )
 

@@ -213,7 +213,9 @@ def _values(model: Model, expressions: Sequence[sympy.Expr], truth: Evaluator, a
     """Expressions of the model [N] each at the points; unknowns in them are replaced by their truths."""
     names = [
         model.time.symbol,
-        *(item.symbol for item in (*model.states, *model.conditions, *model.inputs, *model.constants)),
+        *(item.symbol for item in (*model.states, *model.conditions, *model.inputs)),
+        *(delay.symbol for delay in model.delays),
+        *(item.symbol for item in model.constants),
         *(item.symbol for item in model.learnables),
     ]
     numbers = [at.times, *at.states.T, *at.conditions.T, *at.inputs.T, *map(float, truth.constants)]

@@ -12,11 +12,14 @@ if TYPE_CHECKING:
 
 
 def make(model: Model, instance: GeneratedModule, method: Method) -> str | Refusal:
-    """C source with the instance's numbers in it, or a refusal of a model with algebraic variables."""
+    """C source with the instance's numbers in it, or a refusal of a model with algebraic variables or delays."""
     from gbspec.backends.c.source import c_code
 
     if model.algebraics:
         why = "its algebraic variables are found by a search, which C code does not contain"
+        return Refusal(why, "the form `module` has it")
+    if model.delays:
+        why = "its delays look at the solution before, which the program would have to keep"
         return Refusal(why, "the form `module` has it")
     return c_code(instance)
 

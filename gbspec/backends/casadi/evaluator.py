@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 from gbspec.arrays import Array
 from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
+from gbspec.backends.casadi.delays import DelaySolver, at_rest, linear_parts
 from gbspec.backends.casadi.events import EventSolver
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
+from gbspec.diagnostics import ComputationError
 from gbspec.ir import METHODS
 
 
@@ -131,6 +133,7 @@ class Evaluator:
         constants: ArrayLike | None = None,
     ) -> Array:
         """d(dx/dt)/dx [n_states, n_states] at one point."""
+        self._require_past(inputs)
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
 
     def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: ArrayLike | None = None) -> Array:
@@ -147,15 +150,24 @@ class Evaluator:
     ) -> list[Array]:
         state = np.asarray(x, dtype=np.float64).reshape(-1, self.n_states)
         time = np.asarray(t, dtype=np.float64).reshape(-1, 1)
+        self._require_past(inputs)
+        width = self.n_inputs + (len(self.instance.equations.delays) if self.has_delays else 0)
         return [
             time,
             state,
             np.asarray(condition, dtype=np.float64).reshape(-1, self.n_conditions)
             if self.n_conditions
             else np.zeros((1, 0)),
-            np.asarray(inputs, dtype=np.float64).reshape(-1, self.n_inputs) if self.n_inputs else np.zeros((1, 0)),
+            np.asarray(inputs, dtype=np.float64).reshape(-1, width) if width else np.zeros((1, 0)),
             self._constants(constants),
         ]
+
+    def _require_past(self, inputs: ArrayLike) -> None:
+        """Raises ComputationError if a model with delays gets declared inputs alone."""
+        width = self.n_inputs + (len(self.instance.equations.delays) if self.has_delays else 0)
+        if self.has_delays and np.shape(inputs)[-1:] != (width,):
+            what = "the equations of a model with delays depend on the past, not on a state alone"
+            raise ComputationError(what, where="a point without a past", remedy="compare solutions instead")
 
     def _many(self, key: str, function: Casadi, columns: Sequence[Array]) -> Array:
         """A function at N points, in one call; a single row is used for all points."""
@@ -199,6 +211,26 @@ class Evaluator:
 
         Raises ComputationError, with time and state, if the solution cannot be continued or is not finite.
         """
+        return self.followed(
+            x0, times, condition, inputs, start, doses=doses, constants=constants, rtol=rtol, atol=atol, scales=scales
+        )[0]
+
+    def followed(
+        self,
+        x0: ArrayLike,
+        times: ArrayLike,
+        condition: ArrayLike = (),
+        inputs: Sequence[Course] = (),
+        start: float | None = None,
+        *,
+        doses: Sequence[Events] = (),
+        constants: ArrayLike | None = None,
+        rtol: float = 1e-10,
+        atol: float = 1e-10,
+        scales: ArrayLike | None = None,
+    ) -> tuple[Array, Array]:
+        """States as from `integrate`, and the delayed values [n_times, n_delays], which `rhs` and `observe` take behind
+        the inputs."""
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
@@ -206,9 +238,18 @@ class Evaluator:
         problem = InitialValueProblem(
             np.asarray(condition, dtype=np.float64).ravel(), self._constants(constants), nominal, rtol, atol
         )
+        if self.has_delays:
+            solver = DelaySolver(self.instance, self.rhs)
+            return solver.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
+        none = np.zeros((len(outputs), 0))
+        return self._followed(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem), none
+
+    def _followed(
+        self, x0: Array, begin: float, outputs: Array, pieces: Sequence[Segment], problem: InitialValueProblem
+    ) -> Array:
         if self.has_events:
-            return self._event_solver.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
-        return self._integrator.run(np.asarray(x0, dtype=np.float64), begin, outputs, pieces, problem)
+            return self._event_solver.run(x0, begin, outputs, pieces, problem)
+        return self._integrator.run(x0, begin, outputs, pieces, problem)
 
     def integrate_fixed(
         self,
@@ -233,6 +274,11 @@ class Evaluator:
         outputs = self._times(times, start)
         begin = float(outputs[0]) if start is None else float(start)
         pieces = self._segments(begin, outputs, condition, inputs, doses, constants)
+        if self.has_delays:
+            given, nominal = np.asarray(condition, dtype=np.float64).ravel(), np.ones(self.n_states)
+            problem = InitialValueProblem(given, self._constants(constants), nominal, 0.0, 0.0)
+            solver, start_state = DelaySolver(self.instance, self.rhs), np.asarray(x0, dtype=np.float64)
+            return solver.run(start_state, begin, outputs, pieces, problem, max_step, parts)[0]
         sizes = (self.n_states, self.n_inputs)
         plan = steps.plan(begin, outputs, pieces, max_step, *sizes, METHODS[self.instance.solver], parts)
         condition = np.asarray(condition, dtype=np.float64).ravel()
@@ -261,6 +307,21 @@ class Evaluator:
     def has_events(self) -> bool:
         """Whether its model has events."""
         return hasattr(self.instance.equations, "events")
+
+    @property
+    def has_delays(self) -> bool:
+        """Whether its model has delays."""
+        return hasattr(self.instance.equations, "delays")
+
+    @cached_property
+    def at_rest(self) -> Casadi:
+        """`rhs` of declared inputs alone: of a model with delays, where nothing changes."""
+        return at_rest(self.instance, self.rhs) if self.has_delays else self.rhs
+
+    @cached_property
+    def linear_parts(self) -> Casadi | None:
+        """What characteristic roots at rest are computed from (`delays.linear_parts`); None without delays."""
+        return linear_parts(self.instance, self.rhs) if self.has_delays else None
 
     @cached_property
     def _event_solver(self) -> EventSolver:

@@ -90,7 +90,7 @@ def balances(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each balance."""
     time = name(model.time.name)
     found = [
-        (f"\\frac{{\\mathrm{{d}} {expression(left)}}}{{\\mathrm{{d}} {time}}}", expression(balance))
+        (f"\\frac{{\\mathrm{{d}} {expression(left)}}}{{\\mathrm{{d}} {time}}}", expression(model.timed(balance)))
         for left, balance in model.equations("balances")
     ]
     return found + [(expression(left), expression(value)) for left, value in model.equations("closures")]
@@ -112,12 +112,12 @@ def disturbances(model: Model) -> list[tuple[str, str]]:
 
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
-    return [(expression(left), expression(value)) for left, value in named(model)]
+    return [(expression(left), expression(model.timed(value))) for left, value in named(model)]
 
 
 def observations(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each channel that is not simply a state."""
-    return [(expression(left), expression(value)) for left, value in model.equations("channels")]
+    return [(expression(left), expression(model.timed(value))) for left, value in model.equations("channels")]
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
@@ -126,6 +126,17 @@ def starts(model: Model) -> list[tuple[str, str]]:
     return [
         (f"{expression(left)}({'t_{0}' if model.time.start is None else at})", expression(value))
         for left, value in model.equations("starts")
+    ]
+
+
+def histories(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each state before the start that the model gives."""
+    time = name(model.time.name)
+    first = "t_{0}" if model.time.start is None else expression(sympy.Float(model.time.start, 17))
+    return [
+        (f"{name(s.name)}({time})", f"{expression(s.history)} \\quad \\text{{for }} {time} < {first}")
+        for s in model.states
+        if s.history is not None
     ]
 
 

@@ -44,6 +44,7 @@ def document(model: Model) -> str:
         _unknowns(model),
         _aligned("Measured", equations.observations(model)),
         _aligned("Starts", equations.starts(model)),
+        _aligned("Before the start", equations.histories(model)),
         _table("States", ("range", "start"), ((s, (_range(s.range), _number(s.start))) for s in _states(model))),
         _table(
             "Algebraic variables",

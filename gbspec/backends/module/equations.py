@@ -27,7 +27,7 @@ from gbspec.backends.printing import (
     temporary,
 )
 from gbspec.diagnostics import Defect
-from gbspec.ir import NN, Expr, Model, Network, Unknown, Vector
+from gbspec.ir import NN, Declared, Delay, Expr, Input, Model, Network, Unknown, Vector
 
 PARAMETERS = ("math", "state", "condition", "inputs", "constants", "networks")
 
@@ -42,6 +42,8 @@ def scope(model: Model, *more: str) -> Names:
         names.claim(item.symbol)
     for variable in model.algebraics:
         names.claim(variable.symbol)
+    for delay in model.delays:
+        names.claim(delay.symbol, f"{delay.source}_delayed")
     return names
 
 
@@ -318,7 +320,9 @@ def _unpacked(model: Model, names: Names, used: set[Expr], given: set[sympy.Symb
     """Lines that unpack the used quantities."""
     lines = []
     states = () if model.arrays else model.states  # with arrays, states are entries of the vector, and so statements
-    for vector, items in (("state", states), ("condition", model.conditions), ("inputs", model.inputs)):
+    external: tuple[Input | Delay, ...] = (*model.inputs, *model.delays)
+    vectors: list[tuple[str, Sequence[Declared | Delay]]] = [("state", states), ("condition", model.conditions)]
+    for vector, items in (*vectors, ("inputs", external)):
         wanted = [item.symbol in (given if given is not None and vector == "state" else used) for item in items]
         if any(wanted):
             targets = [names[item.symbol] if want else "_" for item, want in zip(items, wanted, strict=True)]

@@ -20,14 +20,16 @@ PLACE = re.compile(
 )
 
 
-OPTIONAL = re.compile(r"^[ ]*\# \[(events|algebraic)\n(.*?)^[ ]*\# \1\]\n", flags=re.M | re.S)
-"""What only modules of models with events, or with algebraic variables, have."""
+OPTIONAL = re.compile(r"^[ ]*\# \[(events|algebraic|delays)\n(.*?)^[ ]*\# \1\]\n", flags=re.M | re.S)
+"""What only modules of models with events, with algebraic variables, or with delays, have."""
+EARLY = ("events", "delays")
+"""Such files whose place is among the first ones."""
 
 
 @cache
 def template(*more: str) -> str:
     """The files joined, with those that only some models need, without comments for type checkers and linters."""
-    early = [part for part in more if part == "events"]
+    early = [part for part in more if part in EARLY]
     parts = (*PARTS[:2], *early, *PARTS[2:], *(part for part in more if part not in early))
     text = "\n\n\n".join(map(_part, parts)) + "\n"
     text = OPTIONAL.sub(lambda match: match[2] if match[1] in more else "", text)

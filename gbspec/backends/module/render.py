@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import algebraic, attributes, equations, events, stepping
+from gbspec.backends.module import algebraic, attributes, delays, equations, events, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -23,7 +23,7 @@ def generate(model: Model, method: Method = RK4) -> str:
     """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
     training runs."""
     name = class_name(model)
-    parts = {"events": model.events, "lookups": model.tables, "algebraic": model.algebraics}
+    parts = {"events": model.events, "delays": model.delays, "lookups": model.tables, "algebraic": model.algebraics}
     text = template(*(part for part, needed in parts.items() if needed))
     return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
@@ -48,6 +48,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         *equations.diffusions_method(model),
         *events.methods(model),
         *algebraic.methods(model),
+        *delays.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]
@@ -157,6 +158,9 @@ def _shapes(model: Model) -> list[str]:
         ]
         if parts:
             lines.append(f"{name} [..., {len(items)}]: {', '.join(parts)}")
+    if model.delays:
+        names = ", ".join(delay.name for delay in model.delays)
+        lines.append(f"delayed values, behind the inputs of rhs, observe and step [..., {len(model.delays)}]: {names}")
     constants = [item.name + _unit(item) for item in (*model.constants, *model.learnables)]
     units = {item.name: _unit(item) for item in model.unknowns}
     functions = [

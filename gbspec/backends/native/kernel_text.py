@@ -97,6 +97,8 @@ def _check(model: Model) -> None:
             raise NotCoveredError(f"the network `{network.name}` has too many layers or arguments")
     if not model.states:
         raise NotCoveredError("it has no states")
+    if model.delays:
+        raise NotCoveredError("it has delays, for which steps look at the solution before")
     if model.events:
         raise NotCoveredError("it has events, which cut the steps at times of their own")
     if model.algebraics:

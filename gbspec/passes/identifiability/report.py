@@ -67,7 +67,9 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     """
     if not model.learnables and not model.unknowns:
         return Identifiability(True)
-    if model.events or model.algebraics:  # what thresholds, resets and solved equations tell is not examined
+    if (
+        model.events or model.algebraics or model.delays
+    ):  # what resets, solved equations and the past tell is not examined
         return Identifiability(False)
     if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
         return Identifiability(False)

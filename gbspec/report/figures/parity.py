@@ -20,6 +20,8 @@ def build(source: Source) -> Figure:
     fitted = source.fitted
     if fitted.truth is None:
         raise MissingError("the model states no truth to compare with", "fit")
+    if fitted.model.delays:
+        raise MissingError("the right-hand side of a model with delays depends on the past, not on a state", "fit")
     true, learned = _values(fitted)
     every = max(1, len(true) // MOST_POINTS)
     # A balance without anything learned is the same in both to the last digits, and shows nothing

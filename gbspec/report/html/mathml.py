@@ -109,7 +109,10 @@ def balances(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each balance."""
     time = name(model.time.name)
     found = [
-        (f"<mfrac><mrow><mi>d</mi>{expression(left)}</mrow><mrow><mi>d</mi>{time}</mrow></mfrac>", expression(right))
+        (
+            f"<mfrac><mrow><mi>d</mi>{expression(left)}</mrow><mrow><mi>d</mi>{time}</mrow></mfrac>",
+            expression(model.timed(right)),
+        )
         for left, right in model.equations("balances")
     ]
     return found + [(expression(left), expression(right)) for left, right in model.equations("closures")]
@@ -122,12 +125,12 @@ def algebraic(model: Model) -> list[tuple[str, str]]:
 
 def intermediates(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each named expression."""
-    return [(expression(left), expression(right)) for left, right in named(model)]
+    return [(expression(left), expression(model.timed(right))) for left, right in named(model)]
 
 
 def observations(model: Model) -> list[tuple[str, str]]:
     """Left and right side of each channel that is not simply a state."""
-    return [(expression(left), expression(right)) for left, right in model.equations("channels")]
+    return [(expression(left), expression(model.timed(right))) for left, right in model.equations("channels")]
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
@@ -136,6 +139,15 @@ def starts(model: Model) -> list[tuple[str, str]]:
     return [
         (f"<msub>{expression(left)}<mrow>{at}</mrow></msub>", expression(right))
         for left, right in model.equations("starts")
+    ]
+
+
+def histories(model: Model) -> list[tuple[str, str]]:
+    """Left and right side of each state before the start that the model gives."""
+    return [
+        (f"{name(s.name)}<mo>(</mo>{name(model.time.name)}<mo>)</mo>", expression(s.history))
+        for s in model.states
+        if s.history is not None
     ]
 
 

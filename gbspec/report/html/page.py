@@ -253,6 +253,7 @@ def _equations(model: Model) -> list[tuple[str, str]]:
         ("Unknown functions", [mathml.postulate(model, unknown) for unknown in model.unknowns]),
         ("Measured", mathml.observations(model)),
         ("Starts", mathml.starts(model)),
+        ("Before the start", mathml.histories(model)),
     )
     # The printer has escaped all names, so that these need no further escaping.
     return [(heading, Markup(mathml.equations(pairs))) for heading, pairs in blocks if pairs]

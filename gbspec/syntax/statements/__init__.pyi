@@ -17,6 +17,7 @@ from .effect import EffectStatement as EffectStatement
 from .equation import EquationStatement as EquationStatement
 from .event import EventStatement as EventStatement
 from .function import FunctionStatement as FunctionStatement
+from .history import HistoryStatement as HistoryStatement
 from .initial import InitialStatement as InitialStatement
 from .input import InputStatement as InputStatement
 from .learn import LearnStatement as LearnStatement

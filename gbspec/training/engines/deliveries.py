@@ -11,7 +11,7 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.ir import METHODS, Explicit
 from gbspec.training.engines.arithmetic import torch_arithmetic
-from gbspec.training.problem import Parameters, Path, Problem, path_of
+from gbspec.training.problem import Parameters, Path, Problem, echoes, path_of
 
 Terms = list[tuple[Tensor | float, Tensor | float]]
 """Fraction and lag of each of the model's doses: tensors [B], or one number for all rows."""
@@ -30,7 +30,18 @@ def terms_of(problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Terms:
             some = [column[sound] if column.ndim else column for column in k]
             of_some = problem.module.equations.doses(torch_arithmetic(problem.module), condition[sound], some)[kind][1]
             terms[kind] = fraction, lag.detach().masked_scatter(sound, of_some)
-    return terms
+    return terms + _echoed(problem, condition, k, terms)
+
+
+def _echoed(problem: Problem, condition: Tensor, k: Sequence[Tensor], terms: Terms) -> Terms:
+    """The terms of arrivals of nothing, at which steps begin because of delays."""
+    found: Terms = []
+    if problem.model.delays:
+        lags = problem.module.equations.lags(torch_arithmetic(problem.module), condition.unbind(-1), k)
+        for echo in echoes(problem.model):
+            first = 0.0 if echo.dose is None else terms[echo.dose][1]
+            found.append((0.0, sum((lags[i] for i in echo.lags), start=first)))
+    return found
 
 
 def delivered(problem: Problem, constants: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,6 +5,8 @@ from .autocorrelation import share_that_counts as share_that_counts
 from .bounds import STRETCH as STRETCH
 from .bounds import Bijection as Bijection
 from .bounds import Bijections as Bijections
+from .delays import Echo as Echo
+from .delays import echoes as echoes
 from .division import meshed as meshed
 from .forcing import Forcing as Forcing
 from .forcing import measured_states as measured_states

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gbspec.arrays import Array
 from gbspec.data import Trajectories, Trajectory
 from gbspec.ir import Dose, Expr, Model
+from gbspec.training.problem.delays import echoes, jumps
 
 Integers = NDArray[np.int64]
 
@@ -78,9 +79,18 @@ def dose_table(trajectories: Trajectories, model: Model) -> DoseTable:
         for kind, events in enumerate(item.doses)
         for time, amount in zip(events.times, events.amounts, strict=True)
     ]
+    known = [_known(dose, model) for dose in model.doses]
+    if model.delays:  # steps begin where jumps show again: arrivals of nothing, after the kinds of doses
+        kinds = list(enumerate(echoes(model), len(model.doses)))
+        known += [False] * len(kinds)
+        rows += [
+            (i, kind, time, 0.0)
+            for i, item in enumerate(trajectories.items)
+            for kind, echo in kinds
+            for time in jumps(item, model, echo)
+        ]
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    known = tuple(_known(dose, model) for dose in model.doses)
-    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], known)
+    return DoseTable(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3], tuple(known))
 
 
 def boundaries(item: Trajectory, keys: Array, lags: Lags) -> Array:

@@ -22,6 +22,7 @@ from gbspec.data import Limits, Trajectories, Trajectory, evaluate
 from gbspec.data import weights as weights_of
 from gbspec.ir import RK4, Method, Model
 from gbspec.training.problem.arrivals import DoseTable, Integers, Lags, boundaries, dose_table, known_lags
+from gbspec.training.problem.delays import largest_steps
 
 
 @dataclass(frozen=True)
@@ -163,9 +164,8 @@ def pack(
     With `rng`, the sub-steps of an interval have random lengths (at most `max_step`), so that a learned right-hand side
     cannot become dependent on one particular step.
     """
-    lags = known_lags(trajectories, model)
     nodes = tuple(map(float, method.nodes))
-    plans = [_plan(item, model, max_step, nodes, rng, own) for item, own in zip(trajectories.items, lags, strict=True)]
+    plans = _plans(trajectories, model, max_step, nodes, rng)
     depth = max((len(plan.h) for plan in plans), default=0)
     count, n_inputs = len(plans), len(model.inputs)
     t, h = np.zeros((depth, count)), np.zeros((depth, count))
@@ -227,6 +227,15 @@ class _Plan:
     sd: Array
     row_inputs: Array
     limits: Limits
+
+
+def _plans(
+    trajectories: Trajectories, model: Model, max_step: float, nodes: Sequence[float], rng: np.random.Generator | None
+) -> list[_Plan]:
+    """The sub-steps of each trajectory, none longer than its shortest delay."""
+    lags, limits = known_lags(trajectories, model), largest_steps(trajectories, model, max_step)
+    each = zip(trajectories.items, lags, limits, strict=True)
+    return [_plan(item, model, limit, nodes, rng, own) for item, own, limit in each]
 
 
 def _plan(

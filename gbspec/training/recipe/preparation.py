@@ -9,7 +9,7 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.backends import GeneratedModule
-from gbspec.data import Trajectories
+from gbspec.data import Trajectories, sobol, spread_over_ranges
 from gbspec.ir import Model
 from gbspec.training.engines import residual_vector
 from gbspec.training.options import TrainOptions
@@ -17,7 +17,15 @@ from gbspec.training.problem import Bijections, Parameters, Weights, mean_loss, 
 from gbspec.training.recipe.context import Context, build_context
 from gbspec.training.recipe.stages import imputed_forcing
 from gbspec.training.recipe.weighing import first as first_weights
-from gbspec.training.starts import Earlier, earlier, eliminate, network_scales, regress_slopes
+from gbspec.training.starts import (
+    Earlier,
+    Eliminated,
+    earlier,
+    eliminate,
+    network_scales,
+    regress_slopes,
+    slope_mismatch,
+)
 
 SUSPECT = 0.03
 """Smoothing is tried above this typical residual (in standard deviations of the data) with interpolating curves."""
@@ -86,6 +94,32 @@ def _started(context: Context, parameters: Parameters, theta: Array, given: Earl
     return layout, layout.vector(weights | given.weights, given.natural(context.model, natural))
 
 
+LAGS = 6
+"""So many values of the learned constants in delays are tried, spread over their bounds."""
+
+
+def _eliminated(context: Context, start: Array) -> Eliminated:
+    """Constants and free outputs from the slopes of the curves.
+
+    Slopes have several best delays, of which the nearest one is found. Where all forms are known, delays are therefore
+    also started from other values, and the result whose balances agree best is taken.
+    """
+    model, module, points = context.model, context.module, context.points
+    first = eliminate(model, module, points, start)
+    in_delays = {s for delay in model.delays for s in delay.lag.free_symbols}
+    lags = [i for i, k in enumerate(model.learnables) if k.symbol in in_delays]
+    if model.networks or not lags or not context.options.warm_start:
+        return first
+    shares = sobol(LAGS, len(lags), context.seed)
+    drawn = spread_over_ranges(tuple(model.learnables[i] for i in lags), shares)
+    found = [first]
+    for values in drawn:
+        natural = np.array([k.start for k in model.learnables], dtype=np.float64)
+        natural[lags] = values
+        found.append(eliminate(model, module, points, Bijections.of(model.learnables).from_natural(natural)))
+    return min(found, key=lambda one: slope_mismatch(model, module, points, one.constants))
+
+
 def initial(context: Context) -> tuple[Parameters, Array]:
     """Random weights and networks scaled by the data; constants as declared, or from elimination (warm start)."""
     model = context.model
@@ -96,7 +130,7 @@ def initial(context: Context) -> tuple[Parameters, Array]:
     }
     constants = start
     if len(context.points):
-        eliminated = eliminate(model, context.module, context.points, start)
+        eliminated = _eliminated(context, start)
         fixed = network_scales(model, eliminated)
         if context.options.warm_start and np.isfinite(eliminated.constants).all():
             constants = eliminated.constants

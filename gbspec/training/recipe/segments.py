@@ -5,8 +5,8 @@ blows up. The solutions of short segments do not; yet, other than the intervals 
 for an unmeasured state, or slow dynamics, to show in the measurements (Bock 1983; Ribeiro and others 2020). Initial
 states of segments are free and not tied to each other.
 
-Where the model gives an initial value by an expression, or doses have a lag, only the beginnings of the trajectories
-are used: what precedes a later segment cannot be replaced by its initial state.
+Where the model gives an initial value by an expression, or has delays, or doses have a lag, only the beginnings of the
+trajectories are used: what precedes a later segment cannot be replaced by its initial state.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _part(item: Trajectory, low: int, high: int) -> Trajectory:
 def divisible(model: Model) -> bool:
     """Whether a segment can begin at any row."""
     expressed = any(state.initial.kind == "expression" for state in model.states)
-    return not expressed and all(dose.lag == 0 for dose in model.doses)
+    return not expressed and not model.delays and all(dose.lag == 0 for dose in model.doses)
 
 
 @dataclass(frozen=True)

@@ -49,10 +49,10 @@ def chosen_solver(
 ) -> tuple[str, str | None]:
     """The solver for a model and its data, and the reason for it; `module` is the class with the explicit one.
 
-    Likelihoods (of innovations, or of a population) and models with events are computed with the explicit one, so are
-    those with algebraic variables, where draws of constants are costly.
+    Likelihoods (of innovations, or of a population) and models with events or delays are computed with the explicit
+    one, so are those with algebraic variables, where draws of constants are costly.
     """
-    if model.diffusions or model.marginal or model.events or model.algebraics:
+    if model.diffusions or model.marginal or model.events or model.algebraics or model.delays:
         return solver_of(options), None
     step = options.max_step if options.max_step is not None else default_max_step(trajectories)
     steps, rows = _fixed_steps(trajectories, step)

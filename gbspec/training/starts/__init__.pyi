@@ -9,6 +9,8 @@ from .slopes import Points as Points
 from .slopes import collocate as collocate
 from .splines import Curves as Curves
 from .splines import fit_curves as fit_curves
+from .warm_start import Eliminated as Eliminated
 from .warm_start import eliminate as eliminate
 from .warm_start import network_scales as network_scales
 from .warm_start import regress_slopes as regress_slopes
+from .warm_start import slope_mismatch as slope_mismatch

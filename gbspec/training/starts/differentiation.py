@@ -46,7 +46,7 @@ def determined(model: Model, curves: Curves) -> tuple[int, int] | None:
     none."""
     hidden = {s.symbol: i for i, s in enumerate(model.states) if not curves.covers(i)}
     learned = {k.symbol for k in model.learnables}
-    used = used_by_balances(model) if hidden else []
+    used = used_by_balances(model) if hidden and not model.delays else []
     for index, (balance, symbols) in enumerate(zip(model.inlined(model.balances), used, strict=False)):
         contained = symbols & hidden.keys()
         if len(contained) != 1 or not curves.covers(index):

@@ -16,6 +16,7 @@ import numpy as np
 from gbspec.arrays import Array
 from gbspec.data import sobol, spread_over_ranges
 from gbspec.diagnostics import ComputationError
+from gbspec.ir import Model
 from gbspec.training.engines import Engine, explain_failure, residual_table, residual_vector
 from gbspec.training.optimise import LevenbergMarquardt, LevenbergOptions, Outcome, Priors, State, huber
 from gbspec.training.problem import Problem, autocorrelation_of, in_time, mean_loss
@@ -63,6 +64,12 @@ PATIENCE: Mapping[Effort, Patience] = {
 }
 
 
+def patience_of(effort: Effort, model: Model) -> Patience:
+    """The effort for a model: with delays, which the kernel does not cover, solutions take a hundred times as long."""
+    full = PATIENCE[effort]
+    return Patience(full.draws // 8, full.improved // 4, min(full.least, 3), 2) if model.delays else full
+
+
 def starts_within(patience: Patience, substeps: int, columns: int) -> int:
     """The largest number of starts that are improved for data with `substeps` sub-steps."""
     return int(np.clip(WORK / max(substeps * (columns + 10), 1), min(FEWEST, patience.improved), patience.improved))
@@ -88,7 +95,7 @@ class Search:
 
     def __init__(self, engine: Engine, forced: Engine | None, seed: int, effort: Effort) -> None:
         self.engine, self.forced, self.parameters, self.seed = engine, forced, engine.parameters, seed
-        self.patience = PATIENCE[effort]
+        self.patience = patience_of(effort, engine.problem.model)
         columns = self.parameters.n_shared + self.parameters.n_local
         self.total = starts_within(self.patience, int(engine.problem.packed.steps.sum()), columns)
 
@@ -121,9 +128,10 @@ class Search:
 
         At effort high those come first that effort normal has, in its order: what normal finds is found too.
         """
-        first = min(PATIENCE["normal"].draws, len(losses) - 2)
+        normal = patience_of("normal", self.engine.problem.model)
+        first = min(normal.draws, len(losses) - 2)
         known = [0, 1, *(2 + np.argsort(losses[2 : 2 + first], kind="stable")).tolist()]
-        known = [i for i in known if np.isfinite(losses[i])][: PATIENCE["normal"].improved]
+        known = [i for i in known if np.isfinite(losses[i])][: normal.improved]
         return [*known, *(i for i in (2 + np.argsort(losses[2:], kind="stable")).tolist() if i not in known)]
 
     def step(self, state: State, iteration: int) -> Outcome:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import sympy
 import torch
 from torch import Tensor
 
@@ -15,6 +16,7 @@ from gbspec.data import Signal, Trajectories, evaluate
 from gbspec.ir import Model, unknowns_in_equations, used_by_balances
 from gbspec.training.engines import torch_arithmetic
 from gbspec.training.problem import Integers
+from gbspec.training.starts.past import Past
 from gbspec.training.starts.splines import Curves
 
 POINTS = 6000
@@ -30,7 +32,7 @@ class Points:
     `equations`: indices of the balances that can be compared: their states, and all states that they contain, have
     curves. `rough`: balances whose own state has a curve, with unmeasured states at a guess, which suffices for orders
     of magnitude. `scale` [n_states]: size of the slopes; `measurements`: number of values that the curves are fitted
-    to.
+    to; `past`: what delays look at, in models with delays.
     """
 
     t: Array
@@ -43,6 +45,7 @@ class Points:
     rough: tuple[int, ...]
     scale: Array
     measurements: int
+    past: Past | None = None
 
     def __len__(self) -> int:
         return len(self.t)
@@ -59,7 +62,17 @@ def comparable_balances(model: Model, curves: Curves) -> tuple[int, ...]:
     if unknowns_in_equations(model):  # their values cannot be free numbers while equations are solved
         return ()
     used = used_by_balances(model)
-    return tuple(i for i, s in enumerate(model.states) if s.symbol not in hidden and not used[i] & hidden)
+    return tuple(
+        i
+        for i, s in enumerate(model.states)
+        if s.symbol not in hidden and not (_with_delayed(model, set(used[i])) & hidden)
+    )
+
+
+def _with_delayed(model: Model, symbols: set[sympy.Symbol]) -> set[sympy.Symbol]:
+    """The symbols, with those in the delayed quantities among them."""
+    delayed = [delay.value for delay in model.delays if delay.symbol in symbols]
+    return symbols.union(*(value.free_symbols for value in model.inlined(delayed)))
 
 
 def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: Array) -> Points:
@@ -107,6 +120,7 @@ def collocate(model: Model, trajectories: Trajectories, curves: Curves, guess: A
         tuple(covered) if len(slope) else (),
         np.where(scale > 0, scale, 1.0),
         max(trajectories.measurements, 1),
+        Past(model, trajectories, curves, guess) if model.delays else None,
     )
 
 
@@ -167,5 +181,7 @@ def evaluate_rhs(
     k = tuple(constants[:, i] for i in range(constants.shape[1]))
     t, x = torch.from_numpy(points.t), torch.from_numpy(points.x)
     c, u = torch.from_numpy(points.condition), torch.from_numpy(points.inputs)
+    if points.past is not None:
+        u = torch.cat([u, points.past.late(module, t, points.trajectory, c, k, networks)], 1)
     out: Tensor = module.equations.rhs(torch_arithmetic(module), t, x, c, u, k, networks)
     return out

@@ -49,6 +49,17 @@ class Eliminated:
     spread: tuple[tuple[int, Array], ...]
 
 
+def slope_mismatch(model: Model, module: GeneratedModule, points: Points, constants: Array) -> float:
+    """The typical distance of balances and slopes at trainable constants, in units of the slopes, in a model whose
+    functions are all known; infinite where it is not a number."""
+    with torch.no_grad():
+        k = _constants_at(model, torch.from_numpy(constants), len(points))
+        found = evaluate_rhs(model, module, points, k, ()).numpy()
+    apart = ((found - points.slope) / points.scale)[:, list(points.equations)]
+    value = float(np.mean(np.log1p(apart**2))) if apart.size else 0.0
+    return value if np.isfinite(value) else float("inf")
+
+
 def _constants_at(model: Model, u: Tensor, count: int) -> Tensor:
     known = [torch.full((count,), c.value, dtype=torch.float64) for c in model.constants]
     natural = Bijections.of(model.learnables).to_natural(u)

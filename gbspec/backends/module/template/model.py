@@ -21,12 +21,13 @@ import numpy as np
 
 # {{interface
 from gbspec.backends.module.template.arithmetic import _arithmetic, _torch_arithmetic
+from gbspec.backends.module.template.delays import _delayed_solution, _width
 from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
 from gbspec.backends.module.template.stepping import _Adaptive
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
-from gbspec.backends.module.template.vectors import _by_name, _tensor, _vector
+from gbspec.backends.module.template.vectors import _by_name, _signal, _spread, _tensor, _vector
 from gbspec.backends.module.template.weights import _array, _described, _misfits, _random_weights, _required_shapes
 
 _USED_BY_SIBLINGS = (_math, functools, struct, SimpleNamespace)
@@ -287,11 +288,12 @@ class Template:  # {{class}}
         limit = max_step if max_step is not None else self.info.get("max_step")
         if limit is not None and not limit > 0:
             raise ValueError(f"max_step must be positive, not {limit}")
-        signal = self._signal(inputs, grid, x)
-        batch = np.broadcast_shapes(
-            x.shape[:-1], condition.shape[:-1], signal(0, grid[0]).shape[:-1], *(value.shape for value in k)
-        )
-        x = x.expand(*batch, x.shape[-1])
+        signal = _signal(self, inputs, grid, x)
+        x = _spread(x, condition, signal(0, grid[0]), k)
+        # [delays
+        if "delays" in vars(self.equations):
+            return _delayed_solution(self, x, grid, condition, k, f, signal, limit)
+        # delays]
         path, m = [x], _torch_arithmetic()
         rhs = self.equations.field(m, condition, k, f)
         accuracy = self.info.get("tolerance") if tolerance is None and max_step is None else tolerance
@@ -351,6 +353,10 @@ class Template:  # {{class}}
         """State, condition and inputs as tensors of the right length and of the state's type."""
         x = _vector(self.state(x) if isinstance(x, Mapping) else x, len(self.states), "the state")
         condition = self._defaulted(condition, "conditions", x)
+        # [delays
+        if need_inputs and "delays" in vars(self.equations):
+            return x, condition, _vector(inputs, _width(self), "inputs and delayed values", x)
+        # delays]
         return x, condition, self._defaulted(inputs, "inputs", x) if need_inputs else None
 
     def _defaulted(self, value: Any, kind: str, x: Any) -> Any:
@@ -383,25 +389,6 @@ class Template:  # {{class}}
                 for name, value in zip(self.constants, k, strict=True)
             )
         return k, f
-
-    def _signal(self, inputs: Any, grid: list[float], x: Any) -> Callable[[int, float], Any]:
-        """Inputs as a function of the index of an interval and a time in it."""
-        if callable(inputs):
-            return lambda i, t: _vector(inputs(t), len(self.inputs), "inputs", x)
-        table = self._defaulted(inputs, "inputs", x)
-        if inputs is None or not self.inputs:
-            return lambda i, t: table
-        if table.ndim < 2 or table.shape[-2] != len(grid):
-            raise ValueError(f"inputs must have the shape [..., {len(grid)}, {len(self.inputs)}]: one row per time")
-        linear = _tensor([float(kind == "linear") for kind in self.interpolation], x)
-
-        def value(i: int, t: float) -> Any:
-            if len(grid) == 1:
-                return table[..., 0, :]
-            share = linear * ((t - grid[i]) / (grid[i + 1] - grid[i]))
-            return table[..., i, :] + share * (table[..., i + 1, :] - table[..., i, :])
-
-        return value
 
     # ------------------------------------------------------------------ casadi
     # Vectors are columns. With symbolic_constants the last input is the vector of `constants`, else they are numbers.
@@ -440,6 +427,9 @@ class Template:  # {{class}}
         kind = ca.MX  # in which functions are called, such as the search for algebraic variables
         # algebraic]
         sizes = {"t": 1, "x": len(self.states), "condition": len(self.conditions), "inputs": len(self.inputs)}
+        # [delays
+        sizes["inputs"] = _width(self)
+        # delays]
         arguments = {key: kind.sym(key, size) for key, size in sizes.items()}
         values, k = [*arguments.values()], kind(ca.DM(self.weights["constants"]))
         if symbolic:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -45,3 +45,30 @@ def _by_name(module: Any, kind: str, values: Mapping[str, Any]) -> Any:
     parts = [_tensor(table[name]) for name in names]
     shape = np.broadcast_shapes(*(part.shape for part in parts))
     return torch.stack([part.expand(shape) for part in parts], -1) if parts else torch.zeros(0, dtype=torch.float64)
+
+
+def _signal(module: Any, inputs: Any, grid: list[float], x: Any) -> Callable[[int, float], Any]:
+    """Inputs as a function of the index of an interval and a time in it."""
+    if callable(inputs):
+        return lambda i, t: _vector(inputs(t), len(module.inputs), "inputs", x)
+    table = module._defaulted(inputs, "inputs", x)
+    if inputs is None or not module.inputs:
+        return lambda i, t: table
+    if table.ndim < 2 or table.shape[-2] != len(grid):
+        raise ValueError(f"inputs must have the shape [..., {len(grid)}, {len(module.inputs)}]: one row per time")
+    linear = _tensor([float(kind == "linear") for kind in module.interpolation], x)
+
+    def value(i: int, t: float) -> Any:
+        if len(grid) == 1:
+            return table[..., 0, :]
+        share = linear * ((t - grid[i]) / (grid[i + 1] - grid[i]))
+        return table[..., i, :] + share * (table[..., i + 1, :] - table[..., i, :])
+
+    return value
+
+
+def _spread(x: Any, condition: Any, inputs: Any, constants: Any) -> Any:
+    """States [..., n_states] for the batch of all of these."""
+    shapes = [vector.shape[:-1] for vector in (x, condition, inputs)]
+    batch = np.broadcast_shapes(*shapes, *(value.shape for value in constants))
+    return x.expand(*batch, x.shape[-1])

@@ -14,6 +14,7 @@ from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.engine import Lack, Moments, Unable, UnableError, by_group, taken
 from gbspec.training.engines.linearised import Jacobian
 from gbspec.training.engines.torch.control import planned
+from gbspec.training.engines.torch.delays import jacobian as delayed_jacobian
 from gbspec.training.engines.torch.jacobian import jacobian
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.unroll import Unrolled, graph_residuals, unroll
@@ -69,6 +70,13 @@ class TorchEngine:
 
     def jacobian(self, theta: Array, path: Path, moments: Moments, scale: Array, only_local: bool = False) -> Jacobian:
         """The exact derivatives of the means, in double precision."""
+        if self.problem.model.delays:
+            vector, schedule = torch.from_numpy(theta), Schedule(self.problem, path, torch.float64, "cpu")
+
+            def predicted(vector: Tensor) -> Tensor:
+                return unroll(self.problem, self.parameters, vector, schedule).mean
+
+            return delayed_jacobian(self.parameters, self.problem, predicted, vector, scale, only_local)
         columns = Columns(self.problem, self.parameters, theta, only_local, self.device)
         found = jacobian(columns, path, moments, columns.observed(moments.before, scale))
         return Jacobian(found.shared.cpu(), found.local.cpu(), found.owner.cpu())

@@ -12,7 +12,9 @@ from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
 from gbspec.training.engines.torch.control import planned
+from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, cutting, sub_step
+from gbspec.training.engines.torch.unroll import unroll
 from gbspec.training.problem import Parameters, Problem
 
 _REMEDY = (
@@ -30,7 +32,8 @@ def explain_failure(problem: Problem, parameters: Parameters, theta: Array, stag
             remedy="lower `--learning-rate`, or use `--method auto`",
         )
     with torch.no_grad():
-        found = _first_failure(problem, parameters, theta)
+        search = _first_row if problem.model.delays else _first_failure
+        found = search(problem, parameters, theta)
     if found is None:
         return ComputationError(f"a residual is not a finite number in stage `{stage}`", remedy=_REMEDY)
     trajectory, time, term, state = found
@@ -90,6 +93,23 @@ def _unsolved(problem: Problem, given: tuple[Value, ...], *states: Tensor) -> st
     equations = problem.module.equations
     found = (equations.unsolved(m, t, x, condition, inputs, constants, networks) for x in states)
     return next((text for text in found if text), "")
+
+
+def _first_row(problem: Problem, parameters: Parameters, theta: Array) -> tuple[int, float, str, Array] | None:
+    """The same for a model with delays, whose steps need their past: the first row whose state is not finite, and the
+    last finite state at a row."""
+    path = Paths(problem, planned).at(parameters, theta)
+    schedule = Schedule(problem, path, torch.float64, "cpu")
+    out = unroll(problem, parameters, torch.from_numpy(theta), schedule)
+    packed, before = problem.packed, out.before.numpy()
+    bad = np.flatnonzero(~np.isfinite(before).all(axis=1))
+    if not len(bad):
+        return None
+    row = int(bad[np.argmin(packed.row_time[bad])])
+    who = int(packed.row_trajectory[row])
+    earlier = np.flatnonzero((packed.row_trajectory == who) & (packed.row_time < packed.row_time[row]))
+    last = before[earlier[np.argmax(packed.row_time[earlier])]] if len(earlier) else out.initial[who].numpy()
+    return who, float(packed.row_time[row]), "a state is not finite, and was at the row before", np.asarray(last)
 
 
 def _blame(names: list[str], rhs: Tensor, bad: Tensor) -> str:

@@ -69,7 +69,9 @@ class Schedule:
 
     def __init__(self, problem: Problem, path: Path, dtype: torch.dtype, device: str) -> None:
         packed, forcing = path.packed, problem.forcing
-        segments = cut(packed, forcing.weight)
+        # With delays, later steps look at the solution before.
+        whole = np.zeros_like(forcing.weight) if problem.model.delays else forcing.weight
+        segments = cut(packed, whole)
         self.segments = segments
 
         def tensor(table: NDArray[np.generic]) -> Tensor:

@@ -80,14 +80,14 @@ class Deliveries:
     @classmethod
     def of(cls, problem: Problem, condition: Tensor, k: Sequence[Tensor]) -> Deliveries:
         """The terms for rows with these conditions [B, n_conditions] and constants ([B] or [] each)."""
-        return cls(problem, terms_of(problem, condition, k) if problem.model.doses else [])
+        return cls(problem, terms_of(problem, condition, k) if problem.model.doses or problem.model.delays else [])
 
     def added(self, x: Tensor, arrivals: Arrivals) -> Tensor:
         """The states [B, n_states] after the doses at the start of a sub-step."""
         doses, model = self.problem.packed.doses, self.problem.model
         places = torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
         for layer in arrivals.doses:
-            for kind, (fraction, _) in enumerate(self.terms):
+            for kind, (fraction, _) in enumerate(self.terms[: len(model.doses)]):
                 mine = (layer >= 0) & (doses.kind[layer] == kind)
                 if mine.any():
                     amount = x.new_tensor(np.where(mine, doses.amount[layer], 0.0)) * _rows(fraction, len(x))

@@ -13,6 +13,7 @@ from gbspec.ir import residuals
 from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
+from gbspec.training.engines.torch.delays import follow, past_of
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.sub_steps import Cutting, Deliveries, SubStep, advance, cutting
 from gbspec.training.problem import Parameters, Problem
@@ -40,10 +41,12 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
     initial = module.equations.initial(torch_arithmetic(module), parameters.starts(theta), condition, k)
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
     motion = Motion(problem, schedule, parameters, constants, networks)
-    before = torch.cat(_run(schedule, motion, x))[schedule.row]
+    states, late = motion.delayed(schedule, x) if problem.model.delays else (_run(schedule, motion, x), None)
+    before = torch.cat(states)[schedule.row]
     value, weight = theta.new_tensor(problem.forcing.value), theta.new_tensor(problem.forcing.weight)
     owner = torch.from_numpy(packed.row_trajectory).to(theta.device)
-    mean = observe_rows(problem, before, constants[owner], networks)
+    seen = None if late is None else torch.cat(late)[schedule.row]
+    mean = observe_rows(problem, before, constants[owner], networks, seen)
     return Unrolled(before, before - weight * (before - value), initial, mean)
 
 
@@ -99,7 +102,7 @@ class Motion:
         ]
         self.deliveries = Deliveries.of(problem, schedule.condition, self._constants)
         self._affine: Affine | None = None
-        if not problem.model.events and affine_by_model(problem.model, problem.module):
+        if not problem.model.events and not problem.model.delays and affine_by_model(problem.model, problem.module):
             ops = torch_arithmetic(problem.module)
             self._affine = affine(problem.module, ops, schedule.condition, self._constants, networks)
 
@@ -112,6 +115,15 @@ class Motion:
             torch_arithmetic(self._problem.module), self._condition[rows].unbind(1), k, self._networks
         )
         return field
+
+    def delayed(self, schedule: Schedule, x: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """States and delayed values of the live segments at their starts and at the end of each sub-step."""
+        if not schedule.steps:
+            return [x], [x.new_zeros((len(x), len(self._problem.model.delays)))]
+        past = past_of(self._problem, self._condition, self._constants, self._networks, schedule.steps[0], x)
+        flows = {live: self.of(slice(live)) for live in {len(step.t) for step in schedule.steps}}
+        steps, resets = schedule.steps, schedule.resets
+        return follow(self._problem, steps, resets, past, self.deliveries, flows.__getitem__, x)
 
     def events(self, rows: slice | Tensor) -> Cutting | None:
         """What cuts the steps of some of the segments; None in models without events."""

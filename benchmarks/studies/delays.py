@@ -1,0 +1,114 @@
+"""Models with delays: the order of their solutions, and constants found from data without noise.
+
+    python -m benchmarks.studies.delays -o delays.md
+
+The order: Mackey-Glass from a constant history, whose jump of the rate at the start shows again after each delay, with
+steps that begin there and with steps that do not. The fits: 100 values without noise, the delay unknown in [5, 40].
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from gbspec.arrays import Array
+from gbspec.ir import Model
+
+TEXT = """model mackey_glass
+time t from 0
+state P in [0, 2]
+learn tau in [5, 40]
+learn beta in [0.05, 1]
+learn gamma in [0.01, 0.5]
+P' = beta*delay(P, tau)/(1 + delay(P, tau)^10) - gamma*P
+initial P = 0.5
+observe P
+truth tau = {tau}
+truth beta = 0.2
+truth gamma = 0.1
+"""
+STEPS = (4.0, 2.0, 1.0, 0.5)
+TIMES = np.linspace(0.0, 80.0, 9)
+
+
+def orders(tau: float = 17.3) -> str:
+    """The largest errors of solutions at several steps, with and without steps that begin where the start shows."""
+    from gbspec.backends import Evaluator, load_module
+
+    with tempfile.TemporaryDirectory() as folder:
+        model = _model(Path(folder), tau)
+    module = load_module(model)({"constants": np.array([tau, 0.2, 0.1])})
+    exact = Evaluator(module).integrate([0.5], TIMES, rtol=1e-11, atol=1e-11)
+    lines = ["| largest step | error | error, steps not cut |", "|---:|---:|---:|"]
+    for step in STEPS:
+        cut, whole = (float(np.abs(_solved(model, tau, step, with_cuts) - exact).max()) for with_cuts in (True, False))
+        lines.append(f"| {step:g} | {cut:.2g} | {whole:.2g} |")
+    return "\n".join(lines)
+
+
+def _solved(model: Model, tau: float, step: float, cut: bool) -> Array:
+    """The solution of the torch engine at `TIMES`."""
+    from dataclasses import replace
+
+    from gbspec.backends import load_module
+    from gbspec.data import Trajectories, Trajectory
+    from gbspec.training.engines import Choice
+    from gbspec.training.problem import Parameters, Problem, pack, scaling_of, teacher_forcing
+
+    values = np.full((len(TIMES), 1), 0.5)
+    item = Trajectory("1", 0.0, TIMES, values, np.ones_like(values), np.full_like(values, np.nan), np.zeros(0))
+    data = Trajectories((item,), ("P",))
+    packed = pack(data, model, step)
+    if not cut:
+        doses = packed.doses
+        packed = replace(packed, doses=replace(doses, time=np.full_like(doses.time, np.nan)))
+    forcing = teacher_forcing(model, packed, 0.0)
+    problem = Problem(model, load_module(model)(), packed, forcing, scaling_of(model, packed, data))
+    parameters = Parameters(model, np.full((1, 1), 0.5), np.ones(1), np.zeros((1, 1)), {})
+    theta = parameters.vector({}, np.array([tau, 0.2, 0.1]))
+    engine = Choice().engine(problem, parameters)
+    return engine.moments(theta, engine.plan(theta)).mean
+
+
+def _model(folder: Path, tau: float) -> Model:
+    from gbspec.diagnostics import Findings
+    from gbspec.frontend import load_model
+
+    path = folder / "mackey_glass.gb"
+    path.write_text(TEXT.format(tau=tau), encoding="utf-8")
+    return load_model(path, Findings())
+
+
+def fits(taus: tuple[float, ...]) -> str:
+    """The constants that fits of whole solutions find."""
+    import gbspec
+
+    lines = ["| tau | found | beta | gamma | CPU s |", "|---:|---:|---:|---:|---:|"]
+    for tau in taus:
+        with tempfile.TemporaryDirectory() as folder:
+            _model(Path(folder), tau)
+            specification = gbspec.load(Path(folder) / "mackey_glass.gb")
+            data = specification.simulate(trajectories=1, span=200, dt=2, seed=1)
+            begun = time.process_time()
+            run = specification.train(data, Path(folder) / "run", seed=0, stages="least squares")
+            found = run.constants
+            spent = time.process_time() - begun
+        lines.append(f"| {tau:g} | {found['tau']:.8g} | {found['beta']:.8g} | {found['gamma']:.8g} | {spent:.0f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Writes both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--taus", type=float, nargs="*", default=[8.0, 17.0, 30.0])
+    given = parser.parse_args()
+    given.output.write_text(f"{orders()}\n\n{fits(tuple(given.taus))}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

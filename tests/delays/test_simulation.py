@@ -1,0 +1,63 @@
+"""Solutions of the evaluator, which shares only the equations with the module, beside other methods."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbspec.backends import Evaluator, load_module
+from gbspec.data.trajectories import DoseEvents, Signal
+from gbspec.training.engines.choice import torch_engine
+from tests.delays.models import EVERYTHING, MACKEY_GLASS, everything_data, mackey_glass
+from tests.training.conftest import model_of, problem_of
+
+
+def test_the_evaluator_agrees_with_a_method_of_steps() -> None:
+    module = load_module(model_of(MACKEY_GLASS))({"constants": np.array([17.0, 0.2, 0.1])})
+    times, values = mackey_glass(17.0, 0.2, 0.1, 100.0, 0.02)
+    found = Evaluator(module).integrate([0.5], times[::500])
+    assert np.allclose(found[:, 0], values[::500], atol=1e-9)
+
+
+def test_a_linear_delay_has_its_known_solution() -> None:
+    model = model_of(
+        "model m\ntime t from 0\nstate x\ncondition d in [0.5, 2]\nx' = -delay(x, d)\ninitial x = 1\nobserve x\n"
+        "observe late = delay(x, d)"
+    )
+    module = load_module(model)()
+    states, late = Evaluator(module).followed([1.0], [0.0, 0.5, 1.0, 1.5, 2.5], [1.0])
+    exact = [1.0, 0.5, 0.0, -0.375, 1 - 2.5 + 1.5**2 / 2 - 0.5**3 / 6]
+    assert np.allclose(states[:, 0], exact, atol=1e-9)
+    assert np.allclose(late[:, 0], [1.0, 1.0, 1.0, 0.5, -0.375], atol=1e-9)
+
+
+def test_engine_and_evaluator_agree_with_everything() -> None:
+    data = everything_data()
+    problem, parameters, theta = problem_of(model_of(EVERYTHING), data, 0.02, blend=0.0)
+    engine = torch_engine(problem, parameters)
+    moments = engine.moments(theta, engine.plan(theta))
+    natural = parameters.natural(theta)
+    module = type(problem.module)({k: v for k, v in natural.items() if k in type(problem.module).shapes()})
+    evaluator = Evaluator(module)
+    packed = problem.packed
+    for i, item in enumerate(data.items):
+        constants = natural["constants"].copy()
+        constants[list(module.constants).index("r")] = natural["per_trajectory.r"][i]
+        states, late = evaluator.followed(
+            moments.initial[i], item.times, item.condition, item.inputs, 0.0, doses=item.doses, constants=constants
+        )
+        signal: Signal = item.inputs[0]
+        inputs = np.interp(item.times, signal.times, signal.values)[:, None]
+        seen = evaluator.observe_many(item.times, states, item.condition, np.hstack([inputs, late]), constants)
+        mine = packed.row_trajectory == i
+        assert np.allclose(moments.before[mine], states, atol=2e-6)
+        assert np.allclose(moments.mean[mine], seen, atol=2e-6)
+        assert isinstance(item.doses[0], DoseEvents)
+
+
+def test_fixed_steps_of_the_evaluator_are_those_of_the_module() -> None:
+    module = load_module(model_of(MACKEY_GLASS))({"constants": np.array([17.0, 0.2, 0.1])})
+    times = [0.0, 8.0, 17.0, 30.0]
+    fixed, halved = (Evaluator(module).integrate_fixed([0.5], times, max_step=1.0, parts=n) for n in (1, 2))
+    own = module.simulate([0.5], times, max_step=1.0).numpy()
+    assert np.allclose(fixed, own, atol=1e-13)
+    assert 1e-10 < np.abs(fixed - halved).max() < 1e-5
