@@ -162,6 +162,14 @@ def _contracts(model: Model, findings: Findings) -> Model:
     return model
 
 
+def _steady(model: Model, findings: Findings) -> Model:
+    if model.steady is not None:
+        from gbspec.passes import with_steady_start
+
+        return with_steady_start(model, findings)
+    return model
+
+
 def model_pass(name: str, help: str, run: Callable[[Model, Findings], Model], *, collects: bool = False) -> Stage:
     """A stage that transforms a Model."""
     return Stage(name, help, lambda s: replace(s, model=run(_model(s), s.findings)), _model_text, collects)
@@ -196,6 +204,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("checked", "names, constants and statements after the checks", _check, _checked_text),
     Stage("lowered", "the Model before any pass", _lower, _model_text),
     model_pass("claims", "after the proof of `conserve` claims", _claims, collects=True),
-    model_pass("contracts", "after the proof of contracts", _contracts),
+    model_pass("contracts", "after the proof of contracts", _contracts, collects=True),
+    model_pass("steady", "after the laws of a steady start", _steady),
 )
 """The stages of the pipeline, in their order."""

@@ -34,6 +34,8 @@ class Programs:
     def __init__(self, model: Model) -> None:
         if model.events:
             raise NotCoveredError("it has events, which no exported program carries out yet")
+        if model.steady is not None:
+            raise NotCoveredError("it starts in a steady state, which no exported program finds yet")
         self.model = model
 
     @cached_property

@@ -72,7 +72,12 @@ def contract_text(contract: Contract) -> str:
             return f"<= {value}"
         case "zero":
             return f"zero at {contract.argument} = {value}"
-        case "increasing" | "decreasing":
+        case "equals":
+            reached = "" if contract.to is None else in_language(contract.to)
+            return f"equals {reached} at {contract.argument} = {value}"
+        case "period":
+            return f"period {value} in {contract.argument}"
+        case "increasing" | "decreasing" | "convex" | "concave" | "odd" | "even":
             return f"{contract.kind} in {contract.argument}"
 
 

@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import PREDICTION as PREDICTED
 from gbspec.ir import Expr, Noise, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.lower import events, populations, tables
+from gbspec.lower import events, populations, steady, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.disturbances import disturbance, refuse_together
 from gbspec.lower.expressions import build, is_finite, power
@@ -180,6 +180,7 @@ class _Lowering:
         )
         model = events.lowered(model, self._checked, self._expression, self._fixed, self._findings)
         model = populations.completed(infused(model, self._checked, self._findings), self._checked)
+        model = steady.lowered(model, self._checked, self._fixed, self._findings)
         refuse_together(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
@@ -232,6 +233,8 @@ class _Lowering:
     def _initial(self, statement: ast.InitialStatement | None) -> ir.Initial:
         if statement is None:
             return ir.Initial("measured")
+        if statement.steady:
+            return ir.Initial("steady", span=statement.span)
         if statement.value is None:
             return ir.Initial("learned", span=statement.span)
         return ir.Initial("expression", self._fixed(statement.value), statement.span)

@@ -114,6 +114,13 @@ def _contract(unknown: Unknown, contract: Contract) -> str:
             return f"{symbol} \\nearrow {argument}"
         case "decreasing":
             return f"{symbol} \\searrow {argument}"
+        case "equals":
+            reached = "" if contract.to is None else expression(contract.to)
+            return f"{symbol} = {reached} \\text{{ at }} {argument} = {value}"
+        case "period":
+            return f"{symbol} \\text{{ of period }} {value} \\text{{ in }} {argument}"
+        case "convex" | "concave" | "odd" | "even":
+            return f"{symbol} \\text{{ {contract.kind} in }} {argument}"
 
 
 def _table(heading: str, columns: Sequence[str], rows: Iterable[tuple[Declared, Sequence[str]]]) -> str:

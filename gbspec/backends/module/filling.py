@@ -22,6 +22,8 @@ PLACE = re.compile(
 
 WITH_EVENTS = re.compile(r"^[ ]*\# \[events\n(.*?)^[ ]*\# events\]\n", flags=re.M | re.S)
 """What only modules of models with events have."""
+WITH_STEADY = re.compile(r"^[ ]*\# \[steady\n(.*?)^[ ]*\# steady\]\n", flags=re.M | re.S)
+"""What only modules of models with steady starts have."""
 
 
 @cache
@@ -30,6 +32,7 @@ def template(*more: str, events: bool = False) -> str:
     parts = (*PARTS[:2], "events", *PARTS[2:]) if events else PARTS
     text = "\n\n\n".join(map(_part, (*parts, *more))) + "\n"
     text = WITH_EVENTS.sub(r"\1" if events else "", text)
+    text = WITH_STEADY.sub(r"\1" if "steady" in more else "", text)
     return re.sub(r"  # type: ignore\[[^\n]*|  # noqa: [^\n]*", "", text)
 
 

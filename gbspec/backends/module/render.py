@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import attributes, equations, events, stepping
+from gbspec.backends.module import attributes, equations, events, steady, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -23,7 +23,7 @@ def generate(model: Model, method: Method = RK4) -> str:
     """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
     training runs."""
     name = class_name(model)
-    more = ("lookups",) if model.tables else ()
+    more = ("lookups",) * bool(model.tables) + ("steady",) * (model.steady is not None)
     text = template(*more, events=bool(model.events))
     return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
@@ -47,6 +47,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         equations.doses_method(model),
         *equations.diffusions_method(model),
         *events.methods(model),
+        *steady.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]

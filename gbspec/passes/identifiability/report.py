@@ -67,7 +67,7 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     """
     if not model.learnables and not model.unknowns:
         return Identifiability(True)
-    if model.events:  # what thresholds and resets tell is not examined
+    if model.events or model.steady is not None:  # what thresholds, resets and steady starts tell is not examined
         return Identifiability(False)
     if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
         return Identifiability(False)

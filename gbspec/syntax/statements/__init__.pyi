@@ -16,6 +16,7 @@ from .effect import EffectStatement as EffectStatement
 from .event import EventStatement as EventStatement
 from .function import FunctionStatement as FunctionStatement
 from .initial import InitialStatement as InitialStatement
+from .initial import SteadyStatement as SteadyStatement
 from .input import InputStatement as InputStatement
 from .learn import LearnStatement as LearnStatement
 from .let import LetStatement as LetStatement
