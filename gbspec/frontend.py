@@ -155,7 +155,7 @@ def _claims(model: Model, findings: Findings) -> Model:
 
 
 def _contracts(model: Model, findings: Findings) -> Model:
-    if any(unknown.contracts for unknown in model.unknowns):
+    if any(unknown.contracts for unknown in model.unknowns) or any(network.spline for network in model.networks):
         from gbspec.passes import with_contracts
 
         return with_contracts(model, findings)

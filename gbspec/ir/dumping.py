@@ -256,7 +256,8 @@ def _column(name: str, column: str) -> str:
 def _network(network: Network) -> str:
     arguments = ", ".join(f"{a.name}{f' : {a.unit}' if a.unit else ''}{_range(a.range)}" for a in network.arguments)
     sizes = "-".join(str(n) for n in network.sizes)
-    return f"{', '.join(network.outputs)}({arguments}) by mlp {sizes} {network.activation}"
+    kind = f"spline {'-'.join(map(str, network.spline))}" if network.spline else f"mlp {sizes} {network.activation}"
+    return f"{', '.join(network.outputs)}({arguments}) by {kind}"
 
 
 def _table(table: Table) -> str:

@@ -213,6 +213,10 @@ class Network:
     activation: Activation = "silu"
     layout: Layout | None = None
     """The directions of its units if contracts need them monotone; None: every weight is free."""
+    spline: tuple[int, ...] = ()
+    """The numbers of coefficients in each argument if it is a spline: these are its biases, and it has no layers."""
+    smooth: tuple[int, ...] = ()
+    """The biases of a spline with a prior: the second differences of its coefficients."""
     cyclic: tuple[int, ...] = ()
     """The arguments in whose place contracts give it a cosine, which needs no scale from the data."""
 

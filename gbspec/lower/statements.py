@@ -23,7 +23,15 @@ from gbspec.lower.expressions import build, is_finite, power
 from gbspec.lower.infusions import infused, refuse_elements
 from gbspec.lower.short import ShortForms, places_of
 from gbspec.lower.small import neutral, string, unit_text
-from gbspec.semantics import Checked, Term, default_start, network_activation, network_widths, truth_parameters
+from gbspec.semantics import (
+    Checked,
+    Term,
+    default_start,
+    network_activation,
+    network_widths,
+    spline_sizes,
+    truth_parameters,
+)
 from gbspec.syntax import PREDICTION, Kind, ast, target_name
 
 
@@ -396,6 +404,7 @@ class _Lowering:
                 arguments,
                 network_widths(s.network, self._checked.numbers),
                 cast(ir.Activation, network_activation(s.network)),
+                spline=spline_sizes(s.network, len(arguments), self._checked.numbers),
             )
             units = s.units if len(s.units) == len(s.names) else s.units * len(s.names)
             for output, name in enumerate(s.names):

@@ -96,7 +96,10 @@ DISTRIBUTIONS: dict[str, str] = {
     "lognormal": "a lognormal distribution: `prior lognormal(median, cv)`, `noise lognormal(cv)`",
 }
 
-NETWORKS: dict[str, str] = {"mlp": "a multilayer perceptron: the widths of its hidden layers, and `activation=`"}
+NETWORKS: dict[str, str] = {
+    "mlp": "a multilayer perceptron: the widths of its hidden layers, and `activation=`",
+    "spline": "a smooth cubic spline of one or two arguments, in place of a network: the number of its coefficients",
+}
 
 OPTIONS: dict[str, str] = {"activation": "the function between the layers of the network"}
 

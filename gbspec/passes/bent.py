@@ -19,7 +19,8 @@ import sympy
 from gbspec.ir import Contract, Expr
 from gbspec.passes.constructions import Builder, Construction
 from gbspec.passes.requirements import Wanted, Zero
-from gbspec.passes.shapes import Refused, shown, symmetric
+from gbspec.passes.shapes import Refused, Shapes, shown, symmetric
+from gbspec.passes.splines import SplineCores
 
 NO_CONSTRUCTION = "GB607"
 
@@ -43,6 +44,13 @@ class ShapedBuilder(Builder):
         else:
             value = self._even(demands)
         return self.finished(offset + value, demands)
+
+    def splined(self, shapes: Shapes) -> None:
+        """Takes a spline in place of the network. Raises `Refused` for what it does not offer."""
+        cores = SplineCores(self.unknown, self.network, self.formals, self.first_gate, self.ranges.box)
+        cores.checked(self.unknown, shapes)
+        cores.shapes = shapes
+        self.cores = cores
 
     # ---------------------------------------------------------------- symmetries
     def _check_symmetry(self, demands: Wanted) -> None:

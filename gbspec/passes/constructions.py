@@ -44,6 +44,7 @@ class Construction:
     kind: str
     evaluations: tuple[tuple[Expr, ...], ...]
     gates: int = 0
+    smooth: tuple[int, ...] = ()
 
 
 class Builder:
@@ -57,6 +58,7 @@ class Builder:
         self.unknown, self.network, self.prover, self.ranges = unknown, network, prover, ranges
         self.formals = tuple(argument.symbol for argument in network.arguments)
         self.cores = Cores(self.formals, first_gate)
+        self.first_gate = first_gate
         self.c, self.s = center(unknown.output), scale(unknown.output)
 
     @property
@@ -91,6 +93,10 @@ class Builder:
     def finished(self, value: Expr, demands: Wanted) -> Construction:
         """The construction with this value."""
         up, bend = demands.directions, demands.shapes.curvatures
+        if self.network.spline:  # the arguments enter by the basis alone
+            return Construction(
+                value, "0" * len(self.formals), tuple(self.cores.evaluations), self.cores.gates, self.cores.smooth
+            )
         kind = "".join(kind_of(up.get(i, 0), bend.get(i, 0)) for i in range(len(self.formals)))
         return Construction(value, kind, tuple(self.cores.evaluations), self.cores.gates)
 

@@ -28,7 +28,7 @@ def with_contracts(model: Model, findings: Findings) -> Model:
     networks, unknowns = list(model.networks), list(model.unknowns)
     for index, network in enumerate(model.networks):
         outputs = sorted((u for u in model.unknowns if u.network == index), key=lambda u: u.output)
-        if not any(u.contracts for u in outputs):
+        if not any(u.contracts for u in outputs) and not network.spline:
             continue
         plans = _plans(model, network, outputs, findings)
         if plans is None:
@@ -43,7 +43,8 @@ def with_contracts(model: Model, findings: Findings) -> Model:
         cyclic = _cyclic(network, plans, findings)
         if cyclic is None:
             continue
-        networks[index] = replace(network, layout=arranged, cyclic=cyclic)
+        smooth = tuple(place for plan in plans for place in plan.built.smooth)
+        networks[index] = replace(network, layout=arranged, smooth=smooth, cyclic=cyclic)
         for unknown, plan in zip(outputs, plans, strict=True):
             unknowns[model.unknowns.index(unknown)] = replace(unknown, form=plan.form())
     return replace(model, networks=tuple(networks), unknowns=tuple(unknowns))
@@ -123,6 +124,8 @@ def _attempt(
             )
     needs = requirements(unknown, network, demands, prover)
     builder = ShapedBuilder(unknown, network, prover, ranges, first_gate)
+    if network.spline:
+        builder.splined(needs.correction.shapes)
     if needs.link is not None:
         built = builder.linked(needs.correction, demands, needs.link)
     else:

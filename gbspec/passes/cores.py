@@ -23,6 +23,7 @@ class Cores:
     def __init__(self, formals: Sequence[sympy.Symbol], first_gate: int) -> None:
         self.formals, self.first_gate, self.gates = tuple(formals), first_gate, 0
         self.shapes = Shapes()
+        self.smooth: tuple[int, ...] = ()
         self.evaluations: list[tuple[Expr, ...]] = []
         self._partners: dict[tuple[int, int], int] = {}
 

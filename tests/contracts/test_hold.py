@@ -96,6 +96,16 @@ SHAPED = [
 ]
 
 
+SPLINES = [
+    "(u in [0, 10]) by spline(12)",
+    "(u in [0, 10]) >= 0, increasing in u by spline(9)",
+    "(u in [0, 10], v in [0, 3]) >= 0, decreasing in v by spline(6, 5)",
+    "(u in [0, 10]) increasing in u, zero at u = 0, in [0, 3] by spline(8)",
+    "(u in [0, 10]) equals 1 at u = 0, >= 0 by spline(8)",
+    "(u in [0, 10]) >= 0 = u/(K + u)*nn by spline(8)",
+]
+
+
 def cases() -> list[str]:
     free = [f"unknown f(u, v, w) {text} by mlp(12, 12)" for text in PLAIN]
     ranged = [f"unknown f(u in [0, 10], v) {text} by mlp(12, 12)" for text in POSTULATED]
@@ -105,6 +115,7 @@ def cases() -> list[str]:
         *(f"unknown f{text} by mlp(8, 8)" for text in SHAPED),
         *ranged,
         *one,
+        *(f"unknown f{text}" for text in SPLINES),
         "unknown f(u in [-5, 5], v) >= 0, zero at u = 0, decreasing in v by mlp(9)",
         "unknown f(u in [0, 5], v) zero at u = 0, increasing in u by mlp(9, 5)",
         "unknown f(u in [0, 5], v) zero at u = 5, increasing in u by mlp(9, 5)",

@@ -93,7 +93,8 @@ def _unknowns(model: Model) -> str:
         network = model.networks[unknown.network]
         layers = "--".join(map(str, network.sizes))
         promises = "; ".join(f"${_contract(unknown, contract)}$" for contract in unknown.contracts)
-        rows.append((unknown, (f"{layers}, {network.activation}", promises)))
+        kind = f"spline {'--'.join(map(str, network.spline))}" if network.spline else f"{layers}, {network.activation}"
+        rows.append((unknown, (kind, promises)))
     posed = [equations.postulate(model, unknown) for unknown in model.unknowns]
     table = _table("", ("network", "guaranteed"), rows)
     return f"{_aligned('Unknown functions', posed)}\n{table}"

@@ -119,7 +119,8 @@ def _table_entry(table: Table) -> str:
 def _network_entry(network: Network) -> str:
     arguments = ", ".join(argument.name for argument in network.arguments)
     sizes = "-".join(map(str, attributes.sizes(network)))
-    return f"{', '.join(network.outputs)}({arguments}): mlp {sizes}, {network.activation}"
+    kind = f"spline {'-'.join(map(str, network.spline))}" if network.spline else f"mlp {sizes}, {network.activation}"
+    return f"{', '.join(network.outputs)}({arguments}): {kind}"
 
 
 def _class_document(model: Model) -> str:
