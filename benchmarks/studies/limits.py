@@ -270,7 +270,7 @@ or learned noises are not offered yet (GB351); nor are stiff solvers, tolerances
 model (GB778), its export and its LaTeX page (GB808). Its identifiability is undecided. The report page shows its
 balances without the events. Second derivatives through the time of an event are not computed.
 
-Steady starts (`initial steady`) are not offered together with `diffusion`, populations, learned noises and events with a
+Steady starts (`initial steady`) are not offered with `diffusion`, populations, learned noises and events with a
 condition (GB375), nor where the time itself occurs in a balance (GB376); such a model is not exported (GB808). Its
 identifiability is undecided.
 
