@@ -163,10 +163,18 @@ def _claims(model: Model, findings: Findings) -> Model:
 
 
 def _contracts(model: Model, findings: Findings) -> Model:
-    if any(unknown.contracts for unknown in model.unknowns):
+    if any(unknown.contracts for unknown in model.unknowns) or any(network.spline for network in model.networks):
         from gbspec.passes import with_contracts
 
         return with_contracts(model, findings)
+    return model
+
+
+def _steady(model: Model, findings: Findings) -> Model:
+    if model.steady is not None:
+        from gbspec.passes import with_steady_start
+
+        return with_steady_start(model, findings)
     return model
 
 
@@ -205,6 +213,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("lowered", "the Model before any pass", _lower, _model_text),
     model_pass("structure", "after algebraic equations were put in the order of their solution", _structure),
     model_pass("claims", "after the proof of `conserve` claims", _claims, collects=True),
-    model_pass("contracts", "after the proof of contracts", _contracts),
+    model_pass("contracts", "after the proof of contracts", _contracts, collects=True),
+    model_pass("steady", "after the laws of a steady start", _steady),
 )
 """The stages of the pipeline, in their order."""

@@ -281,6 +281,13 @@ and no C code (GB808); the kernel does not cover them. Their identifiability is 
 covariance of their Hopf points is computed. A learned delay whose lower bound is far below the time between
 measurements makes fits slow, since no step is longer than it.
 
+Steady starts (`initial steady`) are not offered with `diffusion`, populations, learned noises and events with a
+condition (GB375), nor where the time itself occurs in a balance (GB376); such a model is not exported (GB808). Its
+identifiability is undecided.
+
+Splines (`by spline(12)`) have one or two arguments (GB228), each with a range (GB610), and no curvatures, symmetries,
+periods or directions in both arguments (GB607).
+
 A larger model gets `GB010`, a larger table `GB732`, a larger export `GB808`, a larger file of an import `GB894`. After
 {MOST_ERRORS} wrong statements a file is not read on (`GB011`). The rows of a text are not limited.
 

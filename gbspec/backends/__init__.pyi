@@ -9,6 +9,9 @@ from .module.loader import load_module as load_module
 from .module.render import INTERFACE as INTERFACE
 from .module.render import class_name as class_name
 from .module.render import generate as generate
+from .module.starts import FoundStarts as FoundStarts
+from .module.starts import SearchStarts as SearchStarts
+from .module.starts import steady_starts as steady_starts
 from .module.swept import Swept as Swept
 from .module.swept import swept as swept
 from .native.compiler import CompilerError as CompilerError

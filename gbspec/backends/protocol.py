@@ -60,6 +60,16 @@ class Equations(Protocol):
     def initial(self, math: Arithmetic, state: Value, condition: Value, constants: Value, /) -> Value:
         """The initial state: `state`, with the initial values that the model gives inserted."""
 
+    @property
+    def steady_states(self) -> Sequence[int]:
+        """The states that start in a steady state; in models that have any."""
+
+    def steady(self, math: Arithmetic, condition: Value, inputs: Value, constants: Value, /) -> Value:
+        """Conditions and inputs while a steady state is sought, and the sums that are conserved; in such models."""
+
+    def settled(self, slopes: Value, jacobians: Value, start: Value, laws: Value, /) -> Value:
+        """The steady states [P, s] reached from starts, numpy, and the failures by row; in such models."""
+
     def doses(self, math: Arithmetic, condition: Value, constants: Value, /) -> Value:
         """For each dose the fraction of it that arrives, and the lag after which it does."""
 

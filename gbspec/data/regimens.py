@@ -149,7 +149,7 @@ class _Rows:
                    findings)  # fmt: skip
 
     def _starts(self, model: Model, findings: Findings) -> None:
-        learned = [state.name for state in model.states if state.initial.kind != "expression"]
+        learned = [state.name for state in model.states if not state.initial.known]
         if learned:
             column = f"ss_{self.column}"
             findings.error(

@@ -38,6 +38,8 @@ class Programs:
             raise NotCoveredError("it has events, which no exported program carries out yet")
         if model.algebraics:
             raise NotCoveredError("it has algebraic variables, for which no exported program solves equations yet")
+        if model.steady is not None:
+            raise NotCoveredError("it starts in a steady state, which no exported program finds yet")
         self.model = model
 
     @cached_property

@@ -64,7 +64,6 @@ from .model import Declared as Declared
 from .model import Diffusion as Diffusion
 from .model import Dose as Dose
 from .model import Expr as Expr
-from .model import Initial as Initial
 from .model import Input as Input
 from .model import Intermediate as Intermediate
 from .model import Learnable as Learnable
@@ -84,6 +83,8 @@ from .residual import LOG_FLOOR as LOG_FLOOR
 from .residual import logarithmic as logarithmic
 from .residual import residuals as residuals
 from .residual import slopes as slopes
+from .starts import Initial as Initial
+from .starts import Steady as Steady
 from .tables import Curve as Curve
 from .tables import Interpolation as Interpolation
 from .tables import Lookup as Lookup

@@ -73,7 +73,12 @@ def contract_text(contract: Contract) -> str:
             return f"<= {value}"
         case "zero":
             return f"zero at {contract.argument} = {value}"
-        case "increasing" | "decreasing":
+        case "equals":
+            reached = "" if contract.to is None else in_language(contract.to)
+            return f"equals {reached} at {contract.argument} = {value}"
+        case "period":
+            return f"period {value} in {contract.argument}"
+        case "increasing" | "decreasing" | "convex" | "concave" | "odd" | "even":
             return f"{contract.kind} in {contract.argument}"
 
 
@@ -264,7 +269,8 @@ def _column(name: str, column: str) -> str:
 def _network(network: Network) -> str:
     arguments = ", ".join(f"{a.name}{f' : {a.unit}' if a.unit else ''}{_range(a.range)}" for a in network.arguments)
     sizes = "-".join(str(n) for n in network.sizes)
-    return f"{', '.join(network.outputs)}({arguments}) by mlp {sizes} {network.activation}"
+    kind = f"spline {'-'.join(map(str, network.spline))}" if network.spline else f"mlp {sizes} {network.activation}"
+    return f"{', '.join(network.outputs)}({arguments}) by {kind}"
 
 
 def _table(table: Table) -> str:

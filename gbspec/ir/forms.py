@@ -98,7 +98,7 @@ class Block:
     """Units of a hidden layer with the same kind and activation.
 
     `kind` has one character per argument, for how the units may depend on it: `+` not decreasing, `-` not increasing,
-    `*` freely, `0` not at all.
+    `x` convex (`p` and not decreasing, `q` and not increasing), `c` concave (`r`, `s`), `*` freely, `0` not at all.
     """
 
     kind: str

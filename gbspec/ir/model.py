@@ -27,6 +27,8 @@ from gbspec.ir.delays import Delay, timed
 from gbspec.ir.distributions import Distribution, Noise
 from gbspec.ir.events import Event
 from gbspec.ir.forms import Form, Layout
+from gbspec.ir.starts import MEASURED, Steady
+from gbspec.ir.starts import Initial as Initial
 from gbspec.ir.symbols import symbol as symbol
 from gbspec.ir.symbols import unknown_function as unknown_function
 from gbspec.ir.tables import Curve
@@ -42,21 +44,6 @@ class Time(Declared):
 
 
 @dataclass(frozen=True)
-class Initial:
-    """The initial value of a state.
-
-    `expression`: known, `value` in constants, learnables, conditions and the symbols of other states (their initial
-    values).
-    `learned`: a trainable number for each trajectory. `measured`: the first measured value if the state itself is
-    measured at the trajectory's first row, else learned (the default).
-    """
-
-    kind: Literal["expression", "learned", "measured"]
-    value: Expr | None = None
-    span: Span | None = field(default=None, compare=False, repr=False)
-
-
-@dataclass(frozen=True)
 class State(Declared):
     """A variable with a balance. `range` is for scaling and warnings; `start` is a guess of the initial value.
     `discrete`: only events change it, and its balance is zero. `history`: what it was before the start, an expression
@@ -64,7 +51,7 @@ class State(Declared):
 
     range: Range | None = None
     start: float | None = None
-    initial: Initial = Initial("measured")
+    initial: Initial = MEASURED
     discrete: bool = False
     history: Expr | None = None
 
@@ -141,14 +128,22 @@ class Argument:
         return symbol(self.name)
 
 
+Promise: TypeAlias = Literal[
+    "lower", "upper", "zero", "equals", "period", "increasing", "decreasing", "convex", "concave", "odd", "even"
+]
+"""The kinds of contracts."""
+
+
 @dataclass(frozen=True)
 class Contract:
-    """A guarantee on one output: `lower`, `upper` (by `value`), `zero` (at argument = value), or a direction."""
+    """A guarantee on one output: `lower`, `upper` (by `value`), `zero` (at argument = value), `equals` (`to` there),
+    `period` (of length `value`), or how it depends on the argument."""
 
-    kind: Literal["lower", "upper", "zero", "increasing", "decreasing"]
+    kind: Promise
     value: Expr | None = None
     argument: str | None = None
     span: Span | None = field(default=None, compare=False, repr=False)
+    to: Expr | None = None
 
 
 NN = symbol("nn")
@@ -185,6 +180,12 @@ class Network:
     activation: Activation = "silu"
     layout: Layout | None = None
     """The directions of its units if contracts need them monotone; None: every weight is free."""
+    spline: tuple[int, ...] = ()
+    """The numbers of coefficients in each argument if it is a spline: these are its biases, and it has no layers."""
+    smooth: tuple[int, ...] = ()
+    """The biases of a spline with a prior: the second differences of its coefficients."""
+    cyclic: tuple[int, ...] = ()
+    """The arguments in whose place contracts give it a cosine, which needs no scale from the data."""
 
     @property
     def name(self) -> str:
@@ -315,6 +316,7 @@ class Model:
     doses: tuple[Dose, ...] = ()
     diffusions: tuple[Diffusion, ...] = ()
     delays: tuple[Delay, ...] = ()
+    steady: Steady | None = None
     events: tuple[Event, ...] = ()  # in the order in which they happen at one time
     algebraics: tuple[Algebraic, ...] = ()  # in the order of the blocks, without those that are intermediates
     constraints: tuple[Equation, ...] = ()

@@ -19,7 +19,12 @@ def contract_values(contract: ast.Contract) -> Iterator[ast.Expression]:
         case ast.RangeContract(interval=interval):
             yield interval.low
             yield interval.high
-        case ast.Monotone():
+        case ast.EqualsAt(value=value, place=place):
+            yield value
+            yield place
+        case ast.Periodic(period=period):
+            yield period
+        case ast.Shaped():
             return
         case _:
             assert_never(contract)
@@ -47,7 +52,12 @@ def _parts(contract: ast.Contract, values: Sequence[Expr], renamed: Mapping[str,
             return [ir.Contract("lower", low, span=contract.span), ir.Contract("upper", high, span=contract.span)]
         case ast.ZeroAt(argument=argument):
             return [ir.Contract("zero", values[0], renamed[argument.text], contract.span)]
-        case ast.Monotone(direction=direction, argument=argument):
-            return [ir.Contract(direction, None, renamed[argument.text], contract.span)]
+        case ast.EqualsAt(argument=argument):
+            value, place = values
+            return [ir.Contract("equals", place, renamed[argument.text], contract.span, to=value)]
+        case ast.Periodic(argument=argument):
+            return [ir.Contract("period", values[0], renamed[argument.text], contract.span)]
+        case ast.Shaped(shape=shape, argument=argument):
+            return [ir.Contract(shape, None, renamed[argument.text], contract.span)]
         case _:
             assert_never(contract)

@@ -16,7 +16,7 @@ from gbspec.diagnostics import Findings
 from gbspec.ir import PREDICTION as PREDICTED
 from gbspec.ir import Expr, Noise, lookup, symbol, unknown_function
 from gbspec.ir import model as ir
-from gbspec.lower import algebraic, events, populations, tables
+from gbspec.lower import algebraic, events, populations, steady, tables
 from gbspec.lower.contracts import contract_values, lower_contracts
 from gbspec.lower.delays import Delays
 from gbspec.lower.disturbances import disturbance, refuse_together
@@ -31,6 +31,7 @@ from gbspec.semantics import (
     is_delay,
     network_activation,
     network_widths,
+    spline_sizes,
     truth_parameters,
 )
 from gbspec.syntax import PREDICTION, Kind, ast, target_name
@@ -194,6 +195,7 @@ class _Lowering:
         model = events.lowered(model, self._checked, self._expression, self._fixed, self._findings)
         model = populations.completed(infused(model, self._checked, self._findings), self._checked)
         model = self._delays.completed(model, self._checked, self._fixed)
+        model = steady.lowered(model, self._checked, self._fixed, self._findings)
         refuse_together(model, self._findings)
         return self._with_short_forms(model) if self._checked.arrays and not self._findings.failed else model
 
@@ -246,6 +248,8 @@ class _Lowering:
     def _initial(self, statement: ast.InitialStatement | None) -> ir.Initial:
         if statement is None:
             return ir.Initial("measured")
+        if statement.steady:
+            return ir.Initial("steady", span=statement.span)
         if statement.value is None:
             return ir.Initial("learned", span=statement.span)
         return ir.Initial("expression", self._fixed(statement.value), statement.span)
@@ -407,6 +411,7 @@ class _Lowering:
                 arguments,
                 network_widths(s.network, self._checked.numbers),
                 cast(ir.Activation, network_activation(s.network)),
+                spline=spline_sizes(s.network, len(arguments), self._checked.numbers),
             )
             units = s.units if len(s.units) == len(s.names) else s.units * len(s.names)
             for output, name in enumerate(s.names):

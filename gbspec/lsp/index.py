@@ -113,7 +113,7 @@ def _bare(files: Sequence[ast.File], unknowns: frozenset[str]) -> frozenset[str]
             match node:
                 case ast.Call(function=function):
                     skipped.add(id(function))
-                case ast.Bound() | ast.RangeContract() | ast.ZeroAt() | ast.Monotone():
+                case ast.Bound() | ast.RangeContract() | ast.ZeroAt() | ast.EqualsAt() | ast.Shaped() | ast.Periodic():
                     skipped.add(id(node.name))
                 case ast.Name(text=text) if text in unknowns and id(node) not in skipped:
                     found.add(text)
@@ -238,7 +238,7 @@ class _Statement:
                     symbol = formals[name.text]
                     self._add(symbol, name.span, declares=symbol.space == "argument")
                     stack.extend(part for part in (node.unit, node.range) if part is not None)
-                case ast.Bound() | ast.RangeContract() | ast.ZeroAt() | ast.Monotone():
+                case ast.Bound() | ast.RangeContract() | ast.ZeroAt() | ast.EqualsAt() | ast.Shaped() | ast.Periodic():
                     stack.extend(self._contract(node, scope))
                 case ast.Distribution(kind=kind, arguments=arguments):
                     self._add(Symbol("word", kind.text, "distribution"), kind.span)
@@ -262,7 +262,13 @@ class _Statement:
             case ast.ZeroAt(argument=argument, value=value):
                 self._name(argument, scope)
                 return [value]
-            case ast.Monotone(argument=argument):
+            case ast.EqualsAt(value=value, argument=argument, place=place):
+                self._name(argument, scope)
+                return [value, place]
+            case ast.Periodic(period=period, argument=argument):
+                self._name(argument, scope)
+                return [period]
+            case ast.Shaped(argument=argument):
                 self._name(argument, scope)
                 return []
 

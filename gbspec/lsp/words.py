@@ -10,7 +10,7 @@ STATEMENTS: dict[str, str] = {s.entry.word: s.entry.meaning for s in ast.STATEME
 CLAUSES: dict[str, str] = {
     "extends": "the file whose declarations this one replaces or adds to; in or below the same folder",
     "from": "when every trajectory starts",
-    "in": "a range `[low, high]`; after `increasing` and `decreasing` the argument",
+    "in": "a range `[low, high]`; after `increasing`, `convex`, `odd`, `period 24` and the like the argument",
     "as": "the column of the data, if it has another name",
     "held": "the input keeps its value until the next filled cell",
     "linear": "the input is interpolated linearly between filled cells",
@@ -39,6 +39,14 @@ CLAUSES: dict[str, str] = {
     "at": "`zero at v = e`: the function vanishes there, for every weight; of an event: the time when it happens",
     "increasing": "`increasing in v`: the function never falls as v grows, for every weight",
     "decreasing": "`decreasing in v`: the function never rises as v grows, for every weight",
+    "convex": "`convex in v`: the function's slope never falls as v grows, for every weight",
+    "concave": "`concave in v`: the function's slope never rises as v grows, for every weight",
+    "odd": "`odd in v`: f(-v) = -f(v), for every weight",
+    "even": "`even in v`: f(-v) = f(v), for every weight",
+    "period": "`period 24 in v`: f(v + 24) = f(v), for every weight",
+    "equals": "`equals e at v = e0`: the function's value there, for every weight",
+    "steady": "`initial steady`, `initial X steady`: the start is a steady state, reached from the declared starts",
+    "with": "`initial steady with L = 0`: the value of an input or a condition while the steady state is sought",
     "learn": "the initial value is learned for each trajectory",
 }
 """The words within statements."""
@@ -92,7 +100,10 @@ DISTRIBUTIONS: dict[str, str] = {
     "lognormal": "a lognormal distribution: `prior lognormal(median, cv)`, `noise lognormal(cv)`",
 }
 
-NETWORKS: dict[str, str] = {"mlp": "a multilayer perceptron: the widths of its hidden layers, and `activation=`"}
+NETWORKS: dict[str, str] = {
+    "mlp": "a multilayer perceptron: the widths of its hidden layers, and `activation=`",
+    "spline": "a smooth cubic spline of one or two arguments, in place of a network: the number of its coefficients",
+}
 
 OPTIONS: dict[str, str] = {"activation": "the function between the layers of the network"}
 

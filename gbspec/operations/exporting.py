@@ -135,7 +135,7 @@ def _options(source: Subject, exported: Exported) -> SimulateOptions:
     initial = {
         state.name: (float(value), float(value))
         for state, value in zip(model.states, exported.states, strict=True)
-        if state.initial.kind != "expression" and state.start is None and not _bounded(state.range)
+        if not state.initial.known and state.start is None and not _bounded(state.range)
     }
     external: dict[str, tuple[float, float]] = {}
     for name, value, default, range in (

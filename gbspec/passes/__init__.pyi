@@ -4,5 +4,6 @@ from .delays import least_value as least_value
 from .examination import Examination as Examination
 from .examination import examine as examine
 from .override import with_values as with_values
+from .steady import with_steady_start as with_steady_start
 from .structure import with_structure as with_structure
 from .truth import with_truth as with_truth

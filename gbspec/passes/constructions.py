@@ -21,9 +21,12 @@ from dataclasses import dataclass
 
 import sympy
 
-from gbspec.ir import Expr, Network, Unknown, center, input_scale, logistic, raw, scale, softplus
+from gbspec.ir import Expr, Network, Unknown, center, input_scale, logistic, scale, softplus
+from gbspec.passes.cores import Cores
+from gbspec.passes.layouts import kind_of
 from gbspec.passes.monotone import monotone
-from gbspec.passes.requirements import Link, Refused, Wanted, Zero, shown
+from gbspec.passes.requirements import Link, Wanted, Zero
+from gbspec.passes.shapes import Refused, shown
 from gbspec.passes.signs import Prover
 
 START = sympy.Float(0.541324854612918)
@@ -41,6 +44,7 @@ class Construction:
     kind: str
     evaluations: tuple[tuple[Expr, ...], ...]
     gates: int = 0
+    smooth: tuple[int, ...] = ()
 
 
 class Builder:
@@ -53,18 +57,23 @@ class Builder:
     def __init__(self, unknown: Unknown, network: Network, prover: Prover, ranges: Prover, first_gate: int) -> None:
         self.unknown, self.network, self.prover, self.ranges = unknown, network, prover, ranges
         self.formals = tuple(argument.symbol for argument in network.arguments)
-        self.first_gate, self.gates = first_gate, 0
-        self.evaluations: list[tuple[Expr, ...]] = [self.formals]
-        self.x, self.c, self.s = raw(0, unknown.output), center(unknown.output), scale(unknown.output)
+        self.cores = Cores(self.formals, first_gate)
+        self.first_gate = first_gate
+        self.c, self.s = center(unknown.output), scale(unknown.output)
+
+    @property
+    def x(self) -> Expr:
+        """The raw output, with the asked symmetries."""
+        return self.cores.at(self.formals, self.unknown.output)
 
     # ---------------------------------------------------------------- entry points
     def correction(self, demands: Wanted) -> Construction:
         """A function without a link that satisfies the requirements."""
-        if demands.zeros:
-            value = self._with_zeros(demands)
-        else:
-            value = self._bounded(demands, self.x, self.c, self.s)
-        return self._finished(value, demands)
+        return self.finished(self.value_of(demands), demands)
+
+    def value_of(self, demands: Wanted) -> Expr:
+        """The value of such a function."""
+        return self.with_zeros(demands) if demands.zeros else self.bounded(demands, self.x, self.c, self.s)
 
     def linked(self, demands: Wanted, bounds: Wanted, link: Link) -> Construction:
         """The postulate corrected on the scale of a link; `demands` are the directions required of it."""
@@ -79,20 +88,26 @@ class Builder:
             value = lower + self._softplus_link((link.base - lower) / self.s, link.factor * self.x)
         else:
             value = upper - self._softplus_link((upper - link.base) / self.s, -link.factor * self.x)
-        return self._finished(value, demands)
+        return self.finished(value, demands)
 
-    def _finished(self, value: Expr, demands: Wanted) -> Construction:
-        kind = "".join({1: "+", -1: "-"}.get(demands.directions.get(i, 0), "*") for i in range(len(self.formals)))
-        return Construction(value, kind, tuple(self.evaluations), self.gates)
+    def finished(self, value: Expr, demands: Wanted) -> Construction:
+        """The construction with this value."""
+        up, bend = demands.directions, demands.shapes.curvatures
+        if self.network.spline:  # the arguments enter by the basis alone
+            return Construction(
+                value, "0" * len(self.formals), tuple(self.cores.evaluations), self.cores.gates, self.cores.smooth
+            )
+        kind = "".join(kind_of(up.get(i, 0), bend.get(i, 0)) for i in range(len(self.formals)))
+        return Construction(value, kind, tuple(self.cores.evaluations), self.cores.gates)
 
     # ---------------------------------------------------------------- bounds
-    def _bounded(self, demands: Wanted, x: Expr, start: Expr, size: Expr) -> Expr:
+    def bounded(self, demands: Wanted, x: Expr, start: Expr, size: Expr) -> Expr:
         """A value within the bounds that is `start` (inside them) at x = 0, with slope about `size` there."""
         lower, upper = demands.lower, demands.upper
         if lower is None and upper is None:
             return start + size * x
         self._check_moving(demands)
-        moving = self._moves(lower) or self._moves(upper)
+        moving = self.moves(lower) or self.moves(upper)
         if lower is not None and upper is not None:
             width = upper - lower
             if moving:
@@ -109,7 +124,8 @@ class Builder:
         width = sympy.Max(start, LEAST * size)
         return width * softplus(size / width * x + START)
 
-    def _moves(self, bound: Expr | None) -> bool:
+    def moves(self, bound: Expr | None) -> bool:
+        """Whether a bound depends on arguments."""
         return bound is not None and bool(bound.free_symbols & set(self.formals))
 
     def _check_moving(self, demands: Wanted) -> None:
@@ -130,16 +146,17 @@ class Builder:
                     )
 
     # ---------------------------------------------------------------- zeros
-    def _with_zeros(self, demands: Wanted) -> Expr:
-        sign = self._sign(demands)
+    def with_zeros(self, demands: Wanted) -> Expr:
+        """A value with zeros, and bounds around 0."""
+        sign = self.sign(demands)
         gated = [zero for zero in demands.zeros if zero.argument in demands.directions]
         plain = [zero for zero in demands.zeros if zero.argument not in demands.directions]
         self._check_zeros(demands, gated)
         sign = self._sign_of_range(demands, gated) if sign is None else sign
         needs_sign = sign is not None or bool(demands.directions)
-        factor = sympy.Mul(*(self._factor(zero, needs_sign) for zero in plain))
+        factor = sympy.Mul(*(self.factor(zero, needs_sign) for zero in plain))
         if not gated:
-            value = factor * self._core(sign)
+            value = factor * self.core(sign)
         elif sign is not None:
             value = factor * self._one_sided(gated, demands, sign)
         elif len(gated) > 1:
@@ -151,27 +168,32 @@ class Builder:
                 "add `>= 0` or `<= 0`, or give the arguments ranges that end at the zeros",
             )
         elif len(self.formals) == 1:
-            value = factor * self._difference(gated[0])
+            value = factor * self.difference(gated[0])
         else:
             value = factor * self._two_sided(gated[0], demands)
-        return self._around_zero(value, demands, sign)
+        return self.around_zero(value, demands, sign)
 
-    def _core(self, sign: int | None) -> Expr:
+    def core(self, sign: int | None) -> Expr:
+        """A value of the sign, or of both signs."""
         if sign is None:
             return self.c + self.s * self.x
         return sign * self._positive(sign * self.x, sign * self.c, self.s)
 
-    def _distance(self, zero: Zero) -> Expr:
+    def distance(self, zero: Zero) -> Expr:
+        """How far the argument is above its zero."""
         return self.formals[zero.argument] - zero.value
 
-    def _factor(self, zero: Zero, needs_sign: bool) -> Expr:
+    def factor(self, zero: Zero, needs_sign: bool) -> Expr:
         """A factor that vanishes at the zero and saturates at 1; never negative if `needs_sign`.
 
         It is then 0 beyond a zero at the end of the argument's range: if it were positive there, a depleted substance
         would still be consumed.
         """
-        d, size = self._distance(zero), input_scale(zero.argument)
+        d, size = self.distance(zero), input_scale(zero.argument)
         root = sympy.sqrt(d**2 + size**2)
+        special = self.symmetric_factor(zero)
+        if special is not None:
+            return special
         if not needs_sign:
             return d / root
         if self.formals[zero.argument] not in self.ranges.box:
@@ -181,7 +203,20 @@ class Builder:
                 return _beyond(side * d) / root
         return d**2 / (d**2 + size**2)
 
-    def _sign(self, demands: Wanted) -> int | None:
+    def symmetric_factor(self, zero: Zero) -> Expr | None:
+        """A factor that is 0 at the zero and never negative, even or periodic as asked; None for other arguments."""
+        v, e = self.formals[zero.argument], zero.value
+        period = self.cores.shapes.periods.get(zero.argument)
+        even = zero.argument in self.cores.shapes.parities
+        if period is not None:
+            value = sympy.sin(sympy.pi * (v - e) / period) ** 2
+            return value * sympy.sin(sympy.pi * (v + e) / period) ** 2 if even and e != 0 else value
+        if not even:
+            return None
+        size = input_scale(zero.argument) ** 2
+        return v**2 / (v**2 + size) if e == 0 else (v**2 - e**2) ** 2 / ((v**2 - e**2) ** 2 + size**2)
+
+    def sign(self, demands: Wanted) -> int | None:
         """1 or -1 if the bounds at the zeros allow one sign only, None if they allow both or there are none."""
         lower, upper = demands.lower, demands.upper
         for bound, side in ((lower, 1), (upper, -1)):
@@ -235,7 +270,7 @@ class Builder:
         """The sign implied by directions and ranges, for instance positive if increasing from a zero at the low end."""
         signs = set()
         for zero in gated:
-            d = self._distance(zero) * demands.directions[zero.argument]
+            d = self.distance(zero) * demands.directions[zero.argument]
             if self.formals[zero.argument] not in self.ranges.box:
                 return None
             signs.add(1 if self.ranges.nonnegative(d) else -1 if self.ranges.nonnegative(-d) else None)
@@ -244,15 +279,14 @@ class Builder:
     # ---------------------------------------------------------------- zeros with directions
     def _half(self, zero: Zero, side: Expr) -> Expr:
         """A positive half-saturation from an extra output; it falls (side 1) or rises (-1) as the value rises."""
-        gate = raw(0, self.first_gate + self.gates)
-        self.gates += 1
+        gate = self.cores.at(self.formals, self.cores.gate())
         return input_scale(zero.argument) * (sympy.Float(2.02) - 2 * logistic(side * gate))
 
     def _one_sided(self, gated: Sequence[Zero], demands: Wanted, sign: int) -> Expr:
         """A value of one sign whose magnitude rises away from each zero on the allowed side, and is 0 on the other."""
-        value = self._core(sign)
+        value = self.core(sign)
         for zero in gated:
-            d = _beyond(sign * demands.directions[zero.argument] * self._distance(zero))
+            d = _beyond(sign * demands.directions[zero.argument] * self.distance(zero))
             if self._only_zero(zero, sign * demands.directions[zero.argument]):
                 raise Refused(
                     "GB603",
@@ -266,27 +300,25 @@ class Builder:
 
     def _only_zero(self, zero: Zero, side: int) -> bool:
         known = self.formals[zero.argument] in self.ranges.box
-        return known and self.ranges.nonnegative(-side * self._distance(zero))
+        return known and self.ranges.nonnegative(-side * self.distance(zero))
 
-    def _difference(self, zero: Zero) -> Expr:
+    def difference(self, zero: Zero) -> Expr:
         """x - x(at the zero), for a single argument: then the second evaluation is a single point, not a batch."""
         there = tuple(zero.value if i == zero.argument else f for i, f in enumerate(self.formals))
-        if there not in self.evaluations:
-            self.evaluations.append(there)
-        return self.s * (self.x - raw(self.evaluations.index(there), self.unknown.output))
+        return self.s * (self.x - self.cores.at(there, self.unknown.output))
 
     def _two_sided(self, zero: Zero, demands: Wanted) -> Expr:
         """A positive rising part on one side of the zero, minus its mirror image on the other."""
-        d = demands.directions[zero.argument] * self._distance(zero)
+        d = demands.directions[zero.argument] * self.distance(zero)
         side = sympy.sign(d)
         return self.s * d * softplus(side * self.x + START) / (sympy.Abs(d) + self._half(zero, side))
 
-    def _around_zero(self, value: Expr, demands: Wanted, sign: int | None) -> Expr:
+    def around_zero(self, value: Expr, demands: Wanted, sign: int | None) -> Expr:
         """The value mapped into bounds around 0 by an increasing map with 0 -> 0 and slope 1 there."""
         lower = None if demands.lower is None or self.prover.zero(demands.lower) else -demands.lower
         upper = None if demands.upper is None or self.prover.zero(demands.upper) else demands.upper
         if (lower is not None or upper is not None) and demands.directions:
-            moving = [b for b in (lower, upper) if self._moves(b)]
+            moving = [b for b in (lower, upper) if self.moves(b)]
             if moving:
                 contracts = [c for c in self.unknown.contracts if c.kind in ("lower", "upper")]
                 raise Refused(

@@ -9,11 +9,14 @@ import sympy
 
 from gbspec.diagnostics import Findings, Label, Span
 from gbspec.ir import NN, Form, Model, Network, Range, Unknown
-from gbspec.passes.constructions import Builder, Construction
+from gbspec.passes.bent import ShapedBuilder
+from gbspec.passes.constructions import Construction
 from gbspec.passes.intervals import REAL, Box, Interval, of_range
 from gbspec.passes.layouts import TooNarrow, layout
-from gbspec.passes.requirements import Refused, Requirements, Wanted, requirements, shown, wanted
+from gbspec.passes.requirements import Requirements, Wanted, requirements, wanted
+from gbspec.passes.shapes import Refused, shown
 from gbspec.passes.signs import Prover
+from gbspec.passes.values import with_offset
 
 
 def with_contracts(model: Model, findings: Findings) -> Model:
@@ -25,7 +28,7 @@ def with_contracts(model: Model, findings: Findings) -> Model:
     networks, unknowns = list(model.networks), list(model.unknowns)
     for index, network in enumerate(model.networks):
         outputs = sorted((u for u in model.unknowns if u.network == index), key=lambda u: u.output)
-        if not any(u.contracts for u in outputs):
+        if not any(u.contracts for u in outputs) and not network.spline:
             continue
         plans = _plans(model, network, outputs, findings)
         if plans is None:
@@ -37,7 +40,11 @@ def with_contracts(model: Model, findings: Findings) -> Model:
         except TooNarrow as problem:
             _narrow(network, outputs, problem, findings)
             continue
-        networks[index] = replace(network, layout=arranged)
+        cyclic = _cyclic(network, plans, findings)
+        if cyclic is None:
+            continue
+        smooth = tuple(place for plan in plans for place in plan.built.smooth)
+        networks[index] = replace(network, layout=arranged, smooth=smooth, cyclic=cyclic)
         for unknown, plan in zip(outputs, plans, strict=True):
             unknowns[model.unknowns.index(unknown)] = replace(unknown, form=plan.form())
     return replace(model, networks=tuple(networks), unknowns=tuple(unknowns))
@@ -78,7 +85,7 @@ def _plans(model: Model, network: Network, outputs: Sequence[Unknown], findings:
 def _plan(model: Model, network: Network, unknown: Unknown, first_gate: int) -> _Plan:
     """Proves for all real arguments if that is possible, else within the arguments' ranges."""
     constants, arguments = _boxes(model, network)
-    demands = wanted(unknown, network)
+    demands = wanted(unknown, network, Prover({**constants, **arguments}))
     _consistent(unknown, demands, Prover({**constants, **arguments}))
     used = {name: interval for name, interval in arguments.items() if interval != REAL}
     try:
@@ -116,12 +123,28 @@ def _attempt(
                 "give the names in it ranges",
             )
     needs = requirements(unknown, network, demands, prover)
-    builder = Builder(unknown, network, prover, ranges, first_gate)
+    builder = ShapedBuilder(unknown, network, prover, ranges, first_gate)
+    if network.spline:
+        builder.splined(needs.correction.shapes)
     if needs.link is not None:
         built = builder.linked(needs.correction, demands, needs.link)
     else:
-        built = builder.correction(needs.correction)
+        offset, around = with_offset(unknown, builder.formals, needs.correction, prover)
+        built = builder.shaped(around, offset)
     return _Plan(unknown, built, needs, within)
+
+
+def _cyclic(network: Network, plans: Sequence[_Plan], findings: Findings) -> tuple[int, ...] | None:
+    """The arguments with a period; None, with an error (GB607), if they are not the same for all outputs."""
+    found = [tuple(sorted(plan.needs.correction.shapes.periods)) for plan in plans]
+    if len(set(found)) == 1:
+        return found[0]
+    odd = next(plan.unknown for plan, own in zip(plans, found, strict=True) if own)
+    contracts = [c for c in odd.contracts if c.kind == "period"]
+    message = f"`{odd.name}` shares a network with functions that do not have its period in `{contracts[0].argument}`"
+    reason = Refused("GB607", message, contracts, "declare it in a statement of its own, with a network of its own")
+    _refuse(odd, reason, findings)
+    return None
 
 
 def _boxes(model: Model, network: Network) -> tuple[Box, Box]:

@@ -1,12 +1,14 @@
 """Layouts of networks: which units may depend on which arguments, so that the outputs have their directions.
 
-Every unit has a kind, one character per argument: `+` (not decreasing in it), `-`, `*` (freely), `0` (not at all). A
-weight from a unit of kind a to one of kind b may be positive if every direction of a is allowed by b, negative if every
-reversed direction of a is, of either sign if both, and is absent if neither: by induction over the layers each unit
-then depends on the arguments according to its kind, provided that the units in between are monotone functions of their
-inputs.
+Every unit has a kind, one character per argument: `+` (not decreasing in it), `-`, `x` (convex), `c` (concave), `p`
+and `q` (convex and rising or falling), `r` and `s` (concave and so), `*` (freely), `0` (not at all). A weight from a
+unit of kind a to one of kind b may be positive if every property of a is allowed by b, negative if every reversed one
+of a is, of either sign if both, and is absent if neither: by induction over the layers each unit then depends on the
+arguments according to its kind, provided that the units in between are rising functions of their inputs, and bent as
+their kinds say.
 
-Units whose kind has a direction get monotone activations: some convex, some concave, some saturating (Runje
+Units that must be convex in an argument have rising convex activations, and those that must be concave rising concave
+ones. Other units whose kind has a direction get monotone activations: some convex, some concave, some saturating (Runje
 and Shankaranarayana, "Constrained monotonic neural networks", ICML 2023). A single layer has a third of each.
 Of several layers, each has one activation for all such units, which costs less and fits as well: convex if there are
 other units too, else convex and saturating layers alternate. Other units keep the network's activation.
@@ -18,7 +20,9 @@ from collections.abc import Sequence
 
 from gbspec.ir import Block, Layout, Shape
 
-TURNED = str.maketrans("+-", "-+")
+TURNED = str.maketrans("+-xcpqrs", "-+cxsrqp")
+DIRECTED = "+-xcpqrs"
+CONVEX, CONCAVE = frozenset("xpq"), frozenset("crs")
 SHAPES: tuple[Shape, ...] = ("free", "convex", "concave", "saturating")
 _THIRDS: tuple[Shape, ...] = ("convex", "concave", "saturating")
 _BENDS: tuple[Shape, ...] = ("convex", "concave")
@@ -34,12 +38,12 @@ class TooNarrow(Exception):  # noqa: N818 - not an error: reported with the plac
 
 
 def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | None:
-    """The layout for outputs of the given kinds (those of the extra outputs last); None if all are free.
+    """The layout for outputs of the given kinds (those of the extra outputs last); None if all are free and declared.
 
     Raises:
         TooNarrow: a hidden layer cannot have a unit of every kind.
     """
-    if all(set(kind) <= {"*"} for kind in kinds):
+    if not gates and all(set(kind) <= {"*"} for kind in kinds):
         return None
     groups = _groups(kinds)
     needed = sum(share for _, share in groups)
@@ -55,7 +59,13 @@ def layout(kinds: Sequence[str], hidden: Sequence[int], gates: int) -> Layout | 
 
 def monotone(kind: str) -> bool:
     """Whether a unit of that kind needs a monotone activation."""
-    return "+" in kind or "-" in kind
+    return any(letter in DIRECTED for letter in kind)
+
+
+def kind_of(direction: int, curvature: int) -> str:
+    """The character of an argument in which a unit goes up or down (1, -1), and is convex or concave (1, -1)."""
+    rows = {0: "*+-", 1: "xpq", -1: "crs"}
+    return rows[curvature][direction]
 
 
 def _groups(kinds: Sequence[str]) -> list[tuple[str, int]]:
@@ -65,7 +75,7 @@ def _groups(kinds: Sequence[str]) -> list[tuple[str, int]]:
         if kind.translate(TURNED) not in found:  # reversed, it is the same unit with the opposite sign
             found[kind] = 2
     for kind in kinds:
-        free = kind.translate(str.maketrans("+-", "00"))
+        free = kind.translate(str.maketrans(DIRECTED, "0" * len(DIRECTED)))
         if monotone(kind) and "*" in free:
             found.setdefault(free, 1)
     return list(found.items())
@@ -82,7 +92,15 @@ def _blocks(groups: Sequence[tuple[str, int]], total: int, width: int, shapes: t
         if not monotone(kind):
             blocks.append(Block(kind, "free", count))
             continue
-        for i, shape in enumerate(shapes):
-            part = count // len(shapes) + (i >= len(shapes) - count % len(shapes))
+        fitting = _bent(kind) or shapes
+        for i, shape in enumerate(fitting):
+            part = count // len(fitting) + (i >= len(fitting) - count % len(fitting))
             blocks += [Block(kind, shape, part)] if part else []
     return tuple(sorted(blocks, key=lambda block: SHAPES.index(block.shape)))
+
+
+def _bent(kind: str) -> tuple[Shape, ...]:
+    """The only activation of units that must be convex or concave in an argument; empty for others."""
+    if CONVEX & set(kind):
+        return ("convex",)
+    return ("concave",) if CONCAVE & set(kind) else ()

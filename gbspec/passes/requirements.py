@@ -8,29 +8,17 @@ value is mapped to an unbounded scale, corrected there, and mapped back, as in a
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import sympy
 
-from gbspec.ir import NN, Contract, Expr, Network, Unknown, in_language
+from gbspec.ir import NN, Contract, Expr, Network, Unknown
 from gbspec.passes.intervals import REAL, Interval
 from gbspec.passes.monotone import monotone
+from gbspec.passes.shapes import Refused, Shapes, of_correction, shapes, shown
 from gbspec.passes.signs import Prover
 
 NONNEGATIVE = Interval(0.0, REAL.high, False, True)
-
-
-def shown(expression: Expr) -> str:
-    """An expression in a message: as a `.gb` file would write it."""
-    return in_language(expression)
-
-
-class Refused(Exception):  # noqa: N818 - not an error: no guarantee is possible
-    """A contract that cannot be guaranteed: the reason, its code and a remedy."""
-
-    def __init__(self, code: str, message: str, contracts: Sequence[Contract], help: str = "") -> None:
-        self.code, self.message, self.contracts, self.help = code, message, tuple(contracts), help
-        super().__init__(message)
 
 
 @dataclass(frozen=True)
@@ -43,13 +31,26 @@ class Zero:
 
 
 @dataclass(frozen=True)
+class Value(Zero):
+    """The function is `to` where argument number `argument` is `value`."""
+
+    to: Expr = sympy.S.Zero
+
+
+@dataclass(frozen=True)
 class Wanted:
-    """The requirements on one function: bounds, zeros, and directions (1 or -1) by index of argument."""
+    """The requirements on one function: bounds, zeros, values at places, and its shape in each argument."""
 
     lower: Expr | None = None
     upper: Expr | None = None
     zeros: tuple[Zero, ...] = ()
-    directions: dict[int, int] = field(default_factory=dict)
+    shapes: Shapes = field(default_factory=Shapes)
+    values: tuple[Value, ...] = ()
+
+    @property
+    def directions(self) -> dict[int, int]:
+        """The directions (1 or -1) by index of argument."""
+        return self.shapes.directions
 
     @property
     def bounded(self) -> bool:
@@ -75,15 +76,14 @@ class Requirements:
     notes: tuple[str, ...] = ()
 
 
-def wanted(unknown: Unknown, network: Network) -> Wanted:
+def wanted(unknown: Unknown, network: Network, prover: Prover) -> Wanted:
     """The contracts of an unknown as requirements on its value; bounds of the same kind are joined.
 
     Raises:
-        Refused: GB603 if two contracts name opposite directions.
+        Refused: GB603 if two contracts name opposite directions, or shapes that only constants or lines have.
     """
     names = [argument.name for argument in network.arguments]
-    lower, upper, zeros = [], [], []
-    directions: dict[int, tuple[int, Contract]] = {}
+    lower, upper, zeros, values = [], [], [], []
     for contract in unknown.contracts:
         at = names.index(contract.argument) if contract.argument is not None else -1
         match contract.kind:
@@ -93,19 +93,10 @@ def wanted(unknown: Unknown, network: Network) -> Wanted:
                 upper.append(contract.value)
             case "zero":
                 zeros.append(Zero(at, contract.value, contract))
-            case "increasing" | "decreasing":
-                direction = 1 if contract.kind == "increasing" else -1
-                other, earlier = directions.setdefault(at, (direction, contract))
-                if other != direction:
-                    raise Refused(
-                        "GB603",
-                        f"`{unknown.name}` cannot be increasing and decreasing in `{contract.argument}`",
-                        (contract, earlier),
-                        f"delete one of them; if it does not depend on `{contract.argument}`, leave the argument out",
-                    )
-    return Wanted(
-        _joined(sympy.Max, lower), _joined(sympy.Min, upper), tuple(zeros), {i: d for i, (d, _) in directions.items()}
-    )
+            case "equals" if contract.to is not None:
+                values.append(Value(at, contract.value, contract, contract.to))
+    asked = shapes(unknown, network, prover)
+    return Wanted(_joined(sympy.Max, lower), _joined(sympy.Min, upper), tuple(zeros), asked, tuple(values))
 
 
 def _joined(extremum: type[Expr], values: Iterable[Expr]) -> Expr | None:
@@ -154,7 +145,16 @@ class _Translation:
                 raise
             lower = None if sign is None else sympy.S.Zero
             notes = () if sign is None else ("`nn` is kept positive",)
-            return Requirements(Wanted(lower, None, self._zeros(), directions), None, notes)
+            beyond = of_correction(self.unknown, self.symbols, self.value.shapes, domain)
+            return Requirements(Wanted(lower, None, self._zeros(), replace(beyond, directions=directions)), None, notes)
+        if self.value.shapes.beyond or self.value.values:
+            raise Refused(
+                "GB607",
+                f"the bounds of `{self.unknown.name}` do not follow from `{shown(self.postulate)}` by itself, and"
+                " together with a curvature, a symmetry, a period or a value they have no construction",
+                [c for c in self.unknown.contracts if c.kind in ("lower", "upper")],
+                self._ranges_help() or "choose a postulate that keeps the bounds, such as `f*exp(nn)`",
+            )
         if not self.value.bounded:
             self._directions(self.prover.with_box({NN: NONNEGATIVE if self.unknown.neutral > 0 else REAL}))
         return self._linked()
@@ -218,18 +218,21 @@ class _Translation:
     def _zeros(self) -> tuple[Zero, ...]:
         """The zeros that `nn` must have; none where the postulate vanishes for every `nn`."""
         needed = []
-        for zero in self.value.zeros:
+        for zero in (*self.value.zeros, *self.value.values):
             at = self.postulate.xreplace({self.symbols[zero.argument]: zero.value})
-            if self.prover.zero(at):
+            to = zero.to if isinstance(zero, Value) else sympy.S.Zero
+            if self.prover.zero(at - to):
                 continue
-            if not self.prover.zero(at.xreplace({NN: sympy.S.Zero})):
+            if not self.prover.zero((at - to).xreplace({NN: sympy.S.Zero})):
                 name = self.symbols[zero.argument].name
+                what = f"equals {shown(to)}" if isinstance(zero, Value) else "zero"
                 raise Refused(
                     "GB605",
-                    f"`zero at {name} = {shown(zero.value)}` cannot be kept: there the postulate is `{shown(at)}`,"
-                    " which is not 0 for `nn = 0`",
+                    f"`{what} at {name} = {shown(zero.value)}` cannot be kept: there the postulate is `{shown(at)}`,"
+                    f" which is not {shown(to)} for `nn = 0`",
                     (zero.contract,),
-                    f"choose a postulate that vanishes at `{name} = {shown(zero.value)}`",
+                    f"choose a postulate that {'vanishes' if to == 0 else f'is {shown(to)}'} at"
+                    f" `{name} = {shown(zero.value)}`",
                 )
             needed.append(zero)
         return tuple(needed)
@@ -259,7 +262,7 @@ class _Translation:
         sign = 1 if product else self.prover.sign(factor) or 1
         directions = {i: sign * direction for i, direction in self.value.directions.items()}
         note = "bounds are guaranteed by a link that starts at the postulate"
-        return Requirements(Wanted(directions=directions), Link(base, product, factor), (note,))
+        return Requirements(Wanted(shapes=Shapes(directions)), Link(base, product, factor), (note,))
 
     def _check_reach(self, base: Expr, bounds: Sequence[Contract]) -> None:
         """Refuses a factor (which scales the odds between two bounds) if the postulate is beyond a bound."""

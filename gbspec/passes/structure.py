@@ -340,6 +340,8 @@ def _refuse_together(model: Model, findings: Findings) -> None:
         refuse(
             f"`{event.name}` is an event", event.span, "leave out the events, or solve the equations by hand (`let`)"
         )
+    for delay in model.delays:
+        refuse(f"`{delay.source}` is delayed", delay.span, "leave out the delay")
     for diffusion in model.diffusions:
         refuse(f"`{diffusion.state}` has a diffusion", diffusion.span, "leave out the diffusion")
     for learnable in model.learnables:

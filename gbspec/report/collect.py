@@ -144,7 +144,7 @@ def _trajectory_fit(fitted: Fitted, index: int, hidden: bool) -> TrajectoryFit:
             reference, nothing = None if true is None else true[0][:, i], np.zeros(0)
             shown.append(ChannelFit(state.name, nothing, nothing, grid, states[:, :, i], reference, state.unit or ""))
     # What the model gives was not learned, whatever the rest of the run was
-    known = all(state.initial.kind == "expression" for state in model.states)
+    known = all(state.initial.known for state in model.states)
     origin = "given by the model" if known else fitted.start(0, index).origin
     return TrajectoryFit(item.label, condition_text(model, item), tuple(shown), origin, _given(model, item),
                          _own_text(fitted.run, item.label))  # fmt: skip

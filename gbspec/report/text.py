@@ -121,6 +121,8 @@ def start(initial: Initial) -> str:
     match initial.kind:
         case "expression":
             return f"= {sympy.sstr(initial.value, full_prec=False)}"
+        case "steady":
+            return f"steady, reached from {sympy.sstr(initial.value, full_prec=False)}"
         case "learned":
             return "learned"
         case "measured":

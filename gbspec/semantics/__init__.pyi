@@ -14,5 +14,6 @@ from .sites import truth_parameters as truth_parameters
 from .tables import written_out as written_out
 from .unknowns import network_activation as network_activation
 from .unknowns import network_widths as network_widths
+from .unknowns import spline_sizes as spline_sizes
 from .vocabulary import ACTIVATIONS as ACTIVATIONS
 from .vocabulary import suggestion as suggestion

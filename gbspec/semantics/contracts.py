@@ -16,11 +16,18 @@ def check(unknown: ast.UnknownStatement, findings: Findings) -> None:
     for contract in unknown.contracts:
         _output(contract, unknown, findings)
         match contract:
-            case ast.Monotone(argument=argument):
+            case ast.Shaped(argument=argument):
                 _argument(argument, unknown, findings)
             case ast.ZeroAt(argument=argument, value=value):
                 if _argument(argument, unknown, findings):
-                    _own_argument(argument, value, findings)
+                    _own_argument(argument, value, "the place of a zero in", findings)
+            case ast.EqualsAt(value=value, argument=argument, place=place):
+                if _argument(argument, unknown, findings):
+                    _own_argument(argument, place, "the place of a value in", findings)
+                    _own_argument(argument, value, "the value at a place of", findings)
+            case ast.Periodic(period=period, argument=argument):
+                if _argument(argument, unknown, findings):
+                    _constant_period(period, unknown, findings)
             case ast.Bound() | ast.RangeContract():
                 pass
 
@@ -60,13 +67,26 @@ def _argument(argument: ast.Name, unknown: ast.UnknownStatement, findings: Findi
     return False
 
 
-def _own_argument(argument: ast.Name, value: ast.Expression, findings: Findings) -> None:
+def _own_argument(argument: ast.Name, value: ast.Expression, what: str, findings: Findings) -> None:
     for node in walk(value):
         if isinstance(node, ast.Name) and node.text == argument.text:
             findings.error(
                 "GB604",
-                f"the place of a zero in `{argument.text}` cannot depend on `{argument.text}`",
+                f"{what} `{argument.text}` cannot depend on `{argument.text}`",
                 node.span,
                 help="give it as an expression of constants, learnable constants and the other arguments",
+            )
+            return
+
+
+def _constant_period(period: ast.Expression, unknown: ast.UnknownStatement, findings: Findings) -> None:
+    formals = {argument.name.text for argument in unknown.arguments}
+    for node in walk(period):
+        if isinstance(node, ast.Name) and node.text in formals:
+            findings.error(
+                "GB604",
+                f"a period cannot depend on the argument `{node.text}`",
+                node.span,
+                help="give it as a number, or as an expression of constants and learnable constants",
             )
             return

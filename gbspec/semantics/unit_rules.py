@@ -105,7 +105,7 @@ class _Rules:
                 pass  # declare no unit
             case ast.DiscreteStatement() | ast.EventStatement():
                 pass  # a discrete value is a state by now
-            case ast.CorrelateStatement():
+            case ast.CorrelateStatement() | ast.SteadyStatement():
                 pass
             case ast.About() | ast.ClosureStatement():
                 pass  # use units that others declare
@@ -156,6 +156,9 @@ class _Rules:
                 self._event(statement)
             case ast.EquationStatement(left=left, right=right):
                 self._equation(target_name(statement.target), left, right)
+            case ast.SteadyStatement(held=held):
+                for one in held:
+                    self._ranged(target_name(one.target), None, one.value)
             case (
                 ast.StateStatement(declarator=declarator, range=interval, start=start)
                 | ast.AlgebraicStatement(declarator=declarator, range=interval, start=start)
@@ -226,7 +229,15 @@ class _Rules:
                 case ast.ZeroAt(argument=argument, value=value):
                     if self._usable(value) and argument.text in formals:
                         units.carries(value, formals[argument.text], f"`{argument.text}`", argument.span, formals)
-                case ast.Monotone():
+                case ast.EqualsAt(value=value, argument=argument, place=place):
+                    if self._usable(value):
+                        units.carries(value, units.of(name.text), f"`{name.text}`", name.span, formals)
+                    if self._usable(place) and argument.text in formals:
+                        units.carries(place, formals[argument.text], f"`{argument.text}`", argument.span, formals)
+                case ast.Periodic(period=period, argument=argument):
+                    if self._usable(period) and argument.text in formals:
+                        units.carries(period, formals[argument.text], f"`{argument.text}`", argument.span, formals)
+                case ast.Shaped():
                     pass
                 case _:
                     assert_never(contract)

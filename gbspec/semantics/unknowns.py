@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from gbspec.diagnostics import Findings, Label
+from gbspec.diagnostics import Findings, Label, Span
 from gbspec.semantics import contracts
 from gbspec.semantics.expressions import walk
 from gbspec.semantics.merge import Item
@@ -14,6 +14,9 @@ from gbspec.syntax import ast, ungrouped
 
 WIDEST = 4096
 """The maximal number of units of a hidden layer."""
+
+MOST_COEFFICIENTS = 60
+"""The maximal number of coefficients of a spline in one argument."""
 
 DEFAULT_WIDTHS = (32, 32)
 DEFAULT_ACTIVATION = "silu"
@@ -34,7 +37,7 @@ def check(items: Iterable[Item], numbers: Numbers, findings: Findings) -> None:
             _postulates(statement, findings)
             contracts.check(statement, findings)
             if statement.network is not None:
-                _network(statement.network, numbers, findings)
+                _network(statement.network, len(statement.arguments), numbers, findings)
 
 
 def _parameters(names: Sequence[ast.Name], owner: ast.Name, findings: Findings, *, empty: bool = False) -> None:
@@ -84,13 +87,16 @@ def _postulates(unknown: ast.UnknownStatement, findings: Findings) -> None:
             )
 
 
-def _network(network: ast.NetworkSpec, numbers: Numbers, findings: Findings) -> None:
+def _network(network: ast.NetworkSpec, arguments: int, numbers: Numbers, findings: Findings) -> None:
+    if network.kind.text == "spline":
+        _spline(network, arguments, numbers, findings)
+        return
     if network.kind.text != "mlp":
         findings.error(
             "GB228",
             f"there is no network named `{network.kind.text}`",
             network.kind.span,
-            help="write `by mlp(32, 32)`, a multilayer perceptron with two hidden layers of 32",
+            help="write `by mlp(32, 32)`, a multilayer perceptron with two hidden layers of 32, or `by spline(12)`",
         )
         return
     for width in network.widths:
@@ -105,6 +111,26 @@ def _network(network: ast.NetworkSpec, numbers: Numbers, findings: Findings) -> 
     seen: set[str] = set()
     for option in network.options:
         _option(option, seen, findings)
+
+
+def _spline(network: ast.NetworkSpec, arguments: int, numbers: Numbers, findings: Findings) -> None:
+    """Reports wrong numbers of arguments and coefficients, and options."""
+
+    def wrong(message: str, place: Span, help: str) -> None:
+        findings.error("GB228", message, place, help=help)
+
+    if arguments > 2:
+        wrong("a spline has one or two arguments", network.span, "write `by mlp(32, 32)`")
+    if len(network.widths) not in (1, arguments):
+        text = "one number of coefficients" + (", or one for each argument" if arguments > 1 else "")
+        wrong(f"`spline` takes {text}", network.span, "write `by spline(12)`")
+    for width in network.widths:
+        value = numbers.value(width)
+        if value is not None and not (value == int(value) and 4 <= value <= MOST_COEFFICIENTS):
+            limits = f"a whole number from 4 to {MOST_COEFFICIENTS}"
+            wrong(f"a cubic spline cannot have {value:g} coefficients", width.span, f"their number is {limits}")
+    for option in network.options:
+        wrong(f"`spline` has no option `{option.name.text}`", option.name.span, "delete it")
 
 
 def _option(option: ast.Option, seen: set[str], findings: Findings) -> None:
@@ -133,6 +159,8 @@ def network_widths(network: ast.NetworkSpec | None, numbers: Numbers) -> tuple[i
     """Widths of the hidden layers of a checked network."""
     if network is None or not network.widths:
         return DEFAULT_WIDTHS
+    if network.kind.text == "spline":
+        return ()
     return tuple(int(numbers.value(width) or 0) for width in network.widths)
 
 
@@ -143,3 +171,11 @@ def network_activation(network: ast.NetworkSpec | None) -> str:
         if isinstance(value, ast.Name):
             return value.text
     return DEFAULT_ACTIVATION
+
+
+def spline_sizes(network: ast.NetworkSpec | None, arguments: int, numbers: Numbers) -> tuple[int, ...]:
+    """Numbers of coefficients of a checked spline in each argument; empty for other networks."""
+    if network is None or network.kind.text != "spline":
+        return ()
+    found = [int(numbers.value(width) or 4) for width in network.widths]
+    return tuple(found * arguments if len(found) == 1 else found)

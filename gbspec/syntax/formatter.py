@@ -23,8 +23,22 @@ from gbspec.syntax.walking import same
 WIDTH = 100
 _INDENT = 4
 _ORDER = (
-    *("unit", "from", "consumed", "produced", "left", "contracts", "range", "bound", "postulates", "value", "learned"),
     *(
+        "unit",
+        "from",
+        "consumed",
+        "produced",
+        "left",
+        "contracts",
+        "range",
+        "bound",
+        "postulates",
+        "value",
+        "learned",
+        "steady",
+    ),
+    *(
+        "with",
         "file",
         "points",
         "method",

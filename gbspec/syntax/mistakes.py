@@ -50,6 +50,7 @@ _KEYWORDS = frozenset(
             "lag",
         ),
         *("when", "every", "until", "after", "priority", "transient", "armed"),
+        *("convex", "concave", "odd", "even", "period", "equals", "steady", "with"),
         *("by", "zero", "at", "increasing", "decreasing", "if", "and", "or", "not"),
     }
 )

@@ -198,15 +198,38 @@ class ZeroAt(Node):
 
 
 @dataclass(frozen=True)
-class Monotone(Node):
-    """`increasing in v` / `decreasing in v` on an unknown."""
+class EqualsAt(Node):
+    """`equals e at v = e` on an unknown."""
 
-    direction: Literal["increasing", "decreasing"]
+    value: Expression
+    argument: Name
+    place: Expression
+    name: Name | None = None
+
+
+Shape = Literal["increasing", "decreasing", "convex", "concave", "odd", "even"]
+"""How a function depends on one of its arguments."""
+
+
+@dataclass(frozen=True)
+class Shaped(Node):
+    """`increasing in v`, `convex in v`, `odd in v`, … on an unknown."""
+
+    shape: Shape
     argument: Name
     name: Name | None = None
 
 
-Contract = Bound | RangeContract | ZeroAt | Monotone
+@dataclass(frozen=True)
+class Periodic(Node):
+    """`period 24 in v` on an unknown."""
+
+    period: Expression
+    argument: Name
+    name: Name | None = None
+
+
+Contract = Bound | RangeContract | ZeroAt | EqualsAt | Shaped | Periodic
 
 
 @dataclass(frozen=True)

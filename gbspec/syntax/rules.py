@@ -46,6 +46,12 @@ START = Rule(
     "constants, learnable constants, conditions and the initial values of other states",
     "GB308",
 )
+HELD = Rule(
+    "a value of `initial steady with`",
+    _FIXED | {Kind.CONDITION},
+    "constants, learnable constants and conditions",
+    "GB377",
+)
 DOSING = Rule(
     "the fraction or the lag of a dose",
     _FIXED | {Kind.CONDITION},

@@ -11,7 +11,7 @@ import torch
 
 from gbspec.backends.module import generate, load_module
 from gbspec.diagnostics import Findings
-from gbspec.ir.model import Model
+from gbspec.ir.model import Contract, Model
 from gbspec.passes.contracts import with_contracts
 from tests import texts
 from tests.contracts.helpers import bound, model_of, points, weights
@@ -64,14 +64,58 @@ POSTULATED = [
 ]
 
 
+SHAPED = [
+    "(u) convex in u",
+    "(u, v) convex in u, increasing in v, >= K",
+    "(u, v, w) concave in u, increasing in u, concave in w",
+    "(u, v) convex in u, decreasing in u, zero at v = 1, >= 0",
+    "(u in [0, 10]) concave in u, increasing in u, zero at u = 0, >= 0",
+    "(u in [0, 10]) concave in u, increasing in u, zero at u = 0, in [0, 3]",
+    "(u, v) convex in u, zero at u = K, >= -2",
+    "(u) odd in u",
+    "(u, v) odd in u, increasing in u, zero at v = 2, in [-2, 3]",
+    "(u, v) odd in u, odd in v",
+    "(u, v) even in u, even in v, >= 0",
+    "(u) even in u, convex in u, zero at u = 0, >= 0",
+    "(u, v) even in u, zero at u = 1, >= 0, decreasing in v",
+    "(u) even in u, zero at u = 2",
+    "(u) period 24 in u, >= 0",
+    "(u, v) period 24 in u, in [0, 1], decreasing in v",
+    "(u, v) period 24 in u, period k + 1 in v",
+    "(u) period 24 in u, odd in u",
+    "(u) period 24 in u, even in u, zero at u = 3, >= 0",
+    "(u) period 24 in u, equals 2 at u = 3, >= 0",
+    "(u) equals 1 at u = 0, decreasing in u, >= 0",
+    "(u in [0, 10], v) equals 1 at u = 0, decreasing in u, >= 0, decreasing in v",
+    "(u) equals 1 at u = 0, zero at u = 3, equals K at u = 5",
+    "(u, v) equals 1 + v^2 at u = 1, >= 0",
+    "(u) odd in u = u*nn",
+    "(u) even in u, convex in u = u^2 + nn",
+    "(u) period 24 in u, >= 0 = (2 + sin(2*pi*u/24))*nn",
+    "(u) equals 3 at u = 0 = 3*exp(tanh(nn))",
+]
+
+
+SPLINES = [
+    "(u in [0, 10]) by spline(12)",
+    "(u in [0, 10]) >= 0, increasing in u by spline(9)",
+    "(u in [0, 10], v in [0, 3]) >= 0, decreasing in v by spline(6, 5)",
+    "(u in [0, 10]) increasing in u, zero at u = 0, in [0, 3] by spline(8)",
+    "(u in [0, 10]) equals 1 at u = 0, >= 0 by spline(8)",
+    "(u in [0, 10]) >= 0 = u/(K + u)*nn by spline(8)",
+]
+
+
 def cases() -> list[str]:
     free = [f"unknown f(u, v, w) {text} by mlp(12, 12)" for text in PLAIN]
     ranged = [f"unknown f(u in [0, 10], v) {text} by mlp(12, 12)" for text in POSTULATED]
     one = [f"unknown f(u) {text} by mlp(8, 8)" for text in PLAIN if "v" not in text and "w" not in text]
     return [
         *free,
+        *(f"unknown f{text} by mlp(8, 8)" for text in SHAPED),
         *ranged,
         *one,
+        *(f"unknown f{text}" for text in SPLINES),
         "unknown f(u in [-5, 5], v) >= 0, zero at u = 0, decreasing in v by mlp(9)",
         "unknown f(u in [0, 5], v) zero at u = 0, increasing in u by mlp(9, 5)",
         "unknown f(u in [0, 5], v) zero at u = 5, increasing in u by mlp(9, 5)",
@@ -99,6 +143,8 @@ def check_values(model: Model, instance: Any, x: torch.Tensor) -> None:
                 at = bound(contract.value, model, unknown.network, x, constants)
                 size = 1e-13 * (1 + np.abs(value).max() + np.abs(at).max())
             match contract.kind:
+                case "convex" | "concave" | "odd" | "even" | "period" | "equals":
+                    check_shape(contract, function, x.detach(), names, at, model, unknown.network, constants)
                 case "lower":
                     assert (value - at).min() >= -size
                 case "upper":
@@ -112,7 +158,59 @@ def check_values(model: Model, instance: Any, x: torch.Tensor) -> None:
                     there[:, names.index(str(contract.argument))] = torch.tensor(at)
                     left = function(there if len(names) > 1 else there[:, 0]).detach().abs()
                     # The argument of the zero is rounded, here and in the module.
-                    assert left.max() <= size + 1e-13 * (slope.abs().max() * np.abs(at).max())
+                    assert left.max() <= 10 * size + 1e-13 * (slope.abs().max() * np.abs(at).max())
+
+
+def check_shape(
+    contract: Contract,
+    function: Any,
+    x: torch.Tensor,
+    names: list[str],
+    at: Any,
+    model: Model,
+    network: int,
+    constants: Any,
+) -> None:
+    """Asserts a curvature (by the values in the middle of two points), a symmetry, a period, or a value."""
+    i = names.index(str(contract.argument))
+    v = x[:, i]
+
+    def value(there: torch.Tensor) -> torch.Tensor:
+        moved = x.clone()
+        moved[:, i] = there
+        return function(moved if len(names) > 1 else moved[:, 0]).detach()
+
+    here = value(v)
+    size = 1e-12 * (1 + float(here.abs().max()))
+    match contract.kind:
+        case "convex" | "concave":
+            other = v.flip(0)
+            middle, mean = value((v + other) / 2), (here + value(other)) / 2
+            gap = mean - middle if contract.kind == "convex" else middle - mean
+            assert gap.min() >= -size - 1e-12 * float(value(other).abs().max())
+        case "odd" | "even":
+            sign = 1 if contract.kind == "even" else -1
+            assert (value(-v) - sign * here).abs().max() <= size
+        case "period":
+            near = v.clamp(-100, 100)  # a shift by a period is rounded where it is small beside the argument
+            slope = torch.autograd.functional.jvp(value_with_slope(function, x, i), near, torch.ones_like(near))[1]
+            left = value(near + torch.tensor(at)) - value(near)
+            assert left.abs().max() <= 10 * size + 1e-11 * float(slope.abs().max())
+        case "equals":
+            assert contract.to is not None
+            there = value(torch.tensor(at))
+            reached = bound(contract.to, model, network, x, constants)
+            assert np.abs(there.numpy() - reached).max() <= 100 * size * (1 + np.abs(reached).max())
+
+
+def value_with_slope(function: Any, x: torch.Tensor, i: int) -> Any:
+    """The function of one argument, the others as they are at the points."""
+
+    def value(v: torch.Tensor) -> torch.Tensor:
+        moved = torch.cat([x[:, :i], v[:, None], x[:, i + 1 :]], 1)
+        return function(moved if x.shape[1] > 1 else v)
+
+    return value
 
 
 def check_agreement(model: Model, instance: Any, x: torch.Tensor) -> None:

@@ -35,6 +35,11 @@ def statements(draw: st.DrawFn) -> str:
         if draw(st.booleans()) and draw(st.booleans()):
             place = draw(st.sampled_from(PLACES if name == "u" else PLACES[:5]))
             contracts.append(f"zero at {name} = {place}")
+    for name in ("u", "v"):
+        shapes = [f"{kind} in {name}" for kind in ("convex", "concave", "odd", "even", "period 3")]
+        contracts += draw(st.sampled_from([[], [], [], *([shape] for shape in shapes)]))
+    if draw(st.booleans()) and draw(st.booleans()):
+        contracts.append(draw(st.sampled_from(["equals 1 at u = 0", "equals K at v = 1", "equals 0.5 at u = 5"])))
     u = draw(st.sampled_from(["u", "u in [0, 10]", "u in [-5, 5]", "u in [1, 5]"]))
     w = draw(st.sampled_from(["", ", w"]))
     activation = draw(st.sampled_from(["silu", "tanh", "relu", "sin"]))
@@ -56,7 +61,7 @@ def test_contracts_hold_or_are_rejected(text: str, seed: int) -> None:
     except UserError as error:
         errors = [d for d in error.diagnostics if d.severity.value == "error"]
         assert errors
-        assert {d.code for d in errors} <= {"GB603", "GB604", "GB605", "GB607", "GB608"}
+        assert {d.code for d in errors} <= {"GB603", "GB604", "GB605", "GB607", "GB608", "GB609"}
         assert all(d.message and d.place is not None for d in errors)
         return
     cls = load_module(model)

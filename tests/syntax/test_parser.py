@@ -65,7 +65,7 @@ def test_unknown_with_everything() -> None:
     bound, zero, monotone, interval = unknown.contracts
     assert isinstance(bound, ast.Bound) and bound.name is not None and bound.name.text == "a"
     assert isinstance(zero, ast.ZeroAt) and zero.argument.text == "u"
-    assert isinstance(monotone, ast.Monotone) and monotone.direction == "increasing"
+    assert isinstance(monotone, ast.Shaped) and monotone.shape == "increasing"
     assert isinstance(interval, ast.RangeContract)
     assert len(unknown.postulates) == 2
     assert unknown.network is not None

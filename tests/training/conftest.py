@@ -175,7 +175,7 @@ def problem_of(
     n = len(model.states)
     free = np.ones((len(data), n))
     for i, state in enumerate(model.states):
-        if state.initial.kind == "expression":
+        if state.initial.known:
             free[:, i] = 0.0
     free[0, 0] = 0.0
     fixed = {k: v for k, v in module.weights.items() if k.endswith(("_scale", "_center"))}

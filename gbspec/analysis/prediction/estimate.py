@@ -23,6 +23,7 @@ from gbspec.analysis.prediction.solutions import (
     measured_start,
     needed,
     predict,
+    started,
 )
 from gbspec.analysis.systems import Individuals, quasirandom_points
 from gbspec.arrays import Array
@@ -131,7 +132,7 @@ class Estimator:
         """The states whose initial values are estimated."""
         if not self.released:
             return needed(self.model, item)
-        return tuple(i for i, state in enumerate(self.model.states) if state.initial.kind != "expression")
+        return tuple(i for i, state in enumerate(self.model.states) if not state.initial.known)
 
     def start(self, item: Trajectory) -> Start:
         """The start of a trajectory: known, or estimated from its data; `failed` if none can be integrated."""
@@ -139,7 +140,7 @@ class Estimator:
         state = measured_start(self.model, item, self._nearest(item))
         constants = np.array(self.evaluator.constants, dtype=float)
         if not free and not self.own:
-            return Start(self.evaluator.initial(state, item.condition, constants), constants, "known")
+            return started(self.evaluator, item, state, constants, "known")
         return self._estimate(item, state, constants, free)
 
     def start_sd(self, item: Trajectory) -> Array:
@@ -173,7 +174,7 @@ class Estimator:
             else:
                 k[list(self.own)] += scale[len(columns) :] * z[len(columns) :]
                 k = np.clip(k, self.low, self.high)
-            return Start(self.evaluator.initial(x0, item.condition, k), k, "estimated")
+            return started(self.evaluator, item, x0, k, "estimated")
 
         def errors(z: Array) -> Array:
             found: Prediction = predict(self.evaluator, self.model, item, moved(z), TOLERANCE)

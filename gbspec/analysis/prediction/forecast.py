@@ -24,6 +24,7 @@ from gbspec.analysis.prediction.solutions import (
     learned_positions,
     learned_start,
     predict,
+    started,
 )
 from gbspec.analysis.systems import Extrapolation, extrapolation_of, trained_ranges
 from gbspec.arrays import Array, Mask
@@ -340,8 +341,8 @@ class _MemberPredictions:
                 state[free[k]] += NUDGE * scale[k]
             else:
                 constants[own[k - len(free)]] += NUDGE * scale[k]
-            moved = self.evaluator.initial(state, item.condition, constants)
-            columns.append((self._solve(item, Start(moved, constants, "estimated"))[1] - variables) / NUDGE)
+            moved = started(self.evaluator, item, state, constants, "estimated")
+            columns.append((self._solve(item, moved)[1] - variables) / NUDGE)
         moves = np.stack(columns, axis=-1)
         rows, channels = len(seen.times), seen.values.shape[1]
         predicted, scales = variables[:rows, :channels], self.estimator.scales

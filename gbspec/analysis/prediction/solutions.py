@@ -102,7 +102,16 @@ def learned_start(evaluator: Evaluator, position: int, item: Trajectory) -> Star
     member = evaluator.instance
     constants = own_constants(evaluator, position)
     state = np.array(member.weights["initial"][position], dtype=float)
-    return Start(evaluator.initial(state, item.condition, constants), constants, "learned")
+    return started(evaluator, item, state, constants, "learned")
+
+
+def started(evaluator: Evaluator, item: Trajectory, state: Array, constants: Array, origin: Origin) -> Start:
+    """A start from the values [n] of what is neither given nor steady; a failure is reported, not raised."""
+    try:
+        found = evaluator.initial(state, item.condition, constants, item.inputs, item.start)
+    except ComputationError as error:
+        return Start(state, constants, "failed", error.what)
+    return Start(found, constants, origin)
 
 
 def own_constants(evaluator: Evaluator, position: int) -> Array:

@@ -60,8 +60,8 @@ def boxes(model: Model, options: SimulateOptions, findings: Findings, given: boo
     Reports unknown names (GB751), initial values that the model gives (GB752), and quantities without a range (GB753).
     `given`: conditions and inputs come from a table and need no range.
     """
-    starts = {s.name: _declared(s.range, s.start) for s in model.states if s.initial.kind != "expression"}
-    expressed = {state.name for state in model.states if state.initial.kind == "expression"}
+    starts = {s.name: _declared(s.range, s.start) for s in model.states if not s.initial.known}
+    expressed = {state.name for state in model.states if state.initial.known}
     conditions = {item.name: _declared(item.range, item.default) for item in model.conditions}
     inputs = {item.name: _declared(item.range, item.default) for item in model.inputs}
     _known(options.initial, starts, expressed, "--initial", "state", findings)
@@ -157,7 +157,7 @@ def plan(model: Model, options: SimulateOptions, box: Boxes, label: str, random:
     first = min([float(times[0]), *(events.times[0] for events in doses if len(events.times))])
     doses, inputs = lasting(model, condition, doses, inputs, options.dose, (start, end))
     # An initial value that the model gives holds at time `start`, so that the table must begin there.
-    fixed = model.time.start is not None or any(state.initial.kind == "expression" for state in model.states)
+    fixed = model.time.start is not None or any(state.initial.known for state in model.states)
     begins = start if fixed else first
     return Plan(label, start, begins, x0, condition, inputs, doses, times, mask)
 

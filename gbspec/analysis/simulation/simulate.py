@@ -41,8 +41,11 @@ class Solver(Protocol):
     def instance(self) -> GeneratedModule:
         """The module with its weights."""
 
-    def initial(self, x0: Array, condition: Array) -> Array:
-        """The initial state [n], with the values that the model gives inserted."""
+    def initial(
+        self, x0: Array, condition: Array, constants: Array | None, inputs: tuple[Signal, ...], at: float
+    ) -> Array:
+        """The initial state [n] at time `at`, with the values that the model gives inserted; raises
+        ComputationError."""
 
     def integrate(
         self,
@@ -200,7 +203,7 @@ def true_starts(evaluator: Solver, model: Model, options: SimulateOptions) -> Ar
     starts = []
     for i in range(options.trajectories):
         drawn = draws.solved(i, Tally()).plan
-        x0 = evaluator.initial(drawn.x0, drawn.condition)
+        x0 = evaluator.initial(drawn.x0, drawn.condition, None, drawn.inputs, drawn.start)
         if drawn.begins > drawn.start:
             times = np.array([drawn.begins])
             x0 = evaluator.integrate(
@@ -225,7 +228,7 @@ def solve(
     end = float(drawn.times[-1])
     grid = np.linspace(drawn.start, end, DENSE) if reject else np.zeros(0)
     times = np.unique(np.concatenate([drawn.times, grid]))
-    x0 = evaluator.initial(drawn.x0, drawn.condition)
+    x0 = evaluator.initial(drawn.x0, drawn.condition, None, drawn.inputs, drawn.start)
     if model.diffusions and random is not None:
         states, late = disturbed_path(evaluator.instance, model, drawn, x0, times, random), np.zeros((len(times), 0))
     else:

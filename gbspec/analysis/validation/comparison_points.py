@@ -105,7 +105,7 @@ class Sampler:
         parts = CHECKS if self.reject else 1
         times = drawn.start + (time - drawn.start) * np.arange(1, parts + 1) / parts
         times[-1] = time
-        x0 = self.evaluator.initial(drawn.x0, drawn.condition)
+        x0 = self.evaluator.initial(drawn.x0, drawn.condition, None, drawn.inputs, drawn.start)
         states = self.evaluator.integrate(
             x0, times, drawn.condition, drawn.inputs, drawn.start, doses=drawn.doses, rtol=DRAWN, atol=DRAWN
         )
@@ -216,7 +216,7 @@ def sampling_for(model: Model, sampling: SimulateOptions, member: GeneratedModul
     initial, condition = dict(sampling.initial), dict(sampling.condition)
     for i, state in enumerate(model.states):
         ranged = state.range is not None and state.range.bounded
-        expressed = state.initial.kind == "expression"
+        expressed = state.initial.known
         if not ranged and not expressed and state.name not in initial and learned is not None and len(learned):
             initial[state.name] = (float(learned[:, i].min()), float(learned[:, i].max()))
     trained = trained_ranges(model, member)

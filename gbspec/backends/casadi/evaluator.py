@@ -14,22 +14,12 @@ from gbspec.backends.casadi import steps
 from gbspec.backends.casadi.cvodes import InitialValueProblem, Integrator
 from gbspec.backends.casadi.delays import DelaySolver, at_rest, linear_parts
 from gbspec.backends.casadi.events import EventSolver
+from gbspec.backends.casadi.starts import Course as Course
+from gbspec.backends.casadi.starts import first_values, steady_start
 from gbspec.backends.casadi.timeline import Jump, Segment, Signal, at_rows, segments
 from gbspec.backends.protocol import Casadi, GeneratedModule
 from gbspec.diagnostics import ComputationError
 from gbspec.ir import METHODS
-
-
-class Course(Protocol):
-    """An input over time: values [n] at times [n]."""
-
-    @property
-    def times(self) -> ArrayLike:
-        """When."""
-
-    @property
-    def values(self) -> ArrayLike:
-        """Its values."""
 
 
 class Events(Protocol):
@@ -136,14 +126,27 @@ class Evaluator:
         self._require_past(inputs)
         return np.array(self.jacobian(t, x, condition, inputs, self._constants(constants)))
 
-    def initial(self, x0: ArrayLike, condition: ArrayLike = (), constants: ArrayLike | None = None) -> Array:
-        """The initial state [n_states]: x0, with the initial values that the model gives by expressions replaced."""
-        m = self.instance.arithmetic("numpy")
+    def initial(
+        self,
+        x0: ArrayLike,
+        condition: ArrayLike = (),
+        constants: ArrayLike | None = None,
+        inputs: Sequence[Course] = (),
+        at: float | None = None,
+    ) -> Array:
+        """The initial state [n_states]: x0, with the initial values that the model gives replaced.
+
+        `inputs` and `at`, the time of the start, matter to steady starts alone. Raises ComputationError without one.
+        """
+        m, given = self.instance.arithmetic("numpy"), np.asarray(condition, dtype=np.float64)
         with np.errstate(all="ignore"):
-            start = self.instance.equations.initial(
-                m, np.asarray(x0, dtype=np.float64), np.asarray(condition, dtype=np.float64), self._tuple(constants)
-            )
-        return np.array(start, dtype=np.float64)
+            start = self.instance.equations.initial(m, np.asarray(x0, dtype=np.float64), given, self._tuple(constants))
+        start = np.array(start, dtype=np.float64)
+        if not hasattr(self.instance.equations, "steady"):
+            return start
+        first = first_values(self.instance, inputs, at)
+        known = np.array(self._tuple(constants), dtype=np.float64)
+        return steady_start(self.instance, (self.rhs, self.jacobian), start, given, first, known)
 
     def _points(
         self, t: ArrayLike, x: ArrayLike, condition: ArrayLike, inputs: ArrayLike, constants: ArrayLike | None

@@ -121,10 +121,15 @@ def observations(model: Model) -> list[tuple[str, str]]:
 
 
 def starts(model: Model) -> list[tuple[str, str]]:
-    """Left and right side of each initial value that the model gives by an expression."""
+    """Left and right side of each initial value that the model gives by an expression, or from which a steady state is
+    reached."""
+    steady = {s.symbol for s in model.states if s.initial.kind == "steady"}
     at = "0" if model.time.start is None else expression(sympy.Float(model.time.start, 17))
     return [
-        (f"{expression(left)}({'t_{0}' if model.time.start is None else at})", expression(value))
+        (
+            f"{expression(left)}({'t_{0}' if model.time.start is None else at})",
+            expression(value) + (r"\ \text{and on to the steady state}" if left in steady else ""),
+        )
         for left, value in model.equations("starts")
     ]
 

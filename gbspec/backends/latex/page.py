@@ -100,7 +100,8 @@ def _unknowns(model: Model) -> str:
         network = model.networks[unknown.network]
         layers = "--".join(map(str, network.sizes))
         promises = "; ".join(f"${_contract(unknown, contract)}$" for contract in unknown.contracts)
-        rows.append((unknown, (f"{layers}, {network.activation}", promises)))
+        kind = f"spline {'--'.join(map(str, network.spline))}" if network.spline else f"{layers}, {network.activation}"
+        rows.append((unknown, (kind, promises)))
     posed = [equations.postulate(model, unknown) for unknown in model.unknowns]
     table = _table("", ("network", "guaranteed"), rows)
     return f"{_aligned('Unknown functions', posed)}\n{table}"
@@ -121,6 +122,13 @@ def _contract(unknown: Unknown, contract: Contract) -> str:
             return f"{symbol} \\nearrow {argument}"
         case "decreasing":
             return f"{symbol} \\searrow {argument}"
+        case "equals":
+            reached = "" if contract.to is None else expression(contract.to)
+            return f"{symbol} = {reached} \\text{{ at }} {argument} = {value}"
+        case "period":
+            return f"{symbol} \\text{{ of period }} {value} \\text{{ in }} {argument}"
+        case "convex" | "concave" | "odd" | "even":
+            return f"{symbol} \\text{{ {contract.kind} in }} {argument}"
 
 
 def _table(heading: str, columns: Sequence[str], rows: Iterable[tuple[Declared, Sequence[str]]]) -> str:

@@ -6,3 +6,6 @@ from .loader import load_module as load_module
 from .render import INTERFACE as INTERFACE
 from .render import class_name as class_name
 from .render import generate as generate
+from .starts import FoundStarts as FoundStarts
+from .starts import SearchStarts as SearchStarts
+from .starts import steady_starts as steady_starts

@@ -186,7 +186,7 @@ def initial_method(model: Model) -> str:
     names.fix(STATE, "state")
     for item in (*model.states, *model.conditions, *model.constants, *model.learnables):
         names.claim(item.symbol)
-    expressed = [s for s in model.states if s.initial.kind == "expression" and s.initial.value is not None]
+    expressed = [s for s in model.states if s.initial.known and s.initial.value is not None]
     document = "The initial state: `state`, with the initial values that the model gives inserted."
     parameters = ["cls", "math", "state", "condition", "constants"]
     if not expressed:

@@ -20,8 +20,8 @@ PLACE = re.compile(
 )
 
 
-OPTIONAL = re.compile(r"^[ ]*\# \[(events|algebraic|delays)\n(.*?)^[ ]*\# \1\]\n", flags=re.M | re.S)
-"""What only modules of models with events, with algebraic variables, or with delays, have."""
+OPTIONAL = re.compile(r"^[ ]*\# \[(events|algebraic|delays|steady)\n(.*?)^[ ]*\# \1\]\n", flags=re.M | re.S)
+"""What only modules of models with events, algebraic variables, delays or steady starts have."""
 EARLY = ("events", "delays")
 """Such files whose place is among the first ones."""
 

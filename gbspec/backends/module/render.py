@@ -8,7 +8,7 @@ import keyword
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from gbspec.backends.module import algebraic, attributes, delays, equations, events, stepping
+from gbspec.backends.module import algebraic, attributes, delays, equations, events, steady, stepping
 from gbspec.backends.module.elements import runs_of
 from gbspec.backends.module.filling import fill, template
 from gbspec.backends.printing import TextPrinter, docstring, identifier
@@ -23,7 +23,13 @@ def generate(model: Model, method: Method = RK4) -> str:
     """The standalone Python module of a model with steps of a method: the text that `gbspec compile` writes and that
     training runs."""
     name = class_name(model)
-    parts = {"events": model.events, "delays": model.delays, "lookups": model.tables, "algebraic": model.algebraics}
+    parts = {
+        "events": model.events,
+        "delays": model.delays,
+        "lookups": model.tables,
+        "algebraic": model.algebraics,
+        "steady": model.steady is not None,
+    }
     text = template(*(part for part, needed in parts.items() if needed))
     return fill(text.replace("-> Template:", f"-> {name}:"), _places(model, name, method))
 
@@ -49,6 +55,7 @@ def _places(model: Model, class_name: str, method: Method) -> dict[str, str]:
         *events.methods(model),
         *algebraic.methods(model),
         *delays.methods(model),
+        *steady.methods(model),
         *stepping.solver_methods(method),
         _unknown_table(model),
     ]
@@ -121,7 +128,8 @@ def _table_entry(table: Table) -> str:
 def _network_entry(network: Network) -> str:
     arguments = ", ".join(argument.name for argument in network.arguments)
     sizes = "-".join(map(str, attributes.sizes(network)))
-    return f"{', '.join(network.outputs)}({arguments}): mlp {sizes}, {network.activation}"
+    kind = f"spline {'-'.join(map(str, network.spline))}" if network.spline else f"mlp {sizes}, {network.activation}"
+    return f"{', '.join(network.outputs)}({arguments}): {kind}"
 
 
 def _class_document(model: Model) -> str:

@@ -113,7 +113,7 @@ def pose(model: Model, *, all_states: bool) -> Question:
     n = len(model.states)
     measured = {c.state for c in model.channels if c.state is not None}
     known = frozenset(range(n)) if all_states else frozenset(measured)
-    starts = tuple(None if all_states or s.initial.kind != "expression" else s.initial.value for s in model.states)
+    starts = tuple(s.initial.value if s.initial.kind == "expression" and not all_states else None for s in model.states)
     m = n + len(channels)
     doses = tuple(
         Arrival(model.state_index[dose.state], sympy.Dummy(f"dose_{dose.state}", real=True), fraction, lag)

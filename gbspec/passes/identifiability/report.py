@@ -67,9 +67,8 @@ def identifiability(model: Model, findings: Findings, budget: float = BUDGET) ->
     """
     if not model.learnables and not model.unknowns:
         return Identifiability(True)
-    if (
-        model.events or model.algebraics or model.delays
-    ):  # what resets, solved equations and the past tell is not examined
+    unexamined = model.events or model.algebraics or model.delays or model.steady is not None
+    if unexamined:  # what thresholds, resets, solved equations, the past and steady starts tell
         return Identifiability(False)
     if len(model.states) > MOST_STATES or not model.channels or larger_than(model, MOST_NODES):
         return Identifiability(False)

@@ -26,7 +26,7 @@ def build(source: Source) -> Figure:
     fitted = source.fitted
     most = ON_PAGE if source.page else IN_FILE
     found = collect.initial_states(fitted, source.chosen() or evenly_spaced(len(fitted.data), most))
-    known = {state.name for state in fitted.model.states if state.initial.kind == "expression"}
+    known = {state.name for state in fitted.model.states if state.initial.known}
     return figure(found, collect.units(fitted.model), known)
 
 

@@ -19,6 +19,7 @@ from .event import EventStatement as EventStatement
 from .function import FunctionStatement as FunctionStatement
 from .history import HistoryStatement as HistoryStatement
 from .initial import InitialStatement as InitialStatement
+from .initial import SteadyStatement as SteadyStatement
 from .input import InputStatement as InputStatement
 from .learn import LearnStatement as LearnStatement
 from .let import LetStatement as LetStatement

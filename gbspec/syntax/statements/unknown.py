@@ -12,11 +12,13 @@ from gbspec.syntax.nodes import (
     Argument,
     Bound,
     Contract,
+    EqualsAt,
     Expression,
-    Monotone,
     Name,
     NetworkSpec,
+    Periodic,
     RangeContract,
+    Shaped,
     Text,
     UnitExpression,
     ZeroAt,
@@ -85,7 +87,11 @@ def _values(contract: Contract) -> tuple[Expression, ...]:
             return (value,)
         case RangeContract(interval=interval):
             return interval.low, interval.high
-        case Monotone():
+        case EqualsAt(value=value, place=place):
+            return value, place
+        case Periodic(period=period):
+            return (period,)
+        case Shaped():
             return ()
         case _:
             assert_never(contract)

@@ -131,6 +131,12 @@ class ClauseRules(ExpressionRules):
     def learned_clause(self, children: Children) -> Clause:
         return Clause(self.over(children), "learned", None)
 
+    def steady_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "steady", True)
+
+    def with_clause(self, children: Children) -> Clause:
+        return Clause(self.over(children), "with", nodes(children))
+
     def postulates_clause(self, children: Children) -> Clause:
         values = nodes(children)
         for value in values:
@@ -147,11 +153,21 @@ class ClauseRules(ExpressionRules):
         node = ast.ZeroAt(self.over(children), self.name_at(children[2]), self.number_value(children[-1]))
         return Clause(node.span, "contract", node)
 
-    def monotone(self, children: Children) -> Clause:
-        direction = cast(Literal["increasing", "decreasing"], str(children[0]))
-        return Clause(
-            self.over(children), "contract", ast.Monotone(self.over(children), direction, self.name_at(children[2]))
+    def equals_at(self, children: Children) -> Clause:
+        _, value, _, argument, _, place = children
+        node = ast.EqualsAt(
+            self.over(children), self.number_value(value), self.name_at(argument), self.number_value(place)
         )
+        return Clause(node.span, "contract", node)
+
+    def shaped(self, children: Children) -> Clause:
+        shape = cast(ast.Shape, str(children[0]))
+        node = ast.Shaped(self.over(children), shape, self.name_at(children[2]))
+        return Clause(node.span, "contract", node)
+
+    def periodic(self, children: Children) -> Clause:
+        node = ast.Periodic(self.over(children), self.number_value(children[1]), self.name_at(children[3]))
+        return Clause(node.span, "contract", node)
 
     def contract(self, children: Children) -> ast.Contract:
         clause = children[-1]

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from gbspec.arrays import Array
-from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
+from gbspec.training.engines.arithmetic import observe_rows
 from gbspec.training.engines.linearised import Observed
+from gbspec.training.engines.starting import initial_states
 from gbspec.training.problem import STRETCH, Parameters, Problem
 
 Taped = list[tuple[int, int, Tensor, Tensor]]
@@ -61,7 +62,7 @@ class Columns:
         for name, shape in self.parameters.weight_shapes.items():
             size = int(np.prod(shape))
             if name in slopes:
-                shared[:, position : position + size] *= self.tensor(slopes[name].ravel())
+                shared[..., position : position + size] *= self.tensor(slopes[name].ravel())
             position += size
         return shared
 
@@ -74,18 +75,39 @@ class Columns:
         scale = self.tensor(parameters.start_free * parameters.start_scale * STRETCH)[who]
         local[:, :, len(parameters.own) :] = d_start * scale[:, None, :]
         self.add_constants(shared, local, d_constants, who)
+        if self._start_weights is not None and not self.only_local:
+            shared += self._start_weights[who]
         return shared, local
 
     @cached_property
     def _start_derivatives(self) -> list[Tensor]:
         """Derivatives of the initial states with respect to their learned values [N, n, n] and each constant [N, n]."""
+        return self._starts[0]
+
+    @cached_property
+    def _start_weights(self) -> Tensor | None:
+        """Derivatives of steady starts with respect to the weights [N, n, columns]; None where they do not matter."""
+        return self._starts[1]
+
+    @cached_property
+    def _starts(self) -> tuple[list[Tensor], Tensor | None]:
         problem = self.problem
+        tape: Taped = []
         x0 = self.parameters.starts(self.vector).detach().requires_grad_()
         k = [column.detach().clone().requires_grad_() for column in self.constants.unbind(1)]
-        ops, condition = torch_arithmetic(problem.module), self.tensor(problem.packed.condition)
-        out = problem.module.equations.initial(ops, x0, condition, tuple(k))
-        rows = [gradients(out[:, i].sum(), [x0, *k]) for i in range(out.shape[1])]
-        return [torch.stack([row[j] for row in rows], 1) for j in range(1 + len(k))]
+        steady = problem.model.steady is not None
+        networks = problem.module.torch_networks(self.weights, tape) if steady else ()
+        constants = torch.stack(k, 1) if k else self.zeros((len(x0), 0))
+        out = initial_states(problem, self.parameters, self.vector, x0, constants, networks)
+        weights = self.zeros((len(x0), out.shape[1], self.shared)) if tape and not self.only_local else None
+        rows = []
+        for i in range(out.shape[1]):
+            grads = gradients(out[:, i].sum(), [x0, *k, *(z for *_, z in tape)])
+            rows.append(grads[: 1 + len(k)])
+            if weights is not None:
+                self._add_weights(weights[:, i], tape, grads[1 + len(k) :])
+        found = [torch.stack([row[j] for row in rows], 1).detach() for j in range(1 + len(k))]
+        return found, None if weights is None else weights.detach()
 
     def add_constants(self, shared: Tensor, local: Tensor, derivatives: list[Tensor], owner: Tensor) -> None:
         """Adds derivatives by constants ([B, n] per constant, natural units) to the columns of their trainable

@@ -28,6 +28,9 @@ LEAST_NOISE = 1e-6
 """Lower bound of the noise: with exact data a prior matters only for what they do not determine, but must not
 vanish."""
 
+SMOOTH = 1.0
+"""The prior standard deviation of second differences of a spline's coefficients, in units of the function's scale."""
+
 
 def prior_sd(prior: Prior) -> float:
     """The standard deviation of a constant, or of its logarithm under a lognormal prior."""
@@ -74,6 +77,9 @@ class Priors:
             owner = np.flatnonzero(parameters.start_free[:, i]).astype(np.int64)
             columns.append(parameters.n_shared + owner * local + len(parameters.own) + i)
             owners.append(owner)
+        smooth = _smooth(parameters)
+        columns.append(smooth)
+        owners.append(np.zeros(len(smooth), dtype=np.int64))
         stated = problem.scaling.noise
         if stated is None:
             stated = max(typical(problem.of_noise(residuals)), LEAST_NOISE) if len(columns) > 1 else 0.0
@@ -130,6 +136,7 @@ class Priors:
         for i, center, sd in _guessed(parameters):
             free = torch.from_numpy(np.flatnonzero(parameters.start_free[:, i]))
             found.append(self.spread * (parameters.starts(theta)[free, i] - center) / sd)
+        found.append(self.noise * theta[torch.from_numpy(_smooth(parameters))] / SMOOTH)
         return torch.cat(found)
 
     def slopes(self, theta: Array) -> Array:
@@ -152,13 +159,24 @@ def root_mean_square(residuals: Array) -> float:
 def priors_at(engine: Engine, theta: Array) -> Priors:
     """The priors at a vector; its residuals are computed only if the noise is estimated from them."""
     problem, parameters = engine.problem, engine.parameters
-    needed = bool(_guessed(parameters)) or (problem.scaling.noise is None and bool(_with_prior(parameters)))
+    learned = bool(_with_prior(parameters)) or len(_smooth(parameters)) > 0
+    needed = bool(_guessed(parameters)) or (problem.scaling.noise is None and learned)
     return Priors.of(problem, parameters, residual_vector(engine, theta) if needed else np.zeros(0))
 
 
 def _with_prior(parameters: Parameters) -> list[int]:
     """Indices of the learnables that have a prior."""
     return [i for i, learnable in enumerate(parameters.model.learnables) if learnable.prior is not None]
+
+
+def _smooth(parameters: Parameters) -> Integers:
+    """The entries of the trainable vector that are second differences of splines' coefficients."""
+    places = {f"network.{n.name}.0.bias": n.smooth for n in parameters.model.networks if n.smooth}
+    found, position = [np.zeros(0, dtype=np.int64)], 0
+    for name, shape in parameters.weight_shapes.items():
+        found.append(position + np.array(places.get(name, ()), dtype=np.int64))
+        position += int(np.prod(shape))
+    return np.concatenate(found)
 
 
 def _guessed(parameters: Parameters) -> list[tuple[int, float, float]]:

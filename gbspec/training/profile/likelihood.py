@@ -340,7 +340,7 @@ class _Profiler:
         """Whether the run's fit treated measured initial values as measurements, as fits of whole solutions to noisy
         data do."""
         starts = np.asarray(self.weights.get("initial", np.zeros((0, 0))))
-        kept = (self.free.start_free == 0) & [state.initial.kind != "expression" for state in self.model.states]
+        kept = (self.free.start_free == 0) & [not state.initial.known for state in self.model.states]
         return starts.shape == kept.shape and not np.allclose(starts[kept], self.free.start_value[kept], rtol=1e-9)
 
     def _fixed(self) -> dict[str, Array]:

@@ -30,7 +30,7 @@ AGE = 9.0
 
 def expressed(context: Context) -> list[str]:
     """The states whose initial value is an expression of the model; the time before it is then undefined."""
-    return [state.name for state in context.model.states if state.initial.kind == "expression"]
+    return [state.name for state in context.model.states if state.initial.known]
 
 
 def bred_starts(context: Context, parameters: Parameters, theta: Array, blend: float) -> Array:

@@ -242,14 +242,14 @@ def start_states(model: Model, trajectories: Trajectories, curves: Curves, packe
         value[packed.row_trajectory[first], i] = measured[first, i]
         if state.initial.kind == "measured":
             free[packed.row_trajectory[first], i] = 0.0
-        elif state.initial.kind == "expression":
+        elif state.initial.known:
             free[:, i] = 0.0
     return value, free
 
 
 def released_starts(model: Model, free: Array) -> Array:
     """The mask of learned initial states [N, n_states] if measured ones are released: all except expressions."""
-    expressed = np.array([state.initial.kind == "expression" for state in model.states], dtype=bool)
+    expressed = np.array([state.initial.known for state in model.states], dtype=bool)
     return np.where(expressed, free, 1.0)
 
 

@@ -87,7 +87,7 @@ def _part(item: Trajectory, low: int, high: int) -> Trajectory:
 
 def divisible(model: Model) -> bool:
     """Whether a segment can begin at any row."""
-    expressed = any(state.initial.kind == "expression" for state in model.states)
+    expressed = any(state.initial.known for state in model.states)
     return not expressed and not model.delays and all(dose.lag == 0 for dose in model.doses)
 
 

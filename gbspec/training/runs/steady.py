@@ -30,7 +30,7 @@ def unsteady(instance: GeneratedModule, items: Sequence[Trajectory], constants: 
             continue
         times = np.array([item.begins - item.run_in.interval, item.begins])
         own = constants[min(i, len(constants) - 1)]
-        x0 = evaluator.initial(np.zeros(evaluator.n_states), item.condition, own)
+        x0 = evaluator.initial(np.zeros(evaluator.n_states), item.condition, own, item.inputs, item.start)
         try:
             before, after = evaluator.integrate(
                 x0, times, item.condition, item.inputs, item.start, doses=item.doses, constants=own, rtol=1e-7

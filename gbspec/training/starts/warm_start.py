@@ -273,6 +273,8 @@ def network_scales(model: Model, eliminated: Eliminated) -> Weights:
             low[i], high[i] = (column.min(), column.max()) if len(column) else declared
             center[i] = column.mean() if len(column) else (declared[0] + declared[1]) / 2
             scale[i] = column.std() if varies else max((declared[1] - declared[0]) / np.sqrt(12), 1e-12)
+            if i in network.cyclic:  # the network gets a cosine in its place
+                center[i], scale[i] = 0.0, np.sqrt(0.5)
         out |= {f"network.{name}.input_center": center, f"network.{name}.input_scale": scale}
         out |= {f"network.{name}.input_low": low, f"network.{name}.input_high": high}
         center_out, scale_out = _output_scale(model, index, outputs)

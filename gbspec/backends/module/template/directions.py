@@ -10,17 +10,32 @@ import numpy as np
 
 # <body>
 # ---------------------------------------------------------------------- directions
-# Contracts that need a network monotone in an argument constrain the signs of weights. A unit has a kind, one
-# character per argument: non-decreasing (+), non-increasing (-), unconstrained (*) or independent of it (0). A weight
-# with a given sign is sign*gain*softplus(sharpness*w), where w is trained; one that would violate a kind is omitted.
+# Contracts that need a network monotone or bent in an argument constrain the signs of weights. A unit has a kind, one
+# character per argument, with properties of its own: non-decreasing (i), non-increasing (d), convex (x), concave (c).
+# A weight with a given sign is sign*gain*softplus(sharpness*w), where w is trained; one that would violate a kind is
+# omitted. Arguments themselves are straight (l).
 # Concave units, -softplus(-z), are computed as softplus(z) with the signs of their weights reversed.
 
-_TURNED = str.maketrans("+-", "-+")
+_PROPERTIES = {
+    "0": "idxc",
+    "*": "",
+    "+": "i",
+    "-": "d",
+    "l": "ixc",
+    "m": "dxc",
+    "x": "x",
+    "c": "c",
+    "p": "xi",
+    "q": "xd",
+    "r": "ci",
+    "s": "cd",
+}
+_TURNED = str.maketrans("+-lmxcpqrs", "-+mlcxsrqp")
 
 
 def _fits(kind: str, into: str) -> bool:
     """Whether a unit of one kind may feed one of another with a positive weight."""
-    return all(a in ("0", b) or b == "*" for a, b in zip(kind, into, strict=True))
+    return all(set(_PROPERTIES[b]) <= set(_PROPERTIES[a]) for a, b in zip(kind, into, strict=True))
 
 
 @functools.cache
@@ -28,7 +43,7 @@ def _weight_forms(layout: Any, sizes: tuple[int, ...]) -> tuple[tuple[Any, Any, 
     """For each layer (free, gain, sharpness, turned): weight = free*w + gain*softplus(sharpness*w), bias = turned*b."""
     hidden, outputs = layout
     n = sizes[0]
-    layers = [[("0" * i + "+" + "0" * (n - i - 1), 1.0) for i in range(n)]]
+    layers = [[("0" * i + "l" + "0" * (n - i - 1), 1.0) for i in range(n)]]
     layers += [
         [(kind, -1.0 if shape == "concave" else 1.0) for kind, shape, count in blocks for _ in range(count)]
         for blocks in hidden

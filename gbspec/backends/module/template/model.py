@@ -25,6 +25,7 @@ from gbspec.backends.module.template.delays import _delayed_solution, _width
 from gbspec.backends.module.template.directions import _weight_slopes
 from gbspec.backends.module.template.networks import _casadi_name, _casadi_network, _numpy_network, _torch_network
 from gbspec.backends.module.template.slopes import _function_slopes, _rhs_slopes
+from gbspec.backends.module.template.steady import _steady_starts
 from gbspec.backends.module.template.stepping import _Adaptive
 from gbspec.backends.module.template.tensors import _read_tensors, _write_tensors
 from gbspec.backends.module.template.vectors import _by_name, _signal, _spread, _tensor, _vector
@@ -172,10 +173,7 @@ class Template:  # {{class}}
 
     @classmethod
     def random(cls, seed: int = 0) -> Template:
-        """Random weights: uniform in +-1/sqrt(inputs), in the last layer a tenth of that, so that slopes are small.
-
-        Inputs are scaled by the arguments' ranges if these are bounded; outputs are close to the neutral value.
-        """
+        """Random weights: uniform in +-1/sqrt(inputs), in the last layer a tenth of that, inputs scaled by ranges."""
         return cls(_random_weights(cls, np.random.default_rng(seed)))
 
     @classmethod
@@ -248,11 +246,15 @@ class Template:  # {{class}}
         k, f = self._parameters(x, constants)
         return self.equations.observe(_torch_arithmetic(), _tensor(t, x), x, condition, inputs, k, f)
 
-    def initial(self, x0: Any, condition: Any = None, constants: Any = None) -> Any:
-        """The initial state [..., n_states]: x0, with the initial values that the model gives inserted."""
+    def initial(self, x0: Any, condition: Any = None, constants: Any = None, inputs: Any = None) -> Any:
+        """The initial state [..., n_states]: x0, with what the model gives inserted; steady starts use `inputs`."""
         x, condition, _ = self._arguments(x0, condition, None, need_inputs=False)
-        k, _ = self._parameters(x, constants)
-        return self.equations.initial(_torch_arithmetic(), x, condition, k)
+        k, f = self._parameters(x, constants)
+        start = self.equations.initial(_torch_arithmetic(), x, condition, k)
+        # [steady
+        start = _steady_starts(self, *self._arguments(start, condition, inputs), k, f)
+        # steady]
+        return start  # noqa: RET504
 
     def step(self, t: Any, x: Any, h: Any, condition: Any = None, inputs: Any = None, constants: Any = None) -> Any:
         """One step of `solver`, of size h (a number or [...]) from x [..., n_states] at t, with constant `inputs`."""

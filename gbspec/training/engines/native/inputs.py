@@ -12,6 +12,7 @@ from gbspec.arrays import Array
 from gbspec.backends import NUMBER_WORDS, Library, NetworkLayers, Struct, network_layers
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import delivered
+from gbspec.training.engines.starting import initial_states
 from gbspec.training.problem import Parameters, Problem
 
 
@@ -34,10 +35,8 @@ class KernelInputs:
     def of(cls, problem: Problem, parameters: Parameters, vector: Tensor) -> KernelInputs:
         """The values at a vector, differentiable in it."""
         constants = parameters.constants(vector)
-        condition = torch.from_numpy(problem.packed.condition)
-        initial = problem.module.equations.initial(
-            torch_arithmetic(problem.module), parameters.starts(vector), condition, constants.unbind(1)
-        )
+        called = () if problem.model.steady is None else problem.module.torch_networks(parameters.weights(vector))
+        initial = initial_states(problem, parameters, vector, parameters.starts(vector), constants, called)
         networks = network_layers(problem.module, parameters.weights(vector), torch_arithmetic(problem.module))
         layers = _layer_weights(networks, vector)
         return cls(layers, constants, initial, *delivered(problem, constants), _numbers(networks))

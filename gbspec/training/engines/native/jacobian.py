@@ -122,7 +122,10 @@ def jacobian(columns: Columns, kernel: Kernel, tables: Tables, moments: Moments,
     unused = [columns.zeros(())] * len(problem.model.constants)
     release, d_state = 1.0 - problem.forcing.weight, np.ascontiguousarray(observed.state.numpy())
     for who, blocks in intervals.blocks(columns.shared):
-        totals = [part.numpy() for part in columns.initial(torch.from_numpy(who))]
+        begun, own_begun = columns.initial(torch.from_numpy(who))
+        if problem.model.steady is not None:  # the only starts that depend on weights, here on the trained ones
+            begun = columns.of_trained_weights(begun)
+        totals = [begun.numpy(), own_begun.numpy()]
         for rows in blocks:
             found, owner = intervals.derivatives(rows, columns.shared), packed.row_trajectory[rows]
             own = np.zeros((len(rows), columns.n_states, local.shape[1]))

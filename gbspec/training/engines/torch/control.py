@@ -17,6 +17,7 @@ from torch import Tensor
 from gbspec.arrays import Array, Mask
 from gbspec.ir import METHODS, Explicit, RosenbrockW
 from gbspec.training.engines.arithmetic import torch_arithmetic
+from gbspec.training.engines.starting import initial_states
 from gbspec.training.engines.torch.affine import Field
 from gbspec.training.engines.torch.segments import cut
 from gbspec.training.engines.torch.sub_steps import Arrivals, Deliveries, solver_of
@@ -48,9 +49,8 @@ class _Walk:
         constants = parameters.constants(vector)
         self.condition = torch.from_numpy(path.packed.condition)[segments.owner]
         self.k = tuple(constants[segments.owner].unbind(1))
-        initial = problem.module.equations.initial(
-            self.ops, parameters.starts(vector), torch.from_numpy(path.packed.condition), constants.unbind(1)
-        )
+        x0 = parameters.starts(vector)
+        initial = initial_states(problem, parameters, vector, x0, constants, self.networks)
         self.x = initial[segments.owner].clone()
         later = segments.start >= 0
         self.x[later] = torch.from_numpy(problem.forcing.value[segments.start[later]])

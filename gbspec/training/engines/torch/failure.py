@@ -11,6 +11,7 @@ from gbspec.backends import Value
 from gbspec.diagnostics import ComputationError
 from gbspec.training.engines.arithmetic import torch_arithmetic
 from gbspec.training.engines.deliveries import Paths
+from gbspec.training.engines.starting import initial_or_failure
 from gbspec.training.engines.torch.control import planned
 from gbspec.training.engines.torch.segments import Schedule
 from gbspec.training.engines.torch.sub_steps import Deliveries, advance, cutting, sub_step
@@ -51,14 +52,18 @@ def _first_failure(problem: Problem, parameters: Parameters, theta: Array) -> tu
     path = Paths(problem, planned).at(parameters, theta)
     packed, names = path.packed, [s.name for s in problem.model.states]
     networks = module.torch_networks(parameters.weights(vector))
-    k = tuple(parameters.constants(vector).unbind(1))
+    constants = parameters.constants(vector)
+    k = tuple(constants.unbind(1))
     c = torch.from_numpy(packed.condition)
     deliveries, rhs = Deliveries.of(problem, c, k), module.equations.field(m, c, k, networks)
     events = cutting(problem, c, k, networks, networks)
-    x = module.equations.initial(m, parameters.starts(vector), c, k)
+    x, unsteady = initial_or_failure(problem, parameters, vector, parameters.starts(vector), constants, networks)
     bad = ~torch.isfinite(x)
     if bad.any():
         i = int(torch.nonzero(bad)[0, 0])
+        if i in unsteady:
+            why = f"there is no steady start of `{unsteady[i][0]}`: {unsteady[i][1]}"
+            return i, float(packed.start[i]), why, x[i].numpy()
         which = ", ".join(f"`{names[j]}`" for j in torch.nonzero(bad[i])[:, 0].tolist())
         return i, float(packed.start[i]), f"the initial state of {which} is not finite", x[i].numpy()
     everyone = np.arange(packed.trajectories)

@@ -11,6 +11,7 @@ from torch.utils.checkpoint import checkpoint
 from gbspec.backends import Networks, Value
 from gbspec.ir import residuals
 from gbspec.training.engines.arithmetic import observe_rows, torch_arithmetic
+from gbspec.training.engines.starting import initial_states
 from gbspec.training.engines.torch import memory
 from gbspec.training.engines.torch.affine import Affine, Field, affine, affine_by_model
 from gbspec.training.engines.torch.delays import follow, past_of
@@ -36,9 +37,7 @@ def unroll(problem: Problem, parameters: Parameters, theta: Tensor, schedule: Sc
     packed, module = problem.packed, problem.module
     networks = module.torch_networks(parameters.weights(theta))
     constants = parameters.constants(theta)
-    k = tuple(constants.unbind(1))
-    condition = theta.new_tensor(packed.condition)
-    initial = module.equations.initial(torch_arithmetic(module), parameters.starts(theta), condition, k)
+    initial = initial_states(problem, parameters, theta, parameters.starts(theta), constants, networks)
     x = torch.where(schedule.fresh, initial[schedule.owner], schedule.start)
     motion = Motion(problem, schedule, parameters, constants, networks)
     states, late = motion.delayed(schedule, x) if problem.model.delays else (_run(schedule, motion, x), None)

@@ -1,0 +1,44 @@
+"""The steady start of a model as a method of the generated class."""
+
+from __future__ import annotations
+
+from gbspec.backends.module.equations import PARAMETERS, body_of
+from gbspec.backends.module.writing import comma, method_text
+from gbspec.backends.printing import Assignment, Names, temporary
+from gbspec.ir import Model
+
+
+def methods(model: Model) -> list[str]:
+    """`steady_states` and `steady`, in models that start in a steady state."""
+    if model.steady is None:
+        return []
+    names = Names(PARAMETERS)
+    given = (*model.conditions, *model.inputs)
+    for item in (*given, *model.constants, *model.learnables):
+        names.claim(item.symbol)
+    held = {name: Assignment(temporary(f"held_{name}"), value, name) for name, value in model.steady.held}
+    laws = [
+        [Assignment(temporary(f"law{i}_{j}"), value, f"law{i}_{j}") for j, value in enumerate(law)]
+        for i, law in enumerate(model.steady.laws)
+    ]
+    outputs = [*held.values(), *(one for law in laws for one in law)]
+    body = body_of(model, outputs, names, {item.symbol for item in given if item.name not in held})
+    parts = []
+    for word, items in (("condition", model.conditions), ("inputs", model.inputs)):
+        found = comma(names[held[item.name].symbol if item.name in held else item.symbol] for item in items)
+        parts.append(f"math.pack({word}, ({found}))" if any(item.name in held for item in items) else word)
+    rows = (f"({comma(names[one.symbol] for one in law)})" for law in laws)
+    body.append(f"return {parts[0]}, {parts[1]}, ({comma(rows)})")
+    document = "Conditions and inputs while a steady state is sought, and the sums of its states that are conserved."
+    places = comma(str(i) for i in model.steady.states)
+    return [
+        f"# the states that start in a steady state\nsteady_states: ClassVar[tuple[int, ...]] = ({places})",
+        method_text(
+            "@staticmethod",
+            "settled",
+            ["slopes", "jacobians", "start", "laws"],
+            "The steady states that are reached from starts, for functions of numpy.",
+            ["return _settled(slopes, jacobians, start, laws)"],
+        ),
+        method_text("@classmethod", "steady", ["cls", "math", "condition", "inputs", "constants"], document, body),
+    ]

@@ -1,0 +1,91 @@
+"""Steady starts in the evaluator and in the generated module: which is taken, and what is said without one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gbspec.backends import Evaluator, load_module
+from gbspec.data.trajectories import Signal
+from gbspec.diagnostics import ComputationError, Findings, Source
+from gbspec.frontend import load_model
+
+HEAD = "model m\nobserve x\n"
+
+
+def evaluator_of(text: str) -> Evaluator:
+    model = load_model("m.gb", Findings(), lambda path: Source(str(path), HEAD + text))
+    return Evaluator(load_module(model)())
+
+
+@pytest.mark.parametrize(("start", "reached"), [(0.2, 0.0), (0.31, 1.0), (3.0, 1.0), (-5.0, 0.0), (0.3, 0.3)])
+def test_of_several_the_one_that_the_solution_reaches(start: float, reached: float) -> None:
+    one = evaluator_of(f"state x = {start}\nx' = -x*(x - 0.3)*(x - 1)\ninitial steady\n")
+    assert one.initial([np.nan])[0] == pytest.approx(reached, abs=1e-12)
+    assert float(one.instance.initial([0.0])) == pytest.approx(reached, abs=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e12])
+def test_whatever_the_units(size: float) -> None:
+    one = evaluator_of(f"state x = {size}\nlearn k = 2\nx' = {size}*k - 3*x\ninitial steady\n")
+    assert one.initial([0.0])[0] == pytest.approx(2 * size / 3, rel=1e-12)
+
+
+def test_stiff_and_conserved() -> None:
+    text = """state x = 1
+state y = 0
+state z = 0
+condition total
+initial x = total
+x' = -0.04*x + 1e4*y*z
+y' = 0.04*x - 1e4*y*z - 3e7*y^2 + 0.1*z
+z' = 3e7*y^2 - 0.1*z
+initial steady
+"""
+    one = evaluator_of(text)
+    state = one.initial(np.zeros(3), [2.0])
+    assert state.sum() == pytest.approx(2.0, rel=1e-13)
+    assert np.abs(one.rhs_many(0.0, state[None], [2.0])).max() < 1e-12
+    found = one.instance.initial(torch.zeros(4, 3).double(), [[2.0], [1.0], [0.5], [2.0]])
+    np.testing.assert_allclose(found[0].numpy(), state, rtol=1e-11)
+    np.testing.assert_allclose(found.sum(-1).numpy(), [2.0, 1.0, 0.5, 2.0], rtol=1e-13)
+
+
+def test_in_single_precision() -> None:
+    one = evaluator_of("state x = 0.1\nstate y = 1\nx' = y - x^2\ny' = 2 - y\ninitial steady\n")
+    found = one.instance.initial(torch.zeros(3, 2))
+    assert found.dtype == torch.float32
+    np.testing.assert_allclose(found.numpy(), [[2**0.5, 2.0]] * 3, rtol=1e-6)
+
+
+def test_the_first_inputs_count_and_infusions_are_off() -> None:
+    text = "input u linear\nstate x = 1\nstate y = 1\nx' = u - x\ny' = x - y\ndose x over 2\ninitial steady\n"
+    one = evaluator_of(text)
+    course = Signal(np.array([0.0, 2.0]), np.array([1.0, 3.0]))
+    off = Signal(np.array([0.0]), np.array([5.0]))
+    assert one.instance.inputs[0] == "u" and len(one.instance.inputs) == 2
+    np.testing.assert_allclose(one.initial([0.0, 0.0], (), None, (course, off), 1.0), [2.0, 2.0], rtol=1e-12)
+
+
+def test_a_single_state_with_the_others_at_their_starts() -> None:
+    one = evaluator_of("state x = 1\nstate y = 1\nx' = y - x\ny' = -y\ninitial x steady\ninitial y = 4\n")
+    np.testing.assert_allclose(one.initial([0.0, 0.0]), [4.0, 4.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("balances", "reason"),
+    [
+        ("x' = y\ny' = -x", "does not come to rest"),
+        ("x' = 1\ny' = -y", "does not come to rest"),
+        ("x' = x^2 + 1\ny' = -y", "does not come to rest"),
+        ("x' = y*x - y*x^2\ny' = -y", "singular"),
+    ],
+)
+def test_where_there_is_none_it_says_why(balances: str, reason: str) -> None:
+    one = evaluator_of(f"state x = 0.4\nstate y = 1\n{balances}\ninitial steady\n")
+    with pytest.raises(ComputationError, match=r"no steady start of `[xy]`") as found:
+        one.initial([0.0, 0.0])
+    assert reason in found.value.what
+    with pytest.raises(ArithmeticError, match=r"no steady start of `[xy]` in row 0"):
+        one.instance.initial([0.0, 0.0])
