@@ -13,6 +13,7 @@ from .derivatives import partials as partials
 from .distributions import PREDICTION as PREDICTION
 from .distributions import Distribution as Distribution
 from .distributions import Noise as Noise
+from .distributions import NoiseKind as NoiseKind
 from .distributions import Spread as Spread
 from .dumping import dump as dump
 from .dumping import guarantee as guarantee

@@ -205,7 +205,8 @@ def _event(event: Event) -> str:
 
 
 def _scale(noise: Noise) -> str:
-    return repr(noise.scale) if noise.value is None else written(noise.value)
+    scale = repr(noise.scale) if noise.value is None else written(noise.value)
+    return scale if noise.freedom is None else f"{scale}, {written(noise.freedom)}"
 
 
 def _array(array: StateArray) -> Iterable[str]:

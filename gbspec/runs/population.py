@@ -2,7 +2,8 @@
 
 `members/K/population.safetensors` has, for every measured value, its trajectory, channel and time, the predictions of
 the population (all deviations 0) and of the trajectory's own constants, conditional weighted residuals (`cwres`) and
-those of the own predictions (`iwres`), and the quantiles of a visual predictive check.
+those of the own predictions (`iwres`), normalised prediction distribution errors (`npde`),
+and the quantiles of a visual predictive check.
 """
 
 from __future__ import annotations
@@ -44,10 +45,22 @@ class EffectRecord:
 
 
 @dataclass(frozen=True)
+class ErrorsRecord:
+    """Normalised prediction distribution errors of a channel: their number, mean and variance, and the p value of their
+    being standard normal (three tests, Bonferroni)."""
+
+    n: int
+    mean: float
+    variance: float
+    p: float
+    others: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class PopulationRecord:
     """A fit by the marginal likelihood. `correlations` are of deviations. `parameters` is the number p of estimated
     numbers (of weights the effective one), `aic` is -2 log L + 2 p, `bic` -2 log L + p log(measured values);
-    `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks."""
+    `nodes` of quadrature for each effect (1: Laplace's method), `ridge` of networks, and `npde` by channel."""
 
     minus2ll: float
     effects: Mapping[str, EffectRecord]
@@ -57,6 +70,7 @@ class PopulationRecord:
     bic: float | None = None
     nodes: int = 1
     ridge: float | None = field(default=None, metadata=OMITTED)
+    npde: Mapping[str, ErrorsRecord] = field(default_factory=dict)
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -14,6 +14,7 @@ from gbspec.semantics import (
     events,
     graph,
     measured_rates,
+    noises,
     places,
     populations,
     processes,
@@ -88,6 +89,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     unknowns.check(items, numbers, findings)
     points = tables.check(items, findings)
     populations.check(items, names, numbers, findings)
+    noises.check(items, numbers, findings)
     terms = _terms(places_of, names, findings)
     balances.once(items, findings)
     balances.targets(items, names, findings, merged)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -225,8 +223,8 @@ def test_the_information_of_spreads_is_that_of_a_normal_distribution() -> None:
     omega = np.array([[2.0, 0.3], [0.3, 1.0]])
     spread = np.array([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]], np.zeros((2, 2))])
     noise = np.stack([*np.zeros((3, 5)), np.ones(5)], axis=1)
-    of = cast(Any, SimpleNamespace(by_z=torch.from_numpy(f), variance=torch.from_numpy(variance)))
-    found = marginal._information(owner, np.zeros((5, 4)), of, omega, spread, noise, np.arange(5))
+    parts = marginal._Linearised(np.zeros((5, 4)), f, variance, omega, spread, noise, np.zeros((5, 4)))
+    found = marginal._information(owner, parts, np.arange(5))
     expected = np.zeros((4, 4))
     for rows in (owner == 0, owner == 1):
         inverse = np.linalg.inv(np.diag(variance[rows]) + f[rows] @ omega @ f[rows].T)

@@ -69,7 +69,12 @@ class Question:
         The analysis does not reach noises and distributions: what only these contain is undecided.
         """
         elsewhere = {
-            s for c in self.model.channels if c.noise and c.noise.value is not None for s in c.noise.value.free_symbols
+            s
+            for c in self.model.channels
+            if c.noise
+            for e in (c.noise.value, c.noise.freedom)
+            if e is not None
+            for s in e.free_symbols
         }
         elsewhere |= {
             symbol(k.distribution.spread) for k in self.model.distributed if k.distribution and k.distribution.spread

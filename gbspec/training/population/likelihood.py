@@ -22,13 +22,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import sympy
 import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
 from gbspec.ir import symbol
+from gbspec.training.population import student
 from gbspec.training.population.layout import Layout
-from gbspec.training.population.noise import LEAST, standard_deviation
+from gbspec.training.population.noise import LEAST, degrees_of_freedom, standard_deviation, student_noise
 from gbspec.training.population.predictions import Predictions
 
 LOG_2PI = float(np.log(2 * np.pi))
@@ -43,6 +45,8 @@ class Compared:
     """Predictions compared with values [m]: on the logarithmic scale where the noise is lognormal.
 
     `mean`, `residual`, `variance`, its derivative by the mean `slope` (all [m]), and the sensitivities `by_z` [m, q].
+    Where the noise is Student's, `variance` is the square of its scale and `freedom` [m] its degrees of freedom
+    (elsewhere 1, without meaning).
     """
 
     mean: Tensor
@@ -50,6 +54,7 @@ class Compared:
     variance: Tensor
     slope: Tensor
     by_z: Tensor
+    freedom: Tensor
 
 
 class Likelihood:
@@ -69,6 +74,8 @@ class Likelihood:
         ]
         self.side = torch.from_numpy(measured.side)
         self.limited = bool(measured.side.any())
+        heavy = np.array([student_noise(c) for c in layout.model.channels], dtype=np.bool_)[measured.channel]
+        self.heavy, self.outliers = torch.from_numpy(heavy), bool(heavy.any())
         # The density of a value whose logarithm is normal has the factor 1/value.
         jacobian = np.where(measured.logarithm & (measured.side == 0), 2 * measured.value, 0.0)
         self.constant = self.sums(torch.from_numpy(jacobian))
@@ -93,24 +100,40 @@ class Likelihood:
         if not mean.requires_grad:
             variance = variance.detach()
         rate = torch.zeros_like(mean) if rate is None else rate
-        return Compared(mean, mean - self.value, variance, rate, by_z)
+        return Compared(mean, mean - self.value, variance, rate, by_z, self.freedom(natural))
+
+    def freedom(self, natural: Tensor) -> Tensor:
+        """The degrees of freedom [m] of values with Student's noise, 1 of others."""
+        out = torch.ones(len(self.value), dtype=torch.float64)
+        for channel, rows in enumerate(self.channels):
+            noise = self.layout.model.channels[channel].noise
+            if len(rows) and noise is not None and noise.freedom is not None:
+                known = self._known(natural, rows)
+                found = degrees_of_freedom(self.layout.model, noise.freedom, known, out[rows])
+                out = out.index_add(0, rows, found - 1)
+        return out
+
+    def _known(self, natural: Tensor, rows: Tensor) -> dict[sympy.Symbol, Tensor]:
+        """The parameters by symbol, for each of these values."""
+        table = natural[self.owner[rows]]
+        return {symbol(name): table[:, place] for name, place in self.layout.names.items()}
 
     def variance(self, mean: Tensor, natural: Tensor) -> Tensor:
         """The variances [m] of the measured values."""
         model, out = self.layout.model, torch.zeros_like(mean)
-        names = {symbol(name): place for name, place in self.layout.names.items()}
         for channel, rows in enumerate(self.channels):
             if not len(rows):
                 continue
             f = torch.where(self.logs[rows], torch.exp(mean[rows]), mean[rows])
-            table = natural[self.owner[rows]]
-            known = {name: table[:, place] for name, place in names.items()}
+            known = self._known(natural, rows)
             out = out.index_add(0, rows, standard_deviation(model, channel, f, known) ** 2)
         return torch.clamp(out * self.share + self.extra + 0 * mean, min=LEAST)
 
     def joint(self, of: Compared, z: Tensor) -> Tensor:
         """g [N]."""
         terms = LOG_2PI + torch.log(of.variance) + of.residual**2 / of.variance
+        if self.outliers:
+            terms = torch.where(self.heavy, student.minus_two_log(of.residual, of.variance, of.freedom), terms)
         if self.limited:
             place, _ = self._limit(of)
             terms = torch.where(self.side == 0, terms, -2 * torch.special.log_ndtr(place))
@@ -119,6 +142,9 @@ class Likelihood:
     def half_gradient(self, of: Compared, z: Tensor) -> Tensor:
         """The gradient of g/2 by z [N, q]."""
         by_mean = of.residual / of.variance + 0.5 * of.slope * (1 / of.variance - of.residual**2 / of.variance**2)
+        if self.outliers:
+            other = student.by_mean(of.residual, of.variance, of.slope, of.freedom)
+            by_mean = torch.where(self.heavy, other, by_mean)
         if self.limited:
             place, by = self._limit(of)
             by_mean = torch.where(self.side == 0, by_mean, -_mills(place) * by)
@@ -127,6 +153,8 @@ class Likelihood:
     def expected_hessian(self, of: Compared) -> Tensor:
         """H [N, q, q]."""
         weight = 1 / of.variance + 0.5 * (of.slope / of.variance) ** 2
+        if self.outliers:
+            weight = torch.where(self.heavy, student.expected(of.variance, of.slope, of.freedom), weight)
         if self.limited:
             place, by = self._limit(of)
             ratio = _mills(place)

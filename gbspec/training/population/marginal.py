@@ -18,6 +18,7 @@ the modes (Sheiner and Beal 1980): y ~ N(mu, V), V = R + F Omega F^T,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
@@ -26,6 +27,7 @@ import torch
 from torch import Tensor
 
 from gbspec.arrays import Array
+from gbspec.training.population import student
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared, Likelihood
 from gbspec.training.population.predictions import Predictions
@@ -90,7 +92,9 @@ class Marginal:
 
     def _at(self, modes: Tensor, hessian: Tensor) -> list[Tensor]:
         """The nodes [N, q] around the modes: z* + sqrt(2) C^-T x with H = C C^T."""
-        factor = torch.linalg.cholesky(hessian)
+        # Where H is not finite, the logarithm of its determinant is not a number either, and the point is rejected.
+        found, info = torch.linalg.cholesky_ex(hessian)
+        factor = torch.where((info == 0)[:, None, None], found, torch.eye(hessian.shape[1], dtype=hessian.dtype))
         moved = torch.linalg.solve_triangular(
             factor.transpose(1, 2), self.points.T.expand(len(modes), -1, -1), upper=True
         )
@@ -172,12 +176,14 @@ class Marginal:
         )
         mean = np.concatenate([found.weights, self._mean_slopes(u, modes, found.constants)], 1)
         spread = self._spread_slopes(row)
-        noise = self._noise_slopes(u, of)
+        variance, noise, further = self._noise_information(u, of)
         logs = likelihood.logs.numpy()
         mean[logs] /= np.exp(of.mean.numpy()[logs])[:, None]
         omega = (factor[0] @ factor[0].T).numpy() if len(factor) else np.zeros((layout.effects,) * 2)
         known = np.flatnonzero(self.predictions.measured.side == 0)  # limits say little: without them it is a bound
-        return _information(self.predictions.measured.owner, mean, of, omega, spread, noise, known)
+        by_deviation = of.by_z.numpy()
+        parts = _Linearised(mean, by_deviation, variance, omega, spread, noise, further)
+        return _information(self.predictions.measured.owner, parts, known)
 
     def _mean_slopes(self, u: Array, z: Tensor, by_constants: Array) -> Array:
         """Derivatives [m, P] of predictions by u at fixed z; spreads and correlations move only the variance."""
@@ -199,51 +205,86 @@ class Marginal:
 
     def _spread_slopes(self, row: Tensor) -> Array:
         """Derivatives [P, q, q] of the covariance of deviations by u."""
+        if not self.layout.effects:
+            return np.zeros((len(row), 0, 0))
 
         def covariance(at: Tensor) -> Tensor:
             factor = self.layout.factor(self.layout.natural(at))
             return factor @ factor.transpose(-1, -2)
 
         found = torch.autograd.functional.jacobian(covariance, row)  # type: ignore[no-untyped-call]  # torch does not annotate it
-        return np.moveaxis(found.numpy(), -1, 0) if self.layout.effects else np.zeros((len(row), 0, 0))
+        return np.moveaxis(found.numpy(), -1, 0)
 
-    def _noise_slopes(self, u: Array, of: Compared) -> Array:
-        """Derivatives [m, P] of the variances by u at fixed predictions."""
-        mean = of.mean.detach()
+    def _noise_information(self, u: Array, of: Compared) -> tuple[Array, Array, Array]:
+        """Variances [m] with their derivatives [m, P] at fixed predictions, and roots [m, P] of further information.
+
+        Student's noise is taken as the normal one with the same information of the mean and of the scale; what the
+        degrees of freedom tell beyond the scale is the further information.
+        """
+        likelihood, mean = self.likelihood, of.mean.detach()
+        variance = of.variance.numpy()
+        slopes = self._by_parameters(u, lambda at: likelihood.variance(mean, self.layout.natural(at)))
+        if not likelihood.outliers:
+            return variance, slopes, np.zeros_like(slopes)
+        heavy, freedom = likelihood.heavy.numpy(), of.freedom.detach().numpy()
+        of_freedom = self._by_parameters(u, lambda at: likelihood.freedom(self.layout.natural(at)))
+        scale, own, between = student.of_scale_and_freedom(freedom)
+        same = student.equivalent(variance, freedom)
+        moved = 0.5 * slopes / variance[:, None] + (between / scale)[:, None] * of_freedom
+        relative = np.sqrt(2 * scale)[:, None] * moved
+        further = np.sqrt(np.maximum(own - between**2 / scale, 0.0))[:, None] * of_freedom
+        return (
+            np.where(heavy, same, variance),
+            np.where(heavy[:, None], same[:, None] * relative, slopes),
+            np.where(heavy[:, None], further, 0.0),
+        )
+
+    def _by_parameters(self, u: Array, function: Callable[[Tensor], Tensor]) -> Array:
+        """Derivatives [m, P] of values [m] of the trajectories' rows of u."""
         rows = self.rows(u).clone().requires_grad_()
-        out = np.zeros((len(mean), len(u)))
-        variance = self.likelihood.variance(mean, self.layout.natural(rows))
-        if not variance.requires_grad:
+        value = function(rows)
+        out = np.zeros((len(value), len(u)))
+        if not value.requires_grad:
             return out
         for p in range(len(u)):
             # Values of one trajectory share its row, so derivatives of each value need one parameter at a time.
             tangent = torch.zeros_like(rows)
             tangent[:, p] = 1.0
-            _, change = torch.autograd.functional.jvp(  # type: ignore[no-untyped-call]  # torch does not annotate it
-                lambda at: self.likelihood.variance(mean, self.layout.natural(at)),
-                rows.detach(),
-                tangent,
-            )
+            _, change = torch.autograd.functional.jvp(function, rows.detach(), tangent)  # type: ignore[no-untyped-call]  # torch does not annotate it
             out[:, p] = change.numpy()
         return out
 
 
-def _information(
-    owner: Integers, mean: Array, of: Compared, omega: Array, spread: Array, noise: Array, known: Integers
-) -> Array:
-    """The sum over trajectories of the values `known` [k]. `mean` [m, W + P], `noise` [m, P] and `spread` [P, q, q] are
-    derivatives of means, variances and the covariance `omega` of deviations, by which `of` has the sensitivities."""
-    total, weights = np.zeros((mean.shape[1],) * 2), mean.shape[1] - noise.shape[1]
-    by_deviation, variance = of.by_z.numpy(), of.variance.numpy()
+@dataclass(frozen=True)
+class _Linearised:
+    """The model that is linear in the deviations: `mean` [m, W + P], `noise` [m, P] and `spread` [P, q, q] are
+    derivatives of means, of the values' `variance` [m] and of the covariance `omega` of deviations, by which means have
+    the derivatives `by_deviation` [m, q]. `further` [m, P] are roots of information that is not one of variances."""
+
+    mean: Array
+    by_deviation: Array
+    variance: Array
+    omega: Array
+    spread: Array
+    noise: Array
+    further: Array
+
+
+def _information(owner: Integers, of: _Linearised, known: Integers) -> Array:
+    """The sum over trajectories of the values `known` [k]."""
+    noise, spread = of.noise, of.spread
+    total, weights = np.zeros((of.mean.shape[1],) * 2), of.mean.shape[1] - noise.shape[1]
     places = np.flatnonzero(np.abs(noise).any(axis=0) | np.abs(spread).reshape(len(spread), -1).any(axis=1))
     order = known[np.argsort(owner[known], kind="stable")]
     for rows in np.split(order, np.flatnonzero(np.diff(owner[order])) + 1):
         if not len(rows):
             continue
-        f = by_deviation[rows]
-        inverse = np.linalg.inv(np.diag(variance[rows]) + f @ omega @ f.T)
-        a = mean[rows]
+        f = of.by_deviation[rows]
+        inverse = np.linalg.inv(np.diag(of.variance[rows]) + f @ of.omega @ f.T)
+        a, left = of.mean[rows], np.diag(inverse) * of.variance[rows]
         total += a.T @ inverse @ a
+        more = left[:, None] * of.further[rows]
+        total[weights:, weights:] += more.T @ more
         parts = {p: np.diag(noise[rows, p]) for p in places}
         for p in places:
             if np.abs(spread[p]).any():

@@ -14,16 +14,19 @@ import numpy as np
 import torch
 
 from gbspec.arrays import Array
+from gbspec.training.population import student
+from gbspec.training.population.discrepancies import prediction_errors
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.likelihood import Compared
 from gbspec.training.population.objective import Objective, Point
+from gbspec.training.population.predictions import Measured
 from gbspec.training.problem import Integers
 
 QUANTILE = 1.645
 """Half the width of a 90 % interval of a normal distribution, in standard deviations."""
 BINS = 10
 """Most intervals of time in which a predictive check compares quantiles."""
-REPLICATES, MOST = 300, 3_000_000
+REPLICATES, MOST = 1000, 10_000_000
 """Simulated data sets of a predictive check, and the most values in all of them."""
 LEVELS = (0.05, 0.5, 0.95)
 """The quantiles that a predictive check compares."""
@@ -134,7 +137,11 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
         typical = layout.constants(natural, torch.zeros_like(torch.from_numpy(point.z)))[0].numpy()
     population = predictions.individuals.mean(typical, point.weights)
     owner, residual = predictions.measured.owner, -of.residual.numpy()
+    heavy, freedom = likelihood.heavy.numpy(), of.freedom.numpy()
     by_z, variance = of.by_z.numpy(), of.variance.numpy()
+    own = residual / np.sqrt(variance)
+    own[heavy] = student.normal_quantile(own[heavy], freedom[heavy])
+    variance = np.where(heavy, student.equivalent(variance, freedom), variance)
     weighted = np.full(len(owner), np.nan)
     known = np.flatnonzero(predictions.measured.side == 0)  # a limit has no residual
     order = known[np.argsort(owner[known], kind="stable")]
@@ -151,18 +158,26 @@ def _table(objective: Objective, point: Point, of: Compared) -> dict[str, Array]
         "individual": np.where(logs, np.exp(of.mean.numpy()), of.mean.numpy()),
         "population": population,
         "cwres": weighted,
-        "iwres": np.where(predictions.measured.side == 0, residual / np.sqrt(variance), np.nan),
+        "iwres": np.where(predictions.measured.side == 0, own, np.nan),
     }
 
 
-def predictive_check(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
+def simulated_tables(objective: Objective, point: Point, times: Array, seed: int) -> dict[str, Array]:
+    """What simulated data sets tell: a visual predictive check, and prediction errors of every value (`npde`)."""
+    measured = objective.marginal.predictions.measured
+    simulated = simulate(objective, point, seed)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        compared = np.where(measured.logarithm, np.log(simulated), simulated)
+    errors = prediction_errors(measured.owner, measured.value, compared, measured.side == 0)
+    return {**predictive_check(measured, simulated, times), "npde": errors}
+
+
+def predictive_check(measured: Measured, simulated: Array, times: Array) -> dict[str, Array]:
     """Quantiles of measured and of simulated values by channel and interval of time: a visual predictive check.
 
     Rows are [channel, first time, middle, last time, measured quantiles, and for each of these the 5, 50 and 95 %
     quantile of the simulated ones]; simulated data sets have the trajectories, times and conditions of the data.
     """
-    measured = objective.marginal.predictions.measured
-    simulated = simulate(objective, point, seed)
     value = np.where(measured.logarithm, np.exp(measured.value), measured.value)
     rows = []
     for channel in np.unique(measured.channel):
@@ -201,6 +216,9 @@ def simulate(objective: Objective, point: Point, seed: int) -> Array:
             constants, slope = layout.constants(natural, z)
         mean = torch.from_numpy(predictions.individuals.mean(constants.numpy(), point.weights))
         of = likelihood.compared(mean, mean.new_zeros((len(mean), layout.effects)), slope, natural)
-        drawn = of.mean.numpy() + np.sqrt(of.variance.numpy()) * rng.standard_normal(len(mean))
+        error = rng.standard_normal(len(mean))
+        heavy = likelihood.heavy.numpy()
+        error[heavy] = student.draw(of.freedom.numpy()[heavy], rng)
+        drawn = of.mean.numpy() + np.sqrt(of.variance.numpy()) * error
         out[i] = np.where(likelihood.logs.numpy(), np.exp(np.minimum(drawn, 700)), drawn)
     return out

@@ -9,8 +9,8 @@ import torch
 
 from gbspec.arrays import Array
 from gbspec.files import finite
-from gbspec.runs import EffectRecord, ObjectiveRecord, PopulationRecord, PopulationTables
-from gbspec.training.population import Objective, PopulationResult, predictive_check, result_at
+from gbspec.runs import EffectRecord, ErrorsRecord, ObjectiveRecord, PopulationRecord, PopulationTables
+from gbspec.training.population import Objective, PopulationResult, examined, result_at, simulated_tables
 from gbspec.training.problem import Parameters
 from gbspec.training.recipe import Context, marginal_objective
 from gbspec.training.runs.summary import MemberResult
@@ -56,12 +56,23 @@ def with_population(
         own_sd=found.individual_sd[:, pick],
         noise=_noise(context, found, objective),
     )
+    tables = _tables(context, found, objective)
     return made_result, Described(
-        _record(context, found, objective),
+        replace(_record(context, found, objective), npde=_errors(context, tables)),
         _objective(found, objective),
-        _tables(context, found, objective),
+        tables,
         _info(objective, found),
     )
+
+
+def _errors(context: Context, tables: PopulationTables) -> dict[str, ErrorsRecord]:
+    """The tests of prediction errors, channel by channel."""
+    out = {}
+    for i, channel in enumerate(context.model.channels):
+        found = examined(tables.arrays["npde"][tables.arrays["channel"] == i])
+        if found is not None:
+            out[channel.name] = ErrorsRecord(found.n, found.mean, found.variance, found.p)
+    return out
 
 
 def _info(objective: Objective, found: PopulationResult) -> dict[str, object]:
@@ -150,5 +161,5 @@ def _tables(context: Context, found: PopulationResult, objective: Objective) -> 
         "time": times,
         "deviations": found.deviations,
     }
-    arrays |= predictive_check(objective, found.point, times, context.seed)
+    arrays |= simulated_tables(objective, found.point, times, context.seed)
     return PopulationTables(arrays, tuple(problem.packed.labels))

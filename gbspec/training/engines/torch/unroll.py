@@ -99,7 +99,7 @@ class Motion:
         ]
         self.deliveries = Deliveries.of(problem, schedule.condition, self._constants)
         self._affine: Affine | None = None
-        if not problem.model.events and affine_by_model(problem.model, problem.module):
+        if not problem.model.events and affine_by_model(parameters.model, problem.module):
             ops = torch_arithmetic(problem.module)
             self._affine = affine(problem.module, ops, schedule.condition, self._constants, networks)
 
