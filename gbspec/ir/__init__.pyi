@@ -12,6 +12,7 @@ from .derivatives import ordered as ordered
 from .derivatives import partials as partials
 from .distributions import PREDICTION as PREDICTION
 from .distributions import Distribution as Distribution
+from .distributions import Level as Level
 from .distributions import Noise as Noise
 from .distributions import NoiseKind as NoiseKind
 from .distributions import Spread as Spread

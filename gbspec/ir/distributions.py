@@ -18,19 +18,36 @@ PREDICTION = sympy.Symbol("prediction of the channel", real=True)
 
 
 @dataclass(frozen=True)
+class Level:
+    """A further deviation, which all trajectories with the same value of the condition `column` share: `spread` is the
+    name of a learnable, or among `Model.implied`; without it the spread is the number `fixed`."""
+
+    column: str
+    spread: str | None = None
+    fixed: float = 1.0
+
+
+@dataclass(frozen=True)
 class Distribution:
     """How the values of a constant are distributed between trajectories.
 
     With a standard normal number e and the spread s: `lognormal` median*exp(s*e), `normal` median + s*e, `logitnormal`
     the value within the range whose logit is that of the median plus s*e, `standard` e itself (no median, no spread).
     `median` is the name of the median among `Model.implied`; `spread` that of a learnable, or among `Model.implied`;
-    without it the spread is the number `fixed`.
+    without it the spread is the number `fixed`. The deviations of `levels` are added to s*e; a constant that differs
+    between groups alone has the spread 0 between trajectories.
     """
 
     kind: Spread
     median: str = ""
     spread: str | None = None
     fixed: float = 1.0
+    levels: tuple[Level, ...] = ()
+
+    @property
+    def spreads(self) -> tuple[tuple[str | None, float], ...]:
+        """The name of each spread (None: fixed) with its fixed number, that between trajectories first."""
+        return (self.spread, self.fixed), *((level.spread, level.fixed) for level in self.levels)
 
 
 @dataclass(frozen=True)

@@ -146,11 +146,15 @@ def _ratio(first: tuple[Run, Compared], second: tuple[Run, Compared]) -> Ratio |
     (small, less), (large, more) = (first, second) if a < b else (second, first)
     fall, freedom = less.minus2ll - more.minus2ll, abs(len(a) - len(b))
     p = float(gammaincc(freedom / 2, max(fall, 0.0) / 2))
-    edges = [
-        ({k.name for k in run.model.distributed}, [c.noise and c.noise.kind for c in run.model.channels])
-        for run in (small, large)
-    ]
+    edges = [(_deviations(run), [c.noise and c.noise.kind for c in run.model.channels]) for run in (small, large)]
     return Ratio(less.run, more.run, fall, freedom, p, edges[0] != edges[1])
+
+
+def _deviations(run: Run) -> set[tuple[str, str]]:
+    """The constants that differ, with the columns between whose values they do."""
+    each = [(k.name, k.distribution) for k in run.model.distributed if k.distribution is not None]
+    found = {(name, "trajectory") for name, made in each if made.spread is not None or made.fixed}
+    return found | {(name, level.column) for name, made in each for level in made.levels}
 
 
 def _same_equations(first: Run, second: Run) -> bool:

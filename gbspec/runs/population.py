@@ -32,7 +32,8 @@ class ObjectiveRecord:
 class EffectRecord:
     """A constant's distribution: `median` (the mean of a normal one) and `sd` of the deviations (of logarithms, if it
     is lognormal; of logits, if logitnormal). `interval` is that of the median, `sd_interval` that of the spread (90 %;
-    None: not known, or fixed)."""
+    None: not known, or fixed). `per`: the column between whose values it differs; the distribution
+    of a second grouping has a record of its own, `NAME per COLUMN`."""
 
     median: float
     sd: float
@@ -41,6 +42,7 @@ class EffectRecord:
     distribution: str = "lognormal"
     median_sd: float | None = None
     sd_interval: tuple[float, float] | None = None
+    per: str = "trajectory"
     others: Mapping[str, object] = field(default_factory=dict)
 
 

@@ -104,7 +104,7 @@ def _check(merged: Merged, names: Table, accepted: allow.Allowed, findings: Find
     if not usage.has_states(items, names, findings):
         return None
     observed = usage.observed_names(items)
-    usage.unused(places_of, merged.in_indices | observed, names, findings)
+    usage.unused(places_of, merged.in_indices | observed | populations.columns(items), names, findings)
     usage.only_compared(places_of, observed, names, findings)
     order = tuple(n for n in rests.order if names[n].kind in (Kind.LET, Kind.PROCESS))
     subject = doubts.Subject(items, names, values, order, numbers, places_of)

@@ -160,7 +160,8 @@ class _Rules:
                 self._ranged(name, interval, default)
             case ast.LearnStatement(name=name, range=interval, bounds=bounds, start=start):
                 self._ranged(name, interval, start, *(bound.value for bound in bounds))
-                self._spread(name, statement.per)
+                for grouping in statement.groupings:
+                    self._spread(name, grouping)
             case ast.TimeStatement(name=name, start=start):
                 self._ranged(name, None, start)
             case ast.ConstStatement() | ast.LetStatement() | ast.FunctionStatement():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,14 +25,6 @@ SQUARES = SHARED.replace("learn e = 0.5 > 0\n", "").replace(" noise normal(e)", 
 def values() -> np.ndarray:
     random = np.random.default_rng(1)
     return 5 + 1.5 * random.standard_normal((8, 1)) + 0.4 * random.standard_normal((8, 4))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _few_replicates() -> Iterator[None]:
-    """Predictive checks simulate few populations: they are not what is tested."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gbspec.training.population.results.REPLICATES", 20)
-        yield
 
 
 @pytest.fixture(scope="module")

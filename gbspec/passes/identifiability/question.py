@@ -76,9 +76,9 @@ class Question:
             if e is not None
             for s in e.free_symbols
         }
-        elsewhere |= {
-            symbol(k.distribution.spread) for k in self.model.distributed if k.distribution and k.distribution.spread
-        }
+        for made in (k.distribution for k in self.model.distributed if k.distribution is not None):
+            spreads = made.spread, *(level.spread for level in made.levels)
+            elsewhere |= {symbol(name) for name in spreads if name}
         starts = [e for e in self.starts if e is not None]
         terms = [*self.rates, *self.outputs, *self._arguments, *starts]
         inside = {s for e in terms for s in e.free_symbols} | {

@@ -1,5 +1,7 @@
+from . import results as results
 from . import student as student
 from .discrepancies import examined as examined
+from .groups import Groups as Groups
 from .layout import Layout as Layout
 from .marginal import Marginal as Marginal
 from .noise import degrees_of_freedom as degrees_of_freedom
@@ -16,4 +18,5 @@ from .results import PopulationResult as PopulationResult
 from .results import result_at as result_at
 from .results import simulated_tables as simulated_tables
 from .stage import MarginalLikelihood as MarginalLikelihood
+from .stage import modes_of as modes_of
 from .stage import vector_of as vector_of

@@ -29,13 +29,18 @@ from torch import Tensor
 from gbspec.arrays import Array
 from gbspec.ir import symbol
 from gbspec.training.population import student
+from gbspec.training.population.groups import Groups
 from gbspec.training.population.layout import Layout
 from gbspec.training.population.noise import LEAST, degrees_of_freedom, standard_deviation, student_noise
 from gbspec.training.population.predictions import Predictions
 
 LOG_2PI = float(np.log(2 * np.pi))
+FARTHEST = 1e100
+"""Predictions at the nodes of a quadrature are at most so large: steps may be too long for constants far out."""
 ITERATIONS = 60
 """Largest number of iterations of the inner problems."""
+AWAY = 1.5
+"""How far from 0 further starts of the inner problems lie."""
 RESTS = 1e-9
 """An inner problem has converged when its next step is shorter than this (z has the standard deviation 1)."""
 
@@ -63,8 +68,10 @@ class Likelihood:
     def __init__(self, layout: Layout, predictions: Predictions) -> None:
         self.layout, self.predictions = layout, predictions
         measured = predictions.measured
-        self.count = measured.trajectories
+        self.groups = Groups.of(layout, predictions.problem.packed.condition)
+        self.trajectories, self.count = measured.trajectories, self.groups.count
         self.owner = torch.from_numpy(measured.owner)
+        self.unit = torch.from_numpy(self.groups.unit[measured.owner])
         self.value = torch.from_numpy(measured.value)
         self.share = torch.from_numpy(1.0 / measured.weight**2)
         self.extra = torch.from_numpy(measured.sd**2)
@@ -81,14 +88,18 @@ class Likelihood:
         self.constant = self.sums(torch.from_numpy(jacobian))
 
     def sums(self, values: Tensor) -> Tensor:
-        """Sums of values [m, ...] over each trajectory [N, ...]."""
+        """Sums of values [m, ...] over each unit [units, ...]."""
         out = values.new_zeros((self.count, *values.shape[1:]))
-        return out.index_add(0, self.owner, values)
+        return out.index_add(0, self.unit, values)
+
+    def individual(self, natural: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """`Layout.constants` of trajectories from the standard numbers z [units, size]."""
+        return self.layout.constants(natural, self.groups.numbers(z))
 
     def compared(self, mean: Tensor, sensitivity: Tensor, slope: Tensor, natural: Tensor) -> Compared:
-        """The comparison at predictions [m] and sensitivities [m, q] to constants, whose derivatives by z are `slope`
-        [N, q, q]."""
-        by_z = torch.einsum("mq,mqz->mz", sensitivity, slope[self.owner])
+        """The comparison at predictions [m] and sensitivities [m, q] to constants, whose derivatives by the numbers of
+        their trajectories are `slope` [N, q, width]."""
+        by_z = self.groups.placed(torch.einsum("mq,mqz->mz", sensitivity, slope[self.owner]), self.owner)
         if bool(self.logs.any()):
             safe = torch.clamp(mean, min=1e-300)
             by_z = torch.where(self.logs[:, None], by_z / safe[:, None], by_z)
@@ -159,8 +170,12 @@ class Likelihood:
             place, by = self._limit(of)
             ratio = _mills(place)
             weight = torch.where(self.side == 0, weight, ratio * torch.clamp(ratio + place, min=0.0) * by**2)
-        products = weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :]
-        return torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype) + self.sums(products)
+        unit = torch.eye(of.by_z.shape[1], dtype=of.by_z.dtype)
+        if not self.groups.shared:
+            return unit + self.sums(weight[:, None, None] * of.by_z[:, :, None] * of.by_z[:, None, :])
+        # The products of all values at once would take far more memory where units have many numbers.
+        rows = [torch.nonzero(self.unit == c)[:, 0] for c in range(self.count)]
+        return torch.stack([unit + (of.by_z[r] * weight[r, None]).T @ of.by_z[r] for r in rows])
 
     def _limit(self, of: Compared) -> tuple[Tensor, Tensor]:
         """w [m] of limits, in whose place known values have 0, and dw/df."""
@@ -172,10 +187,32 @@ class Likelihood:
     def at(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
         """The comparison with first derivatives alone; not differentiable."""
         with torch.no_grad():
-            constants, slope = self.layout.constants(natural, z)
+            constants, slope = self.individual(natural, z)
         found = self.predictions.individuals.first(constants.numpy(), weights)
         sensitivity = torch.from_numpy(found.constants[:, self.layout.place])
         return self.compared(torch.from_numpy(found.mean), sensitivity, slope, natural)
+
+    def plain(self, natural: Tensor, z: Tensor, weights: Array) -> Compared:
+        """The comparison without sensitivities, which are 0: enough for the density. Where a solution grows beyond all
+        bounds, the density is as good as 0."""
+        with torch.no_grad():
+            constants, slope = self.individual(natural, z)
+        mean = bounded(torch.from_numpy(self.predictions.individuals.mean(constants.numpy(), weights)))
+        return self.compared(mean, mean.new_zeros((len(mean), self.layout.effects)), slope, natural)
+
+    def lowest(self, natural: Tensor, z: Tensor, weights: Array) -> tuple[Tensor, Compared]:
+        """The lowest of the minima of g that are found from `z`, from 0, and from both sides of 0 along each number:
+        with networks there may be several."""
+        best, of = self.modes(natural, z, weights)
+        value = torch.nan_to_num(self.joint(of, best), nan=torch.inf)
+        unit = AWAY * torch.eye(z.shape[1], dtype=z.dtype)
+        for start in (0 * unit[0], *unit, *-unit) if z.shape[1] else ():
+            other, there = self.modes(natural, start.expand_as(z).clone(), weights)
+            reached = torch.nan_to_num(self.joint(there, other), nan=torch.inf)
+            better = reached < value - 1e-6
+            best, value = torch.where(better[:, None], other, best), torch.where(better, reached, value)
+            of = self._chosen(better, there, of)
+        return best, of
 
     def modes(self, natural: Tensor, z: Tensor, weights: Array) -> tuple[Tensor, Compared]:
         """The minima of g from `z` [N, q], side by side, and the comparison there."""
@@ -213,12 +250,17 @@ class Likelihood:
 
     def _chosen(self, which: Tensor, first: Compared, second: Compared) -> Compared:
         """The first comparison for some of the trajectories, the second for the others."""
-        rows = which[self.owner]
+        rows = which[self.unit]
         parts = {
             name: torch.where(rows[:, None] if value.ndim > 1 else rows, value, getattr(second, name))
             for name, value in vars(first).items()
         }
         return Compared(**parts)
+
+
+def bounded(mean: Tensor) -> Tensor:
+    """Predictions whose squares are finite numbers."""
+    return torch.clamp(torch.nan_to_num(mean, nan=FARTHEST), -FARTHEST, FARTHEST)
 
 
 def _mills(place: Tensor) -> Tensor:
