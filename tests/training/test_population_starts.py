@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from gbspec.diagnostics import Findings
 from gbspec.operations import tables
 from gbspec.training import TrainOptions, train
+from gbspec.training.engines import choice
 from gbspec.training.population.pooled import pooled_model
 from tests.training.test_populations import NETWORK, model_of, table
 
@@ -28,6 +30,13 @@ def test_effects_are_estimated_for_each_trajectory_only_where_they_are_arguments
     with_network, known = (pooled_model(model_of(text, tmp_path)) for text in (NETWORK, KNOWN))
     assert [k.per_trajectory for k in with_network.learnables if k.name == "e"] == [True]
     assert [k.per_trajectory for k in known.learnables if k.name == "e"] == [False]
+
+
+def test_the_kernel_is_worth_its_compilation_for_a_population(tmp_path: Path) -> None:
+    """Inner problems solve the model hundreds of times in each iteration."""
+    model = model_of(NETWORK, tmp_path)
+    alone = replace(model, learnables=(), implied=())
+    assert [choice.few(one, TrainOptions(), 10) for one in (alone, model)] == [True, False]
 
 
 def test_a_network_learns_to_depend_on_its_effect(tmp_path: Path) -> None:
